@@ -94,12 +94,12 @@ def pose_nees(estimate: Estimate, truth: Array) -> float:
 
 
 def measurement_nees(
-    seen: PoseLandmarkMeasurements, begun: PoseLandmarkMeasurements, truth: Array
+    seen: PoseLandmarkMeasurements, initialised: PoseLandmarkMeasurements, truth: Array
 ) -> float:
     """Mean over 3 of all measurements but each landmark's first, which `begun` holds."""
     axis: dict[int, Array] = {}
     for pose, landmark_index, z in zip(
-        begun.pose.tolist(), begun.landmark.tolist(), begun.measured, strict=True
+        initialised.pose.tolist(), initialised.landmark.tolist(), initialised.measured, strict=True
     ):
         axis.setdefault(landmark_index, planar.compose(truth[pose], z))
     later = np.setdiff1d(np.arange(len(seen.pose)), np.unique(seen.landmark, return_index=True)[1])

@@ -3,9 +3,10 @@
     python benchmarks/trust_optimum.py [--each 34] [--quick]
 
 The lowest error of a log is the least of ours, of the optimum begun at the truth, and of a long
-search: 40 random starts optimised to the end and begun anew from where landmarks of the best are
-moved across the path at random. A verified minimum above it is wrong. `times` is the processor time
-of our search over that of one tracked start with its optimiser, which is what a solve was before.
+search: 40 random starts optimised to the end and initialised again from where landmarks of the best
+are moved across the path at random. A verified minimum above it is wrong. `times` is the processor
+time of our search over that of one tracked start with its optimiser, which is what a solve was
+before.
 """
 
 from __future__ import annotations

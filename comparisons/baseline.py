@@ -87,7 +87,7 @@ SIDES: Mapping[str, Judged] = {
             *("fixes_fused", "fixes_rejected", "fixes_in_streaks", "longest_streak"),
             *("fixes_rejected_by_smoother", "global_updates"),
             *("rejected_measurements", "rejected_positions", "hops", "random_starts"),
-            *("trace.steps", "trace.updates", "trace.begun", "trace.positions"),
+            *("trace.steps", "trace.updates", "trace.initialised", "trace.positions"),
         )
     },
 }

@@ -65,8 +65,8 @@ def measurement_points(
     """
     points = {}
     for width, used in trace.measurements.items():
-        begun = trace.initialisations[width]
-        both = used, begun.rows(np.flatnonzero(begun.weight > 0.0))
+        initialised = trace.initialisations[width]
+        both = used, initialised.rows(np.flatnonzero(initialised.weight > 0.0))
         pose, step = (np.concatenate([getattr(r, name) for r in both]) for name in ("pose", "step"))
         points[width] = RelationPoints(
             np.concatenate([r.number for r in both]),

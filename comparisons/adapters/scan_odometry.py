@@ -60,7 +60,7 @@ class ScanMotion:
 
     @property
     def breaks(self) -> int:
-        """How many times the chain of scans had to be begun anew."""
+        """How many times the chain of scans had to be initialised again."""
         return int(self.bridged[1:].sum())
 
     @property

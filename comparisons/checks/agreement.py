@@ -113,8 +113,8 @@ class BlockAgreement:
 class Agreement:
     """All gaps, and E against S for the pose, every landmark and the whole.
 
-    landmark_difference_rms_m: root mean square distance of all landmarks. pose_landmarks: those
-    that have a direction, too; `landmarks` are the others.
+    landmark_difference_rms_m: root mean square distance of all landmarks. pose_landmarks: blocks
+    of pose landmarks; landmarks: of points.
     """
 
     algebra: Gap

@@ -51,7 +51,7 @@ _CLOCK_S = 0.5e-4
 class TraceCheck:
     """Gaps and causes. algebra: None where the estimate lacks the joint covariance.
 
-    steps, updates, begun, fixes: how many of each the trace holds.
+    steps, updates, initialised, fixes: how many of each the trace holds.
     """
 
     agreement: Agreement
@@ -59,7 +59,7 @@ class TraceCheck:
     verdict: Verdict
     steps: int
     updates: int
-    begun: int
+    initialised: int
     fixes: int
 
 
@@ -105,7 +105,7 @@ def check_trace(
         verdict=verdict,
         steps=len(trace.departed),
         updates=len(trace.measurements[POINT].step),
-        begun=len(trace.initialisations[POINT].step),
+        initialised=len(trace.initialisations[POINT].step),
         fixes=len(trace.positions.step),
     )
 

@@ -331,7 +331,7 @@ def _trace(check: TraceCheck | None) -> TraceResult | None:
     return TraceResult(
         steps=check.steps,
         updates=check.updates,
-        begun=check.begun,
+        initialised=check.initialised,
         positions=check.fixes,
         algebra_gap_sigma=None if algebra is None else finite(algebra.sigma),
         algebra_gap_covariance=None if algebra is None else finite(algebra.covariance),
@@ -392,7 +392,7 @@ class TraceResult(Model):
 
     steps: int
     updates: int
-    begun: int
+    initialised: int
     positions: int
     algebra_gap_sigma: float | None
     algebra_gap_covariance: float | None

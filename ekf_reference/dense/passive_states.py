@@ -42,7 +42,7 @@ class Watched(NamedTuple):
 class PassiveStates(Trace):
     """q pairs of passive states beside a running filter, exactly as if they were in its state.
 
-    value: (q, 2) now. begun: (q, 2) when they were first watched. cross: (2 q, n) covariance with
+    value: (q, 2) now. initial: (q, 2) when they were first watched. cross: (2 q, n) covariance with
     the filter's state. own: (q, 2, 2).
     """
 
@@ -58,7 +58,7 @@ class PassiveStates(Trace):
                 f"{len(ekf.state.pose)} pose entries, expected a KalmanState of 3"
             )
         self.value = np.empty((0, 2))
-        self.begun = np.empty((0, 2))
+        self.initial = np.empty((0, 2))
         self.cross = np.empty((0, len(ekf.state.mean)))
         self.own = np.empty((0, 2, 2))
         self._ekf, self._next = ekf, ekf.trace
@@ -67,7 +67,7 @@ class PassiveStates(Trace):
     @property
     def change(self) -> Array:
         """(q, 2) what eq. 3.16 adds up to since the states were first watched."""
-        return self.value - self.begun
+        return self.value - self.initial
 
     def watch(self, new: Watched) -> Index:
         """Append pairs of states, correlated through the filter's (3.2); returns numbers (k,)."""
@@ -79,7 +79,7 @@ class PassiveStates(Trace):
         own = [x[:, c] @ j.T for x, c, j in zip(cross, columns, new.jacobian, strict=True)]
         first = len(self.value)
         self.value = np.concatenate((self.value, new.value))
-        self.begun = np.concatenate((self.begun, new.value))
+        self.initial = np.concatenate((self.initial, new.value))
         self.cross = np.concatenate((self.cross, *cross))
         self.own = np.concatenate((self.own, np.reshape(own, (-1, 2, 2)) + new.noise))
         return np.arange(first, len(self.value))

@@ -173,7 +173,7 @@ class HighLevelLandmarks:
         z, covariance = predicted_frames(ekf, np.array([one.landmark_index]))
         return Expected(z[0], covariance[0])
 
-    def begun(self, measurements: list[PoseMeasurement], landmark_index: Index) -> None:
+    def initialised(self, measurements: list[PoseMeasurement], landmark_index: Index) -> None:
         """The filter has fused measurements and says which of its landmarks (m,) they are."""
         for one, own in zip(measurements, landmark_index.tolist(), strict=True):
             self.landmark[one.number] = replace(self.landmark[one.number], landmark_index=own)

@@ -91,15 +91,15 @@ class Predicted(NamedTuple):
 class ScanLandmarks:
     """Templates and counts of a run.
 
-    template: by landmark index. measurements: measurements used, by landmark index. begun: every
-    template as it was initialised from one scan. reasons: how often a landmark near the scanner was
-    USED, or why it was not. rejected: candidate templates that failed their trial. scans: processed
-    so far. dynamic: returns left out because something moves there. moving: landmark indices that
-    are deactivated because their template lies where something moves.
+    template: by landmark index. measurements: measurements used, by landmark index. initialised:
+    every template as it was initialised from one scan. reasons: how often a landmark near the
+    scanner was USED, or why it was not. rejected: candidate templates that failed their trial.
+    scans: processed so far. dynamic: returns left out because something moves there. moving:
+    landmark indices that are deactivated because their template lies where something moves.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
-    begun: dict[int, Template] = field(default_factory=dict)
+    initialised: dict[int, Template] = field(default_factory=dict)
     measurements: Counter[int] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     rejected: int = 0
@@ -139,7 +139,7 @@ class ScanSlam:
         self._observer = observer or TemplateObserver()
         self._rng = np.random.default_rng(seed)
         self._last_seen: dict[int, int] = {}
-        self._begun = 0
+        self._initialised = 0
 
     def step(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
         """Process a scan, in the scanner's frame: predict, align, gate, update, augment."""
@@ -147,7 +147,7 @@ class ScanSlam:
         predicted = self._predict(ekf)
         self._deactivate(ekf, predicted.landmark_index)
         used = self._update(ekf, predicted, scan, tell)
-        if self.options.extraction.due(self.found.scans, self._begun, used):
+        if self.options.extraction.due(self.found.scans, self._initialised, used):
             self._augment(ekf, scan, tell)
 
     def _deactivate(self, ekf: Ekf, near: Index) -> None:
@@ -239,8 +239,8 @@ class ScanSlam:
                 continue
             template = Template.of_segment(scan, rows)
             landmark_index = self._told(tell, [(NEW, template.pose, found.covariance)])
-            self.found.template[landmark_index] = self.found.begun[landmark_index] = template
-            self._begun = self.found.scans
+            self.found.template[landmark_index] = self.found.initialised[landmark_index] = template
+            self._initialised = self.found.scans
 
     def _told(self, tell: MeasurementSink, seen: list[tuple[int, Array, Array]]) -> int:
         """Fuse measurements (index, z, R) in the scanner's frame; returns the last index."""

@@ -56,7 +56,7 @@ class TemplateExtraction(ABC):
         """Return the same with another least number of returns of a template."""
 
     @abstractmethod
-    def due(self, scans: int, begun: int, used: int) -> bool:
+    def due(self, scans: int, initialised: int, used: int) -> bool:
         """Whether the scan of number `scans` may begin some: the last that did was `begun`.
 
         used: landmarks that were seen in this one.
@@ -112,9 +112,9 @@ class JoinedSegments(TemplateExtraction):
         """See TemplateExtraction."""
         return replace(self, least=returns)
 
-    def due(self, scans: int, begun: int, used: int) -> bool:
+    def due(self, scans: int, initialised: int, used: int) -> bool:
         """See TemplateExtraction."""
-        return not used or (used < self.enough and scans >= begun + self.every)
+        return not used or (used < self.enough and scans >= initialised + self.every)
 
     def found(
         self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
@@ -162,7 +162,7 @@ class SingleSegments(TemplateExtraction):
         """See TemplateExtraction."""
         return replace(self, segmentation=replace(self.segmentation, least_points=returns))
 
-    def due(self, scans: int, begun: int, used: int) -> bool:
+    def due(self, scans: int, initialised: int, used: int) -> bool:
         """See TemplateExtraction."""
         return self.every == 1 or scans % self.every == 1
 

@@ -49,7 +49,7 @@ class OdometryOptions:
     ground_m: of a cloud, what lies lower than this over its lowest points is left out: a flat
     ground says nothing of planar motion, and its rings move with the vehicle. most_jump_m,
     blind_jump_m, most_jump_rad: how far the result may lie from the guess, and from constant
-    velocity without one. patience: so many failed scans in a row, and a new map is begun.
+    velocity without one. patience: so many failed scans in a row, and a new map is initialised.
     refinement: its calibration is that of planar scans; cloud_calibration comes on top of it for
     clouds, in which the points of one firing share their errors. Both were found on simulated
     drives.

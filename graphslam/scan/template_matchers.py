@@ -55,7 +55,7 @@ class TemplateMatchers:
             self._matchers[count] = self._kind(self._options(count, _FREE_M))
         return self._matchers[count]
 
-    def begun(self, template: Template, cloud: Array, free_m: float) -> Array:
+    def initialised(self, template: Template, cloud: Array, free_m: float) -> Array:
         """(3, 3) how far the axis of a template's points may be from their true surfaces' axis.
 
         Of the right perturbation. cloud: (N, 3) the scan that it is a piece of.

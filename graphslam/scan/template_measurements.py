@@ -34,7 +34,7 @@ from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.registration import Registration, ScanError, squared_distance
 from graphslam.scan.template_matchers import COARSE_M, Template, TemplateMatchers, lever_m
 
-USED, BEGUN = "used", "begun"
+USED, INITIALISED = "used", "initialised"
 APART = "does not meet the scan"
 UNMATCHED = "not matched"
 MISFIT = "does not fit"
@@ -52,8 +52,8 @@ class TemplateOptions:
     have returns near them to be matched; only these are. least_overlap, most_residual_m, gate: of
     a match to believe; the gate is of three degrees of freedom, 99.9 %. piece: scans between two
     solutions.
-    begun_m: sigma of a new template along what its shape does not fix: of all axes that fit, its
-    own is the one where it was taken. shared_m: sigma of one return, by which factors are wider
+    initialised_m: sigma of a new template along what its shape does not fix: of all axes that fit,
+    its own is the one where it was taken. shared_m: sigma of one return, by which factors are wider
     than the matcher says.
     """
 
@@ -64,7 +64,7 @@ class TemplateOptions:
     most_residual_m: float = 0.35
     gate: float = 16.27
     piece: int = 5
-    begun_m: float = 0.05
+    initialised_m: float = 0.05
     shared_m: float = 0.05
 
     @classmethod
@@ -113,19 +113,19 @@ def measure_templates(
     drive = _Drive(
         replace(problem, pose_landmarks=PoseLandmarkMeasurements()), templates, matchers, options
     )
-    begun: dict[int, list[int]] = {}
+    initialised: dict[int, list[int]] = {}
     for number, template in templates.items():
-        begun.setdefault(template.pose, []).append(number)
+        initialised.setdefault(template.pose, []).append(number)
     for pose in range(problem.pose_count):
         drive.move_to(pose)
-        if pose in clouds or pose in begun:
+        if pose in clouds or pose in initialised:
             progress(pose, problem.pose_count)
             try:
                 cloud = clouds[pose]
             except (KeyError, ScanError):  # nothing to match; what began here was seen, though
                 cloud = np.zeros((0, 3))
             drive.look(cloud)
-            drive.begin(sorted(begun.get(pose, [])), cloud)
+            drive.begin(sorted(initialised.get(pose, [])), cloud)
     return TemplateMeasurements(drive.alignments(), drive.factors(), drive.reasons)
 
 
@@ -182,8 +182,8 @@ class _Drive:
         """Templates taken from here."""
         for number in numbers:
             t = self._templates[number]
-            spread = self._matchers.begun(t, cloud, self._options.begun_m)
-            self._take(PoseMeasurement(self._pose, number, t.place, spread), BEGUN)
+            spread = self._matchers.initialised(t, cloud, self._options.initialised_m)
+            self._take(PoseMeasurement(self._pose, number, t.place, spread), INITIALISED)
 
     def look(self, cloud: Array) -> None:
         """Match what may be in view with the scan from here (N, 3)."""
@@ -268,7 +268,7 @@ class _Drive:
         known = len(self._last)
         part = replace(self._problem, pose_landmarks=self.factors()).prefix(self._pose + 1)
         graph = build_graph(part)
-        for s in self._seen:  # begun where everything was solved the last time, after that
+        for s in self._seen:  # initialised where everything was solved the last time, after that
             if s.pose < self._solved and not self._values.exists(POSE_LANDMARK_KEY + s.landmark):
                 here = self._values.atPose2(POSE_KEY + s.pose)
                 place = here.compose(gtsam.Pose2(*s.measured))

@@ -33,7 +33,7 @@ from tests.scenarios import scenario
 CARELESS = ScanSlamOptions(
     extraction=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
 )
-"""Begins landmarks where there are some: duplicates, and many of them."""
+"""Initialises landmarks where there are some: duplicates, and many of them."""
 
 
 log = partial(scenario, "scan-loop-fine", seed=3, seconds=9.0)
@@ -109,9 +109,11 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
     found = compare_prepared(prepared)
     slam, own = found.find(ScanLandmarksFinding).result, found.find(OwnMatchingFinding).result
     assert slam.fused == len(found.ekf.pose_landmarks.merges.first) >= 2
-    begun = len(slam.landmarks) + slam.fused
-    assert sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + begun
-    assert own.reasons["begun"] == begun
+    initialised = len(slam.landmarks) + slam.fused
+    assert (
+        sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + initialised
+    )
+    assert own.reasons["initialised"] == initialised
     assert own.ekf.landmarks == len(slam.landmarks)
     with pytest.raises(InputError, match="--fuse-landmarks goes with --landmarks scans or both"):
         compared(log(), fuse_landmarks=True)

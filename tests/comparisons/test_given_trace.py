@@ -33,7 +33,7 @@ from tests.helpers import Array, compared
 Arrays = dict[str, Array]
 NEW_EVERY = 4
 """So many of the catalogue's defects pass for each that is planted here."""
-UNSAID = ("landmark begun anew",)
+UNSAID = ("landmark initialised again",)
 """An estimate cannot say it: two landmarks of one id are refused."""
 
 

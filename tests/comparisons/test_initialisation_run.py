@@ -7,7 +7,7 @@ from ekf_reference.core.ekf import Ekf
 from tests.helpers import compared, simulated
 
 
-def begun_boundless(variance: float) -> Comparison:
+def initialised_boundless(variance: float) -> Comparison:
     def plant(ekf: Ekf) -> None:
         ekf.boundless_variance = variance
 
@@ -15,12 +15,12 @@ def begun_boundless(variance: float) -> Comparison:
 
 
 def test_a_large_prior_is_replayed() -> None:
-    assert begun_boundless(1e6).agreement.algebra.within(1e-6)
+    assert initialised_boundless(1e6).agreement.algebra.within(1e-6)
 
 
 def test_a_small_prior_is_an_error_that_shows() -> None:
     """With P_LL* of 1 m^2 the filter claims knowledge it has not; the model gap finds it."""
-    c = begun_boundless(1.0)
+    c = initialised_boundless(1.0)
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.covariance > 1e-3
     assert [cause.gap for cause in c.verdict.causes] == ["model"]

@@ -142,7 +142,7 @@ def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     result, own = build_result(c), c.find(OwnMatchingFinding).result
     assert (result.model_extra or {})["own_matching"] == own
     assert own.agrees
-    assert own.reasons["begun"] == len(c.ekf.estimate.pose_landmarks)
+    assert own.reasons["initialised"] == len(c.ekf.estimate.pose_landmarks)
     assert own.reasons["used"] == own.own
     assert sum(row.common for row in own.landmarks) == own.common
     write_job_folder(run_folder(c, result), tmp_path / "out")

@@ -150,8 +150,10 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     assert (result.model_extra or {})["scan_slam"] == slam
     assert slam.scans == len(LogScans(log()))
     assert len(slam.landmarks) == len(c.ekf.estimate.pose_landmarks)
-    begun = len(slam.landmarks)
-    assert sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + begun
+    initialised = len(slam.landmarks)
+    assert (
+        sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + initialised
+    )
     write_job_folder(run_folder(c, result), tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "EKF scan landmarks, 3 sigma" in page

@@ -111,9 +111,9 @@ def check_innovations(run: EkfRun) -> tuple[SensorInnovations, ...]:
     """
     time_s = run.timeline.epoch_time_s
     u, fixes = run.trace.measurements[POINT], run.trace.positions
-    begun = run.trace.initialisations[POINT].number
+    initialised = run.trace.initialisations[POINT].number
     first = np.sort(np.unique(u.number, return_index=True)[1])
-    rows = first[~np.isin(u.number[first], begun)]
+    rows = first[~np.isin(u.number[first], initialised)]
     weight = u.weight[rows]
     alone, bad = whiten(
         u.innovation[rows], u.spread[rows] + (weight[:, None, None] - 1.0) * u.noise[rows]

@@ -138,8 +138,8 @@ def _pose_errors(estimate: Estimate, log: Log) -> PoseErrors | None:
     poses, t = log.truth.poses, estimate.time_s
     if poses is None:
         return None
-    begun = (t >= poses.time_s[0]) & (t > log.prior.time_s)  # the prior itself is no estimate
-    known = np.flatnonzero(begun & (t <= poses.time_s[-1]))
+    initialised = (t >= poses.time_s[0]) & (t > log.prior.time_s)  # the prior itself is no estimate
+    known = np.flatnonzero(initialised & (t <= poses.time_s[-1]))
     if not len(known):
         return None
     at, covariance = poses.at(t[known]), estimate.pose_covariance[known]

@@ -115,7 +115,7 @@ def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[Misuse]:
             Misuse(
                 f"measurements of {np.count_nonzero(labels[1] > 1)} of {len(labels[0])} labels are "
                 f"put into several landmarks, of label {labels[0][worst]} into {labels[1][worst]}",
-                "look for landmarks that are begun anew although they are in the map",
+                "look for landmarks that are initialised again although they are in the map",
             )
         )
     return found

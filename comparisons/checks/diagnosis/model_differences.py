@@ -65,15 +65,15 @@ def model_differences(
     recorded: LinearProblem,
     own: LinearProblem,
     tolerance: float,
-    begun: int = 0,
+    initialised: int = 0,
     stored: Mapping[tuple[str, str], float] = _EXACT,
 ) -> tuple[ModelDifference, ...]:
     """What differs by more than the tolerance, the largest first; what is missing before that.
 
     stored: by relation and quantity, what storing the records explains besides.
 
-    begun: so many measurements, the last ones, begin a landmark; they are named apart where the
-    others do not differ.
+    initialised: so many measurements, the last ones, initialise a landmark; they are named apart
+    where the others do not differ.
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
@@ -101,7 +101,7 @@ def model_differences(
             relation, limit = kind, tolerance + stored.get((kind, quantity), 0.0)
             off = ~(difference <= limit)
             if off.any():
-                uses = len(off) - begun
+                uses = len(off) - initialised
                 if relation == "uses of measurements" and not off[:uses].any():
                     relation, off, absent = "beginnings of landmarks", off[uses:], absent[uses:]
                 found.append(

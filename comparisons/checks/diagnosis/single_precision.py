@@ -44,12 +44,12 @@ def _restored(trace: TraceArrays, rng: np.random.Generator) -> TraceArrays:
     arrays += [getattr(records, name) for records in batches for name in _ROUNDED]
     moved = iter(restored(arrays, rng))
     steps: dict[str, Any] = {name: next(moved) for name in _STEPS}
-    seen, begun, fixes = (replace(records, **_named(moved)) for records in batches)
+    seen, initialised, fixes = (replace(records, **_named(moved)) for records in batches)
     return replace(
         trace,
         **steps,
         measurements={**trace.measurements, POINT: seen},
-        initialisations={**trace.initialisations, POINT: begun},
+        initialisations={**trace.initialisations, POINT: initialised},
         positions=fixes,
     )
 

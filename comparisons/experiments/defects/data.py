@@ -133,8 +133,8 @@ class SeenTwice(Ekf):
 
 
 @dataclass
-class BegunAnew(KnownAssociation):
-    """Landmarks are forgotten when they leave the view, and begun anew on return."""
+class InitialisedAgain(KnownAssociation):
+    """Landmarks are forgotten when they leave the view, and initialised again on return."""
 
     last_seen_s: dict[int, float] = field(default_factory=dict)
 
@@ -178,7 +178,7 @@ class SwappedLabels(KnownAssociation):
 
 
 def _begin_anew(ekf: Ekf) -> None:
-    ekf.association = BegunAnew()
+    ekf.association = InitialisedAgain()
 
 
 def _swap_labels(ekf: Ekf) -> None:
@@ -242,7 +242,7 @@ DEFECTS = (
         with_steps(SeenTwice),
     ),
     Defect(
-        "landmark begun anew",
+        "landmark initialised again",
         "a landmark that returns into view becomes another one",
         ("data", "labels", "several landmarks"),
         _begin_anew,

@@ -245,7 +245,7 @@ DEFECTS = (
     ),
     Defect(
         "landmark from the old pose",
-        "a landmark is begun at the pose before the update",
+        "a landmark is initialised at the pose before the update",
         ("model", "beginnings of landmarks", "pose before the update"),
         with_observation(FromOldPose),
     ),

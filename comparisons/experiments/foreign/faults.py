@@ -40,7 +40,7 @@ class Fault(NamedTuple):
 
 
 def seen(change: Callable[[Foreign, int, Array], Array]) -> Plant:
-    """What is taken for a measurement, begun landmarks included."""
+    """What is taken for a measurement, initialised landmarks included."""
     return lambda f: replace(f, measured=lambda f, i: f.cast(change(f, i, own.measured(f, i))))
 
 
@@ -66,7 +66,7 @@ def rows(change: Callable[[Array, Array, Array], Array]) -> Plant:
     )
 
 
-def begun(change: Callable[[Array, Array], Array]) -> Plant:
+def initialised(change: Callable[[Array, Array], Array]) -> Plant:
     """G_x and G_z (2, 5) from themselves and z."""
     return lambda f: replace(f, by_new=lambda f, pose, z: f.cast(change(own.by_new(f, pose, z), z)))
 
@@ -384,11 +384,11 @@ FAULTS = (
     ),
     Fault(
         "G_x's heading sign", r"G_x.*heading.*opposite",
-        begun(lambda g, z: g * (1, 1, -1, 1, 1)),
+        initialised(lambda g, z: g * (1, 1, -1, 1, 1)),
     ),
     Fault(
         "G_z without the range", r"G_z.*range",
-        begun(lambda g, z: g / np.array([1, 1, 1, 1, z[0]])),
+        initialised(lambda g, z: g / np.array([1, 1, 1, 1, z[0]])),
     ),
     # Positions and the prior.
     Fault(

@@ -160,15 +160,15 @@ def _epochs(
 ) -> Iterator[tuple[float, Ekf, bool]]:
     """Time, the filter, and whether it has used a position; until AFTER_S have passed with them."""
     ekf, until = build_ekf(log, choices, trace), log.prior.time_s + ALONE_S + AFTER_S
-    begun, given, rejected = False, positions.time_s, 0
+    started, given, rejected = False, positions.time_s, 0
     for stop in drive(ekf, log, build_timeline(log, positions), positions):
         if stop.fault is not None:
             raise InputError(f"{log.name}: {stop.fault}")
         if stop.time_s > until:
             return
         rejected += stop.rejected_fixes
-        begun = int(np.searchsorted(given, stop.time_s + _CLOCK_S)) > rejected
-        yield stop.time_s, ekf, begun
+        started = int(np.searchsorted(given, stop.time_s + _CLOCK_S)) > rejected
+        yield stop.time_s, ekf, started
 
 
 def covered(sources: Sources) -> Covered:

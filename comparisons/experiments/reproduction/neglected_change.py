@@ -146,8 +146,8 @@ def neglected_change(
 
     return NeglectedChange(
         metres(passive.change),
-        metres(final - passive.begun),
-        metres(np.concatenate(true_local) - passive.begun),
+        metres(final - passive.initial),
+        metres(np.concatenate(true_local) - passive.initial),
         layer.sigma_m(region),
         np.concatenate([np.full(len(look.region), look.time_s) for look in looks]),
     )

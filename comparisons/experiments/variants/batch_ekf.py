@@ -107,7 +107,7 @@ class BatchEkf:
     def _augment(self, z: Array, sigma: Array, label: Index) -> None:
         sensor, pose = self._robot.sensor, self.state.pose
         point = pose[:, None, :2] + sensor.offset(pose[:, 2:], z)
-        at = self._points.begun(self.state, label, point)
+        at = self._points.initialised(self.state, label, point)
         by_measurement = np.linalg.inv(sensor.by_offset(at.heading[:, None], at.offset))
         spread = (by_measurement * sigma[:, None] ** 2) @ by_measurement.transpose(0, 1, 3, 2)
         self.state.augment(point, at.offset, spread)

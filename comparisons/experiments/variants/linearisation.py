@@ -45,7 +45,7 @@ class Linearisation(Protocol):
         """Landmarks (m,) of the map are seen."""
         ...
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
+    def initialised(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """Landmarks at (B, k, 2) will be appended."""
         ...
 
@@ -66,7 +66,7 @@ class AtEstimate:
             state.pose[:, 2].copy(), state.landmarks[:, landmark_index] - state.pose[:, None, :2]
         )
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
+    def initialised(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """As it is believed now."""
         return MeasuredPoints(state.pose[:, 2].copy(), point - state.pose[:, None, :2])
 
@@ -91,7 +91,7 @@ class AtFirstEstimate:
             self._before[:, 2], self._first[:, landmark_index] - self._before[:, None, :2]
         )
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
+    def initialised(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """From the predicted pose, like the measurements of this instant."""
         self._first = np.concatenate((self._first, point), axis=1)
         return MeasuredPoints(self._before[:, 2], point - self._before[:, None, :2])
@@ -124,7 +124,7 @@ class ObservabilityConstrained:
         offset = self._first[:, landmark_index] - self._anchor[:, None]
         return MeasuredPoints(state.pose[:, 2].copy(), offset)
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
+    def initialised(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """As it is believed now; l is put where that offset is right from c."""
         offset = point - state.pose[:, None, :2]
         first = self._anchor[:, None] + offset
@@ -159,7 +159,7 @@ class AtTruth:
         """Where the landmarks are."""
         return self._offset(label, len(state.pose))
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
+    def initialised(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """Where the landmarks are."""
         return self._offset(label, len(state.pose))
 

@@ -165,7 +165,7 @@ class HighLevelSource:
             landmark_index = [self.landmarks.landmark[one.number].landmark_index for one in seen]
             z, noise = np.array([one.z for one in seen]), np.array([s.covariance for s in seen])
             which = np.array(landmark_index, dtype=np.intp)
-            self.landmarks.begun(seen, recorder.observe(ekf, epoch, z, noise, which))
+            self.landmarks.initialised(seen, recorder.observe(ekf, epoch, z, noise, which))
 
     def keep_from(self, guard: DynamicGuard) -> None:
         """Landmarks whose template lies where something moves are used no more."""

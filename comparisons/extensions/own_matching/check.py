@@ -32,7 +32,7 @@ LEAST_SEEN = 3
 """Alignments of a landmark, or landmarks, fewer than which say nothing of what they share."""
 _NOTHING = np.eye(3) / 2.0**2
 """Information that no difference is expected, to 2 m and rad: along what a shape leaves open both
-alignments stay where they were begun, and their difference there is not told."""
+alignments stay where they were initialised, and their difference there is not told."""
 _SHIFTED = 0.999
 """Certainty at which all alignments are shifted."""
 
@@ -66,11 +66,12 @@ class LandmarkMatching:
 class OwnMatchingCheck:
     """The matching gap, S - S''.
 
-    measurements: alignments, begun landmarks left out: the filter's, the smoother's own, and those
-    of one landmark in one scan that both made. squared: (C,) squared distances of these by the sum
-    of both covariances. landmarks: farthest apart first. shift: (3,) what all differences have in
-    common, few landmarks that contradict left out; shift_squared: its squared distance, 0 for
-    fewer than three landmarks; shift_freedom: degrees of freedom of the scatter that this is by.
+    measurements: alignments, initialised landmarks left out: the filter's, the smoother's own, and
+    those of one landmark in one scan that both made. squared: (C,) squared distances of these by
+    the sum of both covariances. landmarks: farthest apart first. shift: (3,) what all differences
+    have in common, few landmarks that contradict left out; shift_squared: its squared distance, 0
+    for fewer than three landmarks; shift_freedom: degrees of freedom of the scatter that this is
+    by.
     ekf, smoother: each of the two against S'', all scan landmarks that
     they share. pose: S against S'' in the last pose, by the sum of both covariances. path_rms_m:
     between the paths of the EKF and S'', and of S and S''. estimate, optimality, accuracy: of S''.
@@ -142,7 +143,7 @@ def check_own_matching(
     wrong = [one.landmark_index for one in landmarks if one.contradicts]
     # Of a shift that all share, all speak; a few that contradict are no part of it.
     sound = ~np.isin(landmark_index, wrong if 2 * len(wrong) < len(landmarks) else [])
-    begun = tuple(ones.count for ones in (filters, own))
+    initialised = tuple(ones.count for ones in (filters, own))
     path = [e.pose[:, :2] - estimate.pose[:, :2] for e in (ekf, smoothed)]
     last = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
     both = Gaussian(last[1].mean, last[0].covariance + last[1].covariance)
@@ -151,8 +152,8 @@ def check_own_matching(
     )
     return OwnMatchingCheck(
         measurements=(
-            len(filters.measured) - begun[0],
-            len(own.measured) - begun[1],
+            len(filters.measured) - initialised[0],
+            len(own.measured) - initialised[1],
             len(common),
         ),
         squared=squared,
@@ -240,12 +241,12 @@ def _of_landmark(
 def _later(seen: PoseLandmarkMeasurements) -> dict[tuple[int, int], int]:
     """Rows of measurements by pose and landmark, but for those in which a landmark begins."""
     rows: dict[tuple[int, int], int] = {}
-    begun: set[int] = set()
+    initialised: set[int] = set()
     for row in np.argsort(seen.pose, kind="stable").tolist():
         landmark_index = int(seen.landmark[row])
-        if landmark_index in begun:
+        if landmark_index in initialised:
             rows[int(seen.pose[row]), landmark_index] = row
-        begun.add(landmark_index)
+        initialised.add(landmark_index)
     return rows
 
 

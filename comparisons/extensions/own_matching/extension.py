@@ -69,7 +69,7 @@ def solve_with_own_matching(compared: Compared, slam: ScanSlamSource) -> OwnMatc
     """
     prepared, run, gaps = compared.prepared, compared.ekf, compared.gaps
     progress = prepared.stage_progress("own matcher")
-    problem, found = own_measurements(prepared.log, run, slam.found.begun, progress)
+    problem, found = own_measurements(prepared.log, run, slam.found.initialised, progress)
     result = smooth(problem, {}, options=gaps.result.options)
     ids = run.estimate.landmark_id
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")

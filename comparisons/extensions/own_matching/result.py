@@ -122,9 +122,9 @@ class LandmarkMatchingResult(Model):
 class OwnMatchingResult(Model):
     """The smoother with its own matcher. See comparisons.extensions.own_matching.check.
 
-    filter, own, common: alignments, begun landmarks left out. shift_sigma: of what all differences
-    have in common, None for too few. ekf, smoother: scan landmarks of each against those of this
-    smoother. pose_distance_sigma: by the sum of both covariances.
+    filter, own, common: alignments, initialised landmarks left out. shift_sigma: of what all
+    differences have in common, None for too few. ekf, smoother: scan landmarks of each against
+    those of this smoother. pose_distance_sigma: by the sum of both covariances.
     """
 
     matcher: str

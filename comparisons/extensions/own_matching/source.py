@@ -37,7 +37,7 @@ def own_measurements(
 
     Of the filter it takes which returns of which scan a template was made of, and where its axis
     was put; none of its alignments, no pose, and not which landmarks it fused. templates: by
-    landmark index, as they were begun. Raises ValueError for a log without planar scans, and
+    landmark index, as they were initialised. Raises ValueError for a log without planar scans, and
     graphslam.scan.libraries.MissingLibraryError.
     """
     if log.scans is None:

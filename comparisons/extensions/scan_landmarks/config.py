@@ -47,8 +47,8 @@ class ScanLandmarksConfig(ExtensionConfig):
         None,
         ge=1,
         le=10**6,
-        description="scans from one that may begin landmarks to the next; if absent, 5 joined, "
-        "2 single",
+        description="scans from one that may initialise landmarks to the next; if absent, 5 "
+        "joined, 2 single",
     )
     in_view: float | None = Field(
         None,

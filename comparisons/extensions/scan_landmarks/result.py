@@ -126,8 +126,8 @@ class TemplateRule(Model):
     pieces: joined, all segments of a scan in one template; single, each its own. least_returns: of
     a template. in_view: least share of it. residual, open_directions, trials: greatest error of a
     trial over its displacement, directions that it may leave open, copies. tried: most candidates
-    of a scan, 0 for all. every: scans from one that may begin landmarks to the next. aligned: most
-    templates a scan, 0 for all in view. gate: chi-square.
+    of a scan, 0 for all. every: scans from one that may initialise landmarks to the next. aligned:
+    most templates a scan, 0 for all in view. gate: chi-square.
     """
 
     pieces: str

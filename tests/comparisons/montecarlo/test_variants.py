@@ -272,8 +272,8 @@ class Noted:
         )
         return points
 
-    def begun(self, state: BatchState, label: Any, point: Array) -> MeasuredPoints:
-        return self.inner.begun(state, label, point)
+    def initialised(self, state: BatchState, label: Any, point: Array) -> MeasuredPoints:
+        return self.inner.initialised(state, label, point)
 
 
 @pytest.mark.parametrize(("name", "nullity"), [("ekf", 2), ("fej", 3), ("oc", 3), ("ideal", 3)])

@@ -63,7 +63,7 @@ def expected_share(share: float, right: int, trials: int = TRIALS) -> bool:
 
 
 def test_a_constant_is_filtered() -> None:
-    """Without repeats the estimate is that of a Kalman filter begun by the first observation."""
+    """Without repeats the estimate is a Kalman filter's that the first measurement initialised."""
     rng = np.random.default_rng(0)
     memory = AttributeEstimates(np.ones(1))
     mean, variance = np.nan, np.inf

@@ -1,4 +1,4 @@
-"""Landmarks begun both ways, and how the map's correlations develop."""
+"""Landmarks initialised both ways, and how the map's correlations develop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.ekf_reference.replay import Gaussian, eigenvalue_range, gap, replay
 from tests.ekf_reference.worlds import LOOP_S, build, circuit, follow, followed
 
 
-def begun(boundless_variance: float | None) -> tuple[Gaussian, Gaussian]:
+def initialised(boundless_variance: float | None) -> tuple[Gaussian, Gaussian]:
     """The filter's estimate, and the exact solution of what it recorded."""
     trace = RecordedTrace()
     ekf = build(trace=trace)
@@ -25,7 +25,7 @@ def begun(boundless_variance: float | None) -> tuple[Gaussian, Gaussian]:
 
 def test_both_ways_agree_and_both_are_replayed() -> None:
     """Nieto 2005: eq. 2.56 with a large P_LL* gives what eq. 2.53 gives, nearly."""
-    (exact, exact_replayed), (boundless, boundless_replayed) = begun(None), begun(1e6)
+    (exact, exact_replayed), (boundless, boundless_replayed) = initialised(None), initialised(1e6)
     sigma = np.sqrt(np.diag(exact.covariance))
     difference = np.abs(exact.covariance - boundless.covariance)
     assert np.max(difference / np.outer(sigma, sigma)) < 1e-4
@@ -36,14 +36,14 @@ def test_both_ways_agree_and_both_are_replayed() -> None:
 
 def test_the_thesis_warning_about_the_large_prior_holds() -> None:
     """The difference in magnitude costs digits: the larger P_LL*, the larger the algebra gap."""
-    exact, large, huge = (gap(*begun(variance)) for variance in (None, 1e4, 1e10))
+    exact, large, huge = (gap(*initialised(variance)) for variance in (None, 1e4, 1e10))
     assert huge > 100 * large
     assert huge > 100 * exact
 
 
 def test_a_small_prior_claims_knowledge_that_the_filter_has_not() -> None:
     """With P_LL* of 1 m^2 the algebra is right, and the covariance below that of eq. 2.53."""
-    (exact, _), (small, replayed) = begun(None), begun(1.0)
+    (exact, _), (small, replayed) = initialised(None), initialised(1.0)
     assert gap(small, replayed) < 1e-6
     assert eigenvalue_range(small.covariance, exact.covariance)[0] < 1.0 - 1e-3
 

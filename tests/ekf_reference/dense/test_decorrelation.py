@@ -161,7 +161,7 @@ NOISE = np.diag((0.1, 1e-3))
 
 
 def seen_once(rng: np.random.Generator) -> KalmanState:
-    """Five landmarks, all begun at one pose."""
+    """Five landmarks, all initialised at one pose."""
     state = KalmanState(np.array((1.0, 2.0, 0.4)), 1e-2 * random_covariance(rng, 3))
     z = np.column_stack((rng.uniform(5, 20, 5), rng.uniform(-2, 2, 5)))
     new = RangeBearing().invert(state.pose, z)

@@ -82,7 +82,7 @@ def test_passive_until_seen_then_in_the_state_then_observed(mount: Array) -> Non
         assert (landmark_index == NEW).all() == (look == 0)
         size = len(ekf.state.mean)
         z, noise = np.array([one.z for one in seen]), np.array([one.covariance for one in seen])
-        landmarks.begun(seen, ekf.observe_known(z, noise, landmark_index))
+        landmarks.initialised(seen, ekf.observe_known(z, noise, landmark_index))
         assert len(ekf.state.mean) == size + (6 if look == 0 else 0)
     assert landmarks.counts == {"seen": 4, "no counterpart": 2}
     assert [one.landmark_index for one in landmarks.landmark] == [0, NEW, 1]

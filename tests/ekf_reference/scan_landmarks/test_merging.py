@@ -62,8 +62,8 @@ def composed(base: Array, shift: Array) -> Array:
 MOVED = np.array((0.8, 0.4, 0.35))
 
 
-def begun_twice(wrong: Array, scene: Solids = STAR) -> tuple[ScanSlam, Telling, Array]:
-    """An object begun from two places, the filter's error between them being `wrong`.
+def initialised_twice(wrong: Array, scene: Solids = STAR) -> tuple[ScanSlam, Telling, Array]:
+    """An object initialised from two places, the filter's error between them being `wrong`.
 
     The first one's axis lies beside its points, as section 5.2.3 allows. Returns the true frames
     (2, 3), too.
@@ -99,7 +99,7 @@ def off_the_star(points: Array, frame: Array) -> float:
 
 
 def test_one_object_begun_twice_becomes_one_landmark() -> None:
-    slam, tell, frames = begun_twice(np.array((0.25, -0.2, 0.03)))
+    slam, tell, frames = initialised_twice(np.array((0.25, -0.2, 0.03)))
     ekf, template = tell.ekf, dict(slam.found.template)
     stale = frame_in_frame(*ekf.state.places(POSE)[::-1])
     twins = DuplicateMerging(slam)
@@ -120,7 +120,7 @@ def test_one_object_begun_twice_becomes_one_landmark() -> None:
 
 
 def test_what_is_fused_is_known_better() -> None:
-    slam, tell, frames = begun_twice(np.array((0.25, -0.2, 0.03)))
+    slam, tell, frames = initialised_twice(np.array((0.25, -0.2, 0.03)))
     error = frame_in_frame(*tell.ekf.state.places(POSE)) - frame_in_frame(*frames)
     assert np.abs(error[:2]).max() > 0.1
     DuplicateMerging(slam).step(tell.ekf, tell)
@@ -129,12 +129,12 @@ def test_what_is_fused_is_known_better() -> None:
     moved = frame_in_frame(tell.ekf.state.places(POSE)[1], tell.ekf.state.pose)
     seen = frame_in_frame(frames[1], MOVED)
     assert np.abs(moved - seen)[:2].max() < 0.1
-    # The second was begun with the vehicle's error, which is gone by what the first knows.
+    # The second was initialised with the vehicle's error, which is gone by what the first knows.
     assert np.abs(tell.ekf.state.pose - MOVED)[:2].max() < 0.15
 
 
 def test_united_templates_are_moved_and_spread_by_what_lies_between_the_frames() -> None:
-    slam, tell, _ = begun_twice(np.zeros(3))
+    slam, tell, _ = initialised_twice(np.zeros(3))
     first, second = (slam.found.template[k] for k in range(2))
     local = tell.ekf.state.map_of(np.arange(2), POSE)
     sure = replace(local, covariance=np.zeros_like(local.covariance))
@@ -150,10 +150,10 @@ def test_united_templates_are_moved_and_spread_by_what_lies_between_the_frames()
 
 
 def test_the_gate_and_the_certainty_keep_landmarks_apart() -> None:
-    slam, tell, _ = begun_twice(np.array((0.0, 1.5, 0.0)))  # seven times the sigma
+    slam, tell, _ = initialised_twice(np.array((0.0, 1.5, 0.0)))  # seven times the sigma
     DuplicateMerging(slam).step(tell.ekf, tell)
     assert not tell.fused
-    slam, tell, _ = begun_twice(np.zeros(3))
+    slam, tell, _ = initialised_twice(np.zeros(3))
     DuplicateMerging(slam, FusingOptions(certain_m=0.1)).step(tell.ekf, tell)
     assert not tell.fused
     DuplicateMerging(slam, FusingOptions(within_m=0.01)).step(tell.ekf, tell)
@@ -166,7 +166,7 @@ def test_the_gate_and_the_certainty_keep_landmarks_apart() -> None:
 
 
 def test_what_may_slide_along_the_other_is_not_fused() -> None:
-    slam, tell, _ = begun_twice(np.zeros(3), WALL)
+    slam, tell, _ = initialised_twice(np.zeros(3), WALL)
     near = FusingOptions(within_m=50.0)
     DuplicateMerging(slam, near).step(tell.ekf, tell)
     assert not tell.fused
@@ -180,7 +180,7 @@ SMALL_ONES = ScanSlamOptions(
 
 
 def alike(options: ScanSlamOptions = SMALL_ONES) -> tuple[ScanSlam, Telling]:
-    """Both objects begun by the first scan."""
+    """Both objects initialised by the first scan."""
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
     tell = Telling(ekf)
     slam.step(ekf, seen_from(ALIKE, np.zeros(3), 0), tell)
@@ -195,7 +195,7 @@ def test_equal_objects_side_by_side_are_not_fused() -> None:
     slam.found.template[1] = replace(slam.found.template[1], shape=same)
     DuplicateMerging(slam, near).step(tell.ekf, tell)
     assert not tell.fused
-    # Were the second begun by a vehicle that may be that far off, only the certainty is left.
+    # Were the second initialised by a vehicle that may be that far off, only the certainty is left.
     lost, tell = alike()
     landmark_index = np.array([1])
     tell.ekf.remove(landmark_index, POSE)

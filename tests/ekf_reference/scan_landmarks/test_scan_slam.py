@@ -63,10 +63,10 @@ def scan_from(vehicle: Array, seed: int = 0) -> SumOfGaussians:
     return of_scan(BEAMS, way, LASER)
 
 
-def begun(
+def initialised(
     options: ScanSlamOptions = EVERY, observer: TemplateObserver | None = None
 ) -> tuple[ScanSlam, Ekf, Told]:
-    """One landmark, begun by the first scan."""
+    """One landmark, initialised by the first scan."""
     slam = ScanSlam(LASER, VIEW, MOUNT, options, observer=observer)
     ekf = filter_at(np.zeros(3))
     told = Told(ekf)
@@ -77,7 +77,7 @@ def begun(
 
 
 def test_a_landmark_is_begun_once_and_then_seen_where_it_is() -> None:
-    slam, ekf, told = begun()
+    slam, ekf, told = initialised()
     moved = np.array((0.5, 0.2, 0.1))
     ekf.predict(moved, np.diag((0.1, 0.1, 0.02)) ** 2, 1.0)
     slam.step(ekf, scan_from(moved, 1), told)
@@ -90,7 +90,7 @@ def test_a_landmark_is_begun_once_and_then_seen_where_it_is() -> None:
 
 
 def test_the_prediction_is_h_p_ht_in_the_scanners_frame() -> None:
-    slam, ekf, _ = begun()
+    slam, ekf, _ = initialised()
     predicted = slam._predict(ekf)
     local = ekf.state.map_of(np.array([0]), POSE)
 
@@ -115,7 +115,7 @@ def relative_inverse(base: Array, shift: Array) -> Array:
 
 
 def test_a_filter_that_errs_more_than_it_says_is_gated() -> None:
-    slam, ekf, told = begun()
+    slam, ekf, told = initialised()
     ekf.predict(np.array((0.5, 0.0, 0.0)), np.eye(3) * 1e-8, 1.0)
     slam.step(ekf, scan_from(np.array((0.1, 0.3, 0.0)), 1), told)
     assert slam.found.reasons[GATED] == 1
@@ -123,7 +123,7 @@ def test_a_filter_that_errs_more_than_it_says_is_gated() -> None:
 
 
 def test_a_blank_scan_is_counted_and_changes_nothing() -> None:
-    slam, ekf, told = begun()
+    slam, ekf, told = initialised()
     before = ekf.state.mean.copy()
     slam.step(ekf, of_scan(BEAMS, np.full(len(BEAMS), np.nan), LASER), told)
     assert slam.found.reasons[BLANK] == 1
@@ -133,7 +133,7 @@ def test_a_blank_scan_is_counted_and_changes_nothing() -> None:
 
 
 def test_a_template_out_of_view_is_not_aligned() -> None:
-    slam, ekf, told = begun()
+    slam, ekf, told = initialised()
     ekf.predict(np.array((0.0, 0.0, np.pi)), np.eye(3) * 1e-6, 1.0)
     slam.step(ekf, scan_from(np.zeros(3), 1), told)
     assert slam.found.reasons[OUT_OF_VIEW] == 1
@@ -153,7 +153,7 @@ def test_segments_too_small_for_a_heading_begin_nothing(points: int) -> None:
 
 
 def test_of_two_identical_templates_each_keeps_its_own_measurements() -> None:
-    slam, ekf, told = begun()
+    slam, ekf, told = initialised()
     template = slam.found.template[0]
     far = template.pose + (30.0, 0.0, 0.0)
     ekf.observe_known(far[None], PRIOR[None], np.array([NEW]))
@@ -169,7 +169,7 @@ def test_of_two_identical_templates_each_keeps_its_own_measurements() -> None:
 def test_a_scan_is_aligned_with_so_many_templates_and_with_all_for_0(
     aligned: int, seen: int
 ) -> None:
-    slam, ekf, told = begun(replace(EVERY, aligned=aligned))
+    slam, ekf, told = initialised(replace(EVERY, aligned=aligned))
     ekf.observe_known(told.z[0][None], PRIOR[None], np.array([NEW]))
     slam.found.template[1] = slam.found.template[0]
     slam._last_seen[1] = 0
@@ -189,7 +189,7 @@ def test_templates_are_enriched_from_a_sigma_on() -> None:
     moved = np.array((0.3, 0.1, 0.02))
     for least_sigma_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
         observer = MapAidedObserver(around, least_sigma_m)
-        slam, ekf, told = begun(observer=observer)
+        slam, ekf, told = initialised(observer=observer)
         place = ekf.state.places(POSE)[0].copy()
         ekf.predict(moved, PRIOR, 1.0)
         slam.step(ekf, scan_from(moved, 1), told)

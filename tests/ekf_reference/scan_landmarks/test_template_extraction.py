@@ -60,10 +60,10 @@ def test_what_lies_ahead_is_where_the_vehicle_goes() -> None:
 
 def test_a_new_one_is_due_when_too_few_are_seen() -> None:
     extraction = JoinedSegments(every=5, enough=3)
-    assert extraction.due(scans=7, begun=6, used=0)
-    assert not extraction.due(scans=7, begun=6, used=1)
-    assert extraction.due(scans=11, begun=6, used=2)
-    assert not extraction.due(scans=11, begun=6, used=3)
+    assert extraction.due(scans=7, initialised=6, used=0)
+    assert not extraction.due(scans=7, initialised=6, used=1)
+    assert extraction.due(scans=11, initialised=6, used=2)
+    assert not extraction.due(scans=11, initialised=6, used=3)
     single = SingleSegments(every=2)
     assert [single.due(n, 0, 9) for n in (1, 2, 3)] == [True, False, True]
 

@@ -15,8 +15,8 @@ from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.open3d_matchers import GeneralisedMatcher
 from graphslam.scan.template_matchers import Template, TemplateMatchers, lever_m
 from graphslam.scan.template_measurements import (
-    BEGUN,
     GATED,
+    INITIALISED,
     USED,
     TemplateMeasurements,
     TemplateOptions,
@@ -107,7 +107,7 @@ def errors(found: TemplateMeasurements) -> tuple[Array, Array]:
 
 def test_without_noise_templates_are_where_they_are(open3d_library: ModuleType) -> None:
     found = seen(clouds(YARD, 0.0), problem(scale=0.0))
-    assert found.reasons[BEGUN] == 4
+    assert found.reasons[INITIALISED] == 4
     assert found.reasons[USED] > 2 * STEPS
     assert np.abs(errors(found)[0]).max() < 0.02  # surfaces between returns are not quite the same
 
@@ -149,9 +149,9 @@ def test_factors_are_wider_by_what_alignments_share(open3d_library: ModuleType) 
     shared_m = 0.1
     found = seen(clouds(YARD, SIGMA_M), problem(), shared_m)
     wider = found.factors.covariance - found.alignments.covariance
-    begun = np.unique(found.factors.landmark, return_index=True)[1]
-    assert not wider[begun].any()
-    later = np.delete(np.arange(len(wider)), begun)
+    initialised = np.unique(found.factors.landmark, return_index=True)[1]
+    assert not wider[initialised].any()
+    later = np.delete(np.arange(len(wider)), initialised)
     np.testing.assert_allclose(wider[later, 0, 0], shared_m**2, rtol=1e-6)
     assert (wider[later, 2, 2] > 0.0).all()
     np.testing.assert_array_equal(found.factors.measured, found.alignments.measured)
@@ -186,7 +186,7 @@ def test_a_template_without_surfaces_begins_as_vaguely_as_it_is_told(
     rng = np.random.default_rng(0)
     points = np.column_stack((rng.uniform(-1.0, 1.0, (12, 2)), np.zeros(12)))
     matchers = TemplateMatchers(OdometryOptions.for_noise(SIGMA_M), SurfaceMatcher)
-    spread = matchers.begun(Template(0, np.zeros(3), points), points[:1], 0.05)
+    spread = matchers.initialised(Template(0, np.zeros(3), points), points[:1], 0.05)
     np.testing.assert_allclose(
         np.sqrt(np.diag(spread)), (0.05, 0.05, 0.05 / lever_m(points)), rtol=1e-9
     )
