@@ -175,7 +175,7 @@ class Course:
         self._until = self.timeline.steps_until(), self.timeline.measurements_until()
         self._z = np.column_stack((seen.range_m, seen.bearing_rad))
         self._sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-        self._label, self._told = seen.landmark, measured_attributes(log)
+        self._label, self._reported = seen.landmark, measured_attributes(log)
 
     def rows(self, epoch: int) -> LandmarkIndices:
         """The measurements of an epoch."""
@@ -198,7 +198,7 @@ class Course:
             self._sigma[rows],
             self._label[rows],
             float(self.time_s[epoch]),
-            self._told.take(rows),
+            self._reported.take(rows),
         )
 
 
@@ -347,13 +347,13 @@ def car_park(folder: Path) -> None:
     scan = np.searchsorted(times, log.measurements.time_s)
     for every in (5, 10, 20, 40):
         kept = scan % every == 0
-        part, told = replace(log, measurements=log.measurements.chosen(kept)), []
+        part, reported = replace(log, measurements=log.measurements.chosen(kept)), []
         for attributes in ("off", "on"):
             landmark_index = run(part, "full", "nn", attributes).landmark_index
             true = reference[kept][: len(landmark_index)]
             score = score_partition(landmark_index[true >= 0], true[true >= 0])
-            told.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
-        print(f"  every {every} scans, pairs' precision and recall: {', '.join(told)}")
+            reported.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
+        print(f"  every {every} scans, pairs' precision and recall: {', '.join(reported)}")
 
 
 def main() -> None:

@@ -53,15 +53,15 @@ def defects(seed: int, only: str, *, table: bool) -> None:
     chosen = [defect for defect in CATALOGUE if only in defect.name]
     for defect in chosen:
         verdict = run_defect(defect, seed).verdict
-        told = named_first(defect, verdict)
-        caught, named = caught + (verdict.outcome != "agree"), named + told
+        reported = named_first(defect, verdict)
+        caught, named = caught + (verdict.outcome != "agree"), named + reported
         gap = verdict.causes[0].gap if verdict.causes else "none"
         said = short(verdict.causes[0].evidence, verdict.causes[0].hint) if verdict.causes else ""
         if table:
             print(f"| {defect.name}: {defect.what} | {gap} | {said} |")
         else:
             print(
-                f"{defect.name:<42} {verdict.outcome:<9} {gap:<8} {'yes' if told else 'NO':<6} "
+                f"{defect.name:<42} {verdict.outcome:<9} {gap:<8} {'yes' if reported else 'NO':<6} "
                 f"{said}",
                 flush=True,
             )

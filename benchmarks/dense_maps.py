@@ -110,7 +110,7 @@ def circling(count: int, radius_m: float) -> Iterator[Array]:
 
 
 @dataclass(frozen=True)
-class Told:
+class Reported:
     """What a dense map tells its layers of a scan."""
 
     hits: Hits
@@ -119,7 +119,7 @@ class Told:
     near: NDArray[np.intp]
 
     @classmethod
-    def of(cls, placed: RegionsAtMap, scan: Scan) -> Told:
+    def of(cls, placed: RegionsAtMap, scan: Scan) -> Reported:
         """Of a scan."""
         found = placed.locate(scan.point)
         inside = np.flatnonzero(found.region >= 0)
@@ -157,15 +157,15 @@ def speed_of_layers(scans: int) -> None:
     dense = build_map(CONFIG)
     dense.updated(view)
     placed = dense.place(view)
-    told = [Told.of(placed, scan) for scan in taken]
+    reported = [Reported.of(placed, scan) for scan in taken]
     rows: dict[str, list[float]] = {}
     for name in SURFACES:
         layer = build_map(CONFIG).layers[name]
-        rows[name] = [one.fuse(layer) for one in told]
+        rows[name] = [one.fuse(layer) for one in reported]
     layers = list(build_map(CONFIG).layers.values())
-    rows["all four"] = [one.fuse_all(layers) for one in told]
+    rows["all four"] = [one.fuse_all(layers) for one in reported]
     rows["all four, with DenseMap.insert"] = [timed(dense, view, scan)[1] for scan in taken]
-    in_view = np.median([len(one.near) for one in told])
+    in_view = np.median([len(one.near) for one in reported])
     print(
         f"{len(BEARING)} returns, {in_view:.0f} regions in view; ms per scan, {scans} scans after"
     )
@@ -318,20 +318,20 @@ RULE_COLUMNS = (
 
 def rule_row(mapped: Sequence[DenseMapping]) -> str:
     """Figures of drives, in the order of RULE_COLUMNS."""
-    told = []
+    reported = []
     for layer in ("occupancy", "classic"):
         for which in range(2):
             each = [inside_regions(one, layer)[which] for one in mapped]
             quantiles = [np.percentile(d, (50.0, 95.0)) for d in each if len(d)]
             median, most = np.mean(quantiles, axis=0) if quantiles else (math.nan, math.nan)
-            told.append(f"{median:5.3f} / {most:4.2f}")
+            reported.append(f"{median:5.3f} / {most:4.2f}")
     regions = [one.dense.dense.regions for one in mapped]
     tallies = [one.dense.dense.tally for one in mapped]
     total = sum(t.returns for t in tallies)
     at_once, late = sum(t.fused for t in tallies) / total, sum(t.late for t in tallies) / total
     correlated = sum(int(r.by_correlation.sum()) for r in regions)
     return (
-        f"{' '.join(told)} {sum(len(r.base) for r in regions):8d} {correlated:11d} "
+        f"{' '.join(reported)} {sum(len(r.base) for r in regions):8d} {correlated:11d} "
         f"{at_once:8.1%} {late:5.1%} {1.0 - at_once - late:6.1%}"
     )
 

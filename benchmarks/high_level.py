@@ -84,8 +84,8 @@ def value_of_landmarks(seeds: int, loops: int, every_s: float) -> None:
     change = both[:, 1] - both[:, 0]
     print(f"mean  {np.mean(found):5.1f}  {np.mean(kept):4.1f}   " + shown(*both.mean(axis=0)))
     spread = change.std(axis=0, ddof=1) / np.sqrt(seeds) if seeds > 1 else np.full(5, np.nan)
-    told = zip(COLUMNS, change.mean(axis=0), spread, (change < 0.0).sum(axis=0), strict=True)
-    for name, mean, sigma, less in told:
+    reported = zip(COLUMNS, change.mean(axis=0), spread, (change < 0.0).sum(axis=0), strict=True)
+    for name, mean, sigma, less in reported:
         print(f"{name:16} changes by {mean:+.3f} +- {sigma:.3f}; less in {less} of {seeds} drives")
     print("looks: " + ", ".join(f"{n} {name}" for name, n in looks.most_common()))
 

@@ -149,13 +149,15 @@ def car_park(folder: Path) -> None:
     scan = np.searchsorted(times, log.measurements.time_s)
     for every in (5, 10, 20, 40):
         kept = scan % every == 0
-        part, told = replace(log, measurements=log.measurements.chosen(kept)), []
+        part, reported = replace(log, measurements=log.measurements.chosen(kept)), []
         for attributes in ("off", "layer"):
             landmark_index = run(part, "nn", attributes)[0].landmark_index
             true = reference[kept][: len(landmark_index)]
             score = score_partition(landmark_index[true >= 0], true[true >= 0])
-            told.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
-        print(f"  every {every} scans, pairs' precision and recall: {', '.join(told)}", flush=True)
+            reported.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
+        print(
+            f"  every {every} scans, pairs' precision and recall: {', '.join(reported)}", flush=True
+        )
 
 
 def main() -> None:

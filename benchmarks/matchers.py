@@ -291,8 +291,8 @@ def usual_times(pairs: list[Pair]) -> str:
             with suppress(ScanError):
                 match()
             taken.setdefault(name, []).append(1e3 * (time.process_time() - begin))
-    told = ", ".join(f"{name} {np.median(row):.1f} ms" for name, row in taken.items())
-    return f"guess wrong by {USUAL[0, 0] ** 0.5:g} m, medians of processor time: {told}"
+    reported = ", ".join(f"{name} {np.median(row):.1f} ms" for name, row in taken.items())
+    return f"guess wrong by {USUAL[0, 0] ** 0.5:g} m, medians of processor time: {reported}"
 
 
 def main() -> None:

@@ -169,10 +169,10 @@ class Change:
 
     def __str__(self) -> str:
         """In one line."""
-        told = f"{self.name}: {_told(self.then)} then, {_told(self.now)} now"
+        reported = f"{self.name}: {_reported(self.then)} then, {_reported(self.now)} now"
         if self.tolerance:
-            told += f", tolerance {self.tolerance:.3g}"
-        return f"{told} ({_side_in_words(self)})"
+            reported += f", tolerance {self.tolerance:.3g}"
+        return f"{reported} ({_side_in_words(self)})"
 
 
 def judged_by(name: str) -> Judged | None:
@@ -436,7 +436,7 @@ def _side_in_words(change: Change) -> str:
     return "any change counts"
 
 
-def _told(value: float | str | None) -> str:
+def _reported(value: float | str | None) -> str:
     if value is None:
         return "none"
     return value if isinstance(value, str) else f"{value:.6g}"

@@ -93,10 +93,10 @@ class Judgement:
 
     def lines(self) -> list[str]:
         """Return verdict, first cause and the report's folder; pytest cuts what is long."""
-        found, told = self.result, ""
+        found, reported = self.result, ""
         if grade := getattr(found, "grade", None):
-            told = f", grade {grade}, required {getattr(found, 'required', None)}"
-        lines = [f"{self.title}: {found.verdict}{told}"]
+            reported = f", grade {grade}, required {getattr(found, 'required', None)}"
+        lines = [f"{self.title}: {found.verdict}{reported}"]
         for cause in found.causes[:1]:
             lines += [f"{cause.gap}: {cause.evidence}", f"  {cause.hint}"]
         if others := [cause.gap for cause in found.causes[1:]]:
@@ -128,10 +128,10 @@ _JUDGED = pytest.StashKey[list[Judgement]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Where the logs are, and where reports go."""
     parser.addini("slam_logs", "folder whose entries are logs, or names of bundled logs", "args")
-    told = "folder for the reports of failing tests"
-    parser.addini("slam_reports", told, default="slamcheck-reports")
+    reported = "folder for the reports of failing tests"
+    parser.addini("slam_reports", reported, default="slamcheck-reports")
     parser.getgroup("slamcheck").addoption(
-        "--slam-reports", metavar="DIR", help=f"{told} (setting slam_reports)"
+        "--slam-reports", metavar="DIR", help=f"{reported} (setting slam_reports)"
     )
 
 
@@ -160,8 +160,8 @@ def pytest_runtest_makereport(
     judged = item.stash.get(_JUDGED, [])
     if judged and report.failed:
         with _quiet():
-            told = [(f"slamcheck: {one.title}", one.write_report()) for one in judged]
-        report.sections += told
+            reported = [(f"slamcheck: {one.title}", one.write_report()) for one in judged]
+        report.sections += reported
     if judged and (report.failed or call.when == "teardown"):
         judged.clear()
 
@@ -237,8 +237,8 @@ def slam_baseline(
 
         kept = read_baseline(Path(file))
         if kept.of_estimate != (estimate is not None):
-            told = "an estimate: give" if kept.of_estimate else "slamcheck run: leave out"
-            raise InputError(f"{file}: is of {told} estimate=PATH")
+            reported = "an estimate: give" if kept.of_estimate else "slamcheck run: leave out"
+            raise InputError(f"{file}: is of {reported} estimate=PATH")
         config = kept.config_at(str(log) if isinstance(log, str | Path) else kept.log)
         if estimate is not None:
             config = config.model_copy(update={"estimate": str(estimate)})

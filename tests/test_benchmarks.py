@@ -224,15 +224,15 @@ def scale(size: str) -> tuple[dict[str, tuple[float, float]], str]:
 
 @pytest.mark.slow
 def test_scale_benchmark_runs() -> None:
-    stages, told = scale("300x30")
+    stages, reported = scale("300x30")
     assert list(stages) == ["read", *STAGES, "report", "all"]
-    assert told.endswith(("agree", "disagree"))
+    assert reported.endswith(("agree", "disagree"))
 
 
 @pytest.mark.slow
 def test_a_log_of_ten_thousand_poses_comes_to_a_verdict() -> None:
     """A correct filter agrees; 0.9 GiB are enough, and the page is small."""
-    stages, told = scale("10000x200")
-    assert told.endswith(", agree")
+    stages, reported = scale("10000x200")
+    assert reported.endswith(", agree")
     assert stages["all"][1] < 900.0
-    assert float(told.split()[1]) < 5.0
+    assert float(reported.split()[1]) < 5.0

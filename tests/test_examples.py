@@ -106,7 +106,7 @@ def test_the_own_filter_is_like_ours(log_folder: Path, tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_broken_own_filter_is_wrong(
-    log_folder: Path, tmp_path: Path, old: str, new: str, gap: str, told: str
+    log_folder: Path, tmp_path: Path, old: str, new: str, gap: str, reported: str
 ) -> None:
     source = (EXAMPLES / "own_filter" / "my_ekf.py").read_text()
     assert old in source
@@ -116,7 +116,7 @@ def test_a_broken_own_filter_is_wrong(
     assert found.outcome == "disagree"
     assert found.grade.value == "wrong"
     assert found.causes[0].gap == gap
-    assert told in found.causes[0].hint
+    assert reported in found.causes[0].hint
 
 
 COMPILER = shutil.which("c++") or shutil.which("g++")
@@ -184,10 +184,13 @@ def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., str], tmp_path:
     assert np.array_equal(given.joint_covariance.ravel(), 1.0 / np.arange(1.0, 50.0))
     assert given.information == "smoothed"
     assert sorted(path.name for path in tmp_path.iterdir() if "part" in path.name) == []
-    for words, told in (((str(out),), "already exists: "), ((f"{out}2", "x"), "landmark: expect")):
+    for words, reported in (
+        ((str(out),), "already exists: "),
+        ((f"{out}2", "x"), "landmark: expect"),
+    ):
         done = subprocess.run((program, *words), capture_output=True, text=True, timeout=60)
         assert done.returncode == 1
-        assert told in done.stderr
+        assert reported in done.stderr
     assert not (tmp_path / "out2").exists()
 
 

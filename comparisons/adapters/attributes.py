@@ -65,17 +65,17 @@ def _around(log: Log) -> tuple[Array, float]:
         near = np.hypot(*(scan.point.T[:, None] - place[:, rows, None])) <= AROUND_M
         for row, met in zip(rows, near, strict=True):
             if scan.value is not None and met.any():
-                told = scan.value[met]
-                mean[row] = told.mean()
-                freedom += len(told) - 1
-                square_sum += float(np.square(told - mean[row]).sum())
+                reported = scan.value[met]
+                mean[row] = reported.mean()
+                freedom += len(reported) - 1
+                square_sum += float(np.square(reported - mean[row]).sum())
     return mean, max(square_sum / max(freedom, 1), (LEAST_SHARE * _unit(mean)) ** 2)
 
 
 def _unit(value: Array) -> float:
     """The median size of values (M,), of those that are known; 1 where that is zero."""
-    told = value[~np.isnan(value)]
-    return float(np.median(np.abs(told))) or 1.0 if len(told) else 1.0
+    reported = value[~np.isnan(value)]
+    return float(np.median(np.abs(reported))) or 1.0 if len(reported) else 1.0
 
 
 def no_estimates() -> AttributeEstimates:

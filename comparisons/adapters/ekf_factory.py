@@ -184,18 +184,18 @@ def build_association(
     index_of, _, _ = surveyed(log)
     rule: Association
     memory = no_estimates() if choices.attributes != "off" else None
-    told: Attributes = memory or NO_ATTRIBUTES
+    reported: Attributes = memory or NO_ATTRIBUTES
     if choices.attributes == "layer" and memory is not None:
         if layer is None:
             raise ValueError("attributes of a layer need the map that keeps it")
         from ekf_reference.dense.layer_attributes import LayerAttributes
 
-        told = LayerAttributes(memory, layer, BRIGHTNESS)
+        reported = LayerAttributes(memory, layer, BRIGHTNESS)
     if choices.association == "known":
         gate = NO_GATE if choices.filter == "misono" else log.measurements.label_gate
         rule = KnownAssociation(gate, first_index=len(index_of))
     else:
-        rule = _rule(choices, told, log)
+        rule = _rule(choices, reported, log)
         if log.measurements.needs_confirmation:
             from ekf_reference.association.landmark_initiation import LandmarkInitiation
 

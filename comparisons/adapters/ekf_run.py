@@ -114,8 +114,10 @@ def run_ekf(
     covariance = np.empty((epochs, 3, 3))
     landmark_index = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
-    told = measured_attributes(log, config.attributes)
-    stops = drive(ekf, log, timeline, positions, Beside(watching, beside.source, recorder, told))
+    reported = measured_attributes(log, config.attributes)
+    stops = drive(
+        ekf, log, timeline, positions, Beside(watching, beside.source, recorder, reported)
+    )
     for k, stop in enumerate(stops):
         landmark_index[stop.rows], arrived[k] = stop.landmark_indices, stop.arrived
         rejected_fixes += stop.rejected_fixes
@@ -142,7 +144,7 @@ def run_ekf(
         breakdown = "the EKF broke down: its covariance is not finite at the end"
     timeline = timeline.prefix(epochs)
     arrays = trace.arrays()
-    pose_landmarks = recorder.told()
+    pose_landmarks = recorder.reported()
     _check_counts(log, timeline, arrays, pose_landmarks)
     landmark_index = _as_used(landmark_index[: len(timeline.measurement_epoch)], arrays)
     if np.isnan(ekf.state.landmarks).any():

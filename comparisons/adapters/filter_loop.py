@@ -111,13 +111,14 @@ class Beside:
     """What goes along with a filter.
 
     watching: observes. source: of measurements of pose landmarks, fused last and kept
-    in the recorder. told: what the measurements tell besides places, None for what the log says.
+    in the recorder. reported: what the measurements tell besides places, None for what the log
+    says.
     """
 
     watching: Watcher = field(default_factory=NoWatcher)
     source: PoseLandmarkSource = field(default_factory=NoPoseLandmarkSource)
     recorder: PoseLandmarkRecorder = field(default_factory=PoseLandmarkRecorder)
-    told: MeasuredAttributes | None = None
+    reported: MeasuredAttributes | None = None
 
 
 def drive(
@@ -138,7 +139,7 @@ def drive(
     seen, done = log.measurements, 0
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-    told = beside.told or measured_attributes(log)
+    reported = beside.reported or measured_attributes(log)
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
             control, duration = timeline.control[i], float(timeline.step_duration_s[i])
@@ -154,7 +155,7 @@ def drive(
             if rows.start < rows.stop:
                 which = np.arange(rows.start, rows.stop)
                 landmark_indices = ekf.observe(
-                    z[rows], sigma[rows], seen.landmark[rows], time_s, told.take(which)
+                    z[rows], sigma[rows], seen.landmark[rows], time_s, reported.take(which)
                 )
             if positions is not None:
                 for g in range(int(first_fix[k]), int(first_fix[k + 1])):

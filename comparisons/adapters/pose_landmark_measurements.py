@@ -48,7 +48,7 @@ class PoseLandmarkRecorder:
         self._merges.append((epoch, first, second, z, covariance))
         return known
 
-    def told(self) -> PoseLandmarkMeasurements:
+    def reported(self) -> PoseLandmarkMeasurements:
         """All of it, as the smoother takes it."""
         return PoseLandmarkMeasurements(
             np.array([epoch for epoch, *_ in self._seen], dtype=np.intp),

@@ -59,8 +59,8 @@ class ScanSource:
         if not isinstance(self._stream, Scans) or not self._stream.measures_intensity:
             return None
         row = int(self.row[scan])
-        told: Array = self._stream.intensity[row, np.isfinite(self._stream.range_m[row])]
-        return told
+        reported: Array = self._stream.intensity[row, np.isfinite(self._stream.range_m[row])]
+        return reported
 
 
 class CloudsAt(Mapping[int, Array]):

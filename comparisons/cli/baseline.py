@@ -168,8 +168,8 @@ def _fitting(flags: Sequence[tuple[Flag, Any]], *, estimate: bool) -> list[tuple
     known = {flag.option: flag for flag in (CHECK if estimate else RUN)}
     for flag, _ in flags:
         if flag.option not in known:
-            told = "is of a run, not of a check: leave it or --estimate out"
-            raise InputError(f"{flag.option} {told if estimate else 'goes with --estimate'}")
+            reported = "is of a run, not of a check: leave it or --estimate out"
+            raise InputError(f"{flag.option} {reported if estimate else 'goes with --estimate'}")
     return [(known[flag.option], value) for flag, value in flags]
 
 

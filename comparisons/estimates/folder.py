@@ -134,8 +134,8 @@ def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
     except InputError as error:
         if ": id is " not in str(error):
             raise
-        told = "by which the log's measurements.csv names the landmark (labels: in log.toml)"
-        raise InputError(f"{error} {told}") from None
+        reported = "by which the log's measurements.csv names the landmark (labels: in log.toml)"
+        raise InputError(f"{error} {reported}") from None
 
 
 def read_scan_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:

@@ -189,8 +189,8 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
     if variance is None:
         return Motion(motion, float(time_s[0]), NOISE_TEXT)
     total = np.concatenate((np.zeros((1, 3)), np.cumsum(variance, axis=0)))
-    told = np.column_stack([np.interp(instants, time_s, column) for column in total.T])
-    covariance = np.diff(told, axis=0)[:, :, None] * np.eye(3)
+    reported = np.column_stack([np.interp(instants, time_s, column) for column in total.T])
+    covariance = np.diff(reported, axis=0)[:, :, None] * np.eye(3)
     stated = RelativePoses(motion.time_s, motion.displacement, covariance)
     return Motion(stated, float(time_s[0]), "stated, of each motion between the poses told")
 

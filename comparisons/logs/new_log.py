@@ -230,8 +230,8 @@ class _Reading:
         """Without repeated records, which would count twice as information."""
         columns = [np.asarray(column).tolist() for column in table.columns.values()]
         first: dict[str, int] = {}
-        for row, told in enumerate(zip(*columns, strict=True)):
-            first.setdefault(str(told), row)
+        for row, reported in enumerate(zip(*columns, strict=True)):
+            first.setdefault(str(reported), row)
         kept = np.isin(np.arange(len(table.line)), list(first.values()))
         if not kept.all():
             lost = int((~kept).sum())
@@ -300,17 +300,17 @@ def _only(table: PlainTable, names: tuple[str, ...]) -> PlainTable:
 
 def _origins(table: PlainTable, *, limits: bool) -> str:
     """How a file was read: each column's header and, if asked for, the limits of its numbers."""
-    told = []
+    reported = []
     for name, column in table.columns.items():
         header = table.origin.get(name, name)
         text = name if header == name else f"{name} from '{header}'"
         if limits and len(column) and column.dtype.kind == "f" and not np.isnan(column).all():
             digits = ".3f" if name == "time_s" else ".4g"
             text += f" ({np.nanmin(column):{digits}} to {np.nanmax(column):{digits}})"
-        told.append(text)
+        reported.append(text)
     used = {table.origin.get(name) for name in table.columns}
     unused = [header for header in table.headers if header and header not in used]
-    text = f"{table.path.name}, {len(table.line)} rows: {', '.join(told)}"
+    text = f"{table.path.name}, {len(table.line)} rows: {', '.join(reported)}"
     return text + (f"; not used: {', '.join(unused)}" if unused else "")
 
 

@@ -187,10 +187,15 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
 def _second_association(compared: Compared, findings: dict[str, Finding]) -> str:
     """Ask the smoother's own where nothing else tells; return why nobody did, if so."""
     log, name = compared.prepared.log, "own_association"
-    told = (
+    reported = (
         log.measurements.labelled or log.truth.poses is not None or log.truth.landmarks is not None
     )
-    if compared.prepared.labelled or told or not len(log.measurements.time_s) or name in findings:
+    if (
+        compared.prepared.labelled
+        or reported
+        or not len(log.measurements.time_s)
+        or name in findings
+    ):
         return ""
     from comparisons.pipeline.second_association import own_association
 

@@ -134,7 +134,7 @@ def check_folder(check: GivenCheck, result: CheckResult) -> JobFolder:
 def check_page(check: GivenCheck, result: CheckResult) -> PageContent:
     """Return what stands on the page."""
     given, solution = check.given, check.solution
-    told, panels = given_panels(check)
+    reported, panels = given_panels(check)
     ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
     map_content, marked = _map(check, ours, theirs)
     rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
@@ -149,7 +149,7 @@ def check_page(check: GivenCheck, result: CheckResult) -> PageContent:
         causes=result.causes,
         remarks=result.remarks,
         map=map_content,
-        told=told,
+        reported=reported,
         panels=panels,
         rows=_check_rows(result),
         landmarks=rows,

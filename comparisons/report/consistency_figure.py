@@ -74,6 +74,6 @@ def consistency_figure(comparison: Comparison, panels: ConsistencyPanels) -> Fig
         axis.tick_params(labelbottom=False)
     axes[2, 0].set_xlabel("time [s]")
     axes[1, 1].set_xlabel("time [s]")
-    title = f"{comparison.log.name}: {panels.told}"
+    title = f"{comparison.log.name}: {panels.reported}"
     figure.suptitle(title, fontsize=10, parse_math=False)
     return figure

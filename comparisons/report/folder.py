@@ -137,10 +137,12 @@ def _other_run(folder: Path, config: JobConfig) -> str:
         differ = [path for path in differ if not path.startswith("log.")]
     elif not any(path.startswith("log.") for path in differ):
         differ.insert(0, "the log's contents")
-    told = [
+    reported = [
         f"{p} {_short(then.get(p))}, not {_short(now.get(p))}" if "." in p else p for p in differ
     ]
-    return "; ".join(told[:3]) + (f"; and {len(told) - 3} more" if len(told) > 3 else "")
+    return "; ".join(reported[:3]) + (
+        f"; and {len(reported) - 3} more" if len(reported) > 3 else ""
+    )
 
 
 def _changed(config: JobConfig, base: Mapping[str, Any]) -> set[str]:

@@ -65,12 +65,12 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True)
 class ConsistencyPanels:
-    """errors: east, north, heading. squared: NEES. nis: by sensor. told: whose error, by what.
+    """errors: east, north, heading. squared: NEES. nis: by sensor. reported: whose error, by what.
 
     apart: where there are more than two estimates, the distance of each from the smoother's.
     """
 
-    told: str
+    reported: str
     errors: tuple[Panel, ...]
     squared: Panel | None
     nis: tuple[Panel, ...]
@@ -87,7 +87,7 @@ class ConsistencyPanels:
 def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
     """The pose's error by truth, or else by the smoother, and the filter's innovations."""
     c = comparison.consistency
-    told, errors, squared = _poses(comparison)
+    reported, errors, squared = _poses(comparison)
     nis = tuple(_nis(s, colour) for s, colour in zip(c.sensors, _COLOURS, strict=False))
     apart = None
     if more := further_estimates(comparison):
@@ -95,7 +95,7 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
         paths = [(name, colour, e.time_s, e.pose) for name, colour, e in estimates]
         apart = distance_panel(paths, comparison.smoothed.time_s, comparison.smoothed.pose)
     return ConsistencyPanels(
-        told=told,
+        reported=reported,
         errors=errors,
         squared=squared,
         nis=nis,
@@ -141,32 +141,34 @@ def distance_panel(
 
 def given_panels(check: GivenCheck) -> tuple[str, tuple[Panel, ...]]:
     """Errors of an external trajectory by truth and by the smoother; what they show, in words."""
-    c, told = check.consistency, []
+    c, reported = check.consistency, []
     panels: list[Panel] = []
     by_truth = None if c.truth is None else c.truth.poses
     if by_truth is None:
-        told.append("The log has no true poses in the estimate's time: no errors against truth.")
+        reported.append(
+            "The log has no true poses in the estimate's time: no errors against truth."
+        )
     else:
         panels += _errors(by_truth.time_s, by_truth.error, by_truth.sigma, "given - truth")
         curves = [("given", EKF_COLOUR, by_truth)]
         if c.smoother is not None and c.smoother.poses is not None:
             curves.append(("smoother", SMOOTHER_COLOUR, c.smoother.poses))
         if len(by_truth.pose.squared):
-            told.append("Against truth: 3 sigma of the covariances handed in.")
+            reported.append("Against truth: 3 sigma of the covariances handed in.")
             panels.append(_nees(curves))
     if check.given.pose_covariance is None:
-        told.append("No pose covariances were handed in: no bands, and no NEES.")
+        reported.append("No pose covariances were handed in: no bands, and no NEES.")
     if c.smoothed is None:
         unknown = np.full_like(c.difference, np.nan)
         panels += _errors(c.time_s, c.difference, unknown, "given - smoother")
         if check.given.pose_covariance is not None:
-            told.append(f"Against the smoother there is no band: {c.unjudged}.")
+            reported.append(f"Against the smoother there is no band: {c.unjudged}.")
     else:
         panels += _against_smoother(c.smoothed, "given")
         surer = (
             ", but where the given covariance is the smaller one" if len(c.smoothed.surer) else ""
         )
-        told.append(
+        reported.append(
             "Against the smoother: 3 sigma of P_given - P_smoother, the covariance of what a "
             f"filter differs by from what knows the future{surer}."
         )
@@ -174,7 +176,7 @@ def given_panels(check: GivenCheck) -> tuple[str, tuple[Panel, ...]]:
     if paths:
         paths.append(("given", EKF_COLOUR, c.time_s, check.optimum.pose + c.difference))
         panels.append(distance_panel(paths, check.optimum.time_s, check.optimum.pose))
-    return " ".join(told), tuple(panels)
+    return " ".join(reported), tuple(panels)
 
 
 def filters_compared(check: GivenCheck) -> list[Reference]:
@@ -190,13 +192,13 @@ def _poses(comparison: Comparison) -> tuple[str, tuple[Panel, ...], Panel | None
         curves = [("EKF", EKF_COLOUR, p)]
         if c.smoother is not None and (q := c.smoother.poses) is not None:
             curves.append(("smoother", SMOOTHER_COLOUR, q))
-        told = "the EKF's pose against truth"
-        return told, _errors(p.time_s, p.error, p.sigma, "EKF - truth"), _nees(curves)
+        reported = "the EKF's pose against truth"
+        return reported, _errors(p.time_s, p.error, p.sigma, "EKF - truth"), _nees(curves)
     if f is None:
         return "no truth, and no smoother on the same data", (), None
-    told = "the EKF's pose against the smoother's, 3 sigma of P_EKF - P_smoother"
+    reported = "the EKF's pose against the smoother's, 3 sigma of P_EKF - P_smoother"
     panels = _against_smoother(f, "EKF")
-    return told, panels[:3], panels[3] if len(panels) > 3 else None
+    return reported, panels[:3], panels[3] if len(panels) > 3 else None
 
 
 def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:

@@ -138,8 +138,8 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
 
 
 def _starts(smoother: SmootherResult) -> str:
-    told = [s for s in smoother.starts if not s.name.startswith("random")]
-    parts = [f"{s.name} {shown(s.error, '.2f')}" for s in told]
+    reported = [s for s in smoother.starts if not s.name.startswith("random")]
+    parts = [f"{s.name} {shown(s.error, '.2f')}" for s in reported]
     if smoother.random_starts:
         parts.append(
             f"{smoother.random_starts} random ({smoother.chance_missed:.1%} chance of missing a "

@@ -89,7 +89,7 @@ def run_page(
         causes=result.causes,
         remarks=result.remarks,
         map=_map(comparison, marked),
-        told=panels.told,
+        reported=panels.reported,
         panels=panels.every,
         curves_file="consistency.png",
         rows=run_rows(comparison, result),

@@ -91,7 +91,7 @@ def side_by_side(results: Sequence[Found], only: Sequence[str] = ()) -> list[Row
         chosen = any(fnmatchcase(name, pattern) for pattern in wanted)
         if chosen if wanted else not _alike(values):
             rows.append((name, list(values)))
-    return [row for row in rows if _told(row[1])]
+    return [row for row in rows if _reported(row[1])]
 
 
 def print_side_by_side(titles: Sequence[str], rows: Sequence[Row], console: Console) -> None:
@@ -106,7 +106,7 @@ def print_side_by_side(titles: Sequence[str], rows: Sequence[Row], console: Cons
         for i in block:
             table.add_column(Text(printable(titles[i])), overflow="fold", width=widths[i])
         for name, cells in rows:
-            if _told([cells[i] for i in block]):
+            if _reported([cells[i] for i in block]):
                 table.add_row(name, *(Text(printable(_short(cells[i]))) for i in block))
         console.print(table)
 
@@ -197,7 +197,7 @@ def _alike(values: Sequence[float | None]) -> bool:
     )
 
 
-def _told(cells: Sequence[Cell]) -> bool:
+def _reported(cells: Sequence[Cell]) -> bool:
     return any(cell not in (None, "") for cell in cells)
 
 
@@ -238,8 +238,10 @@ def _csv(titles: Sequence[str], rows: Sequence[Row]) -> str:
 def _latex(titles: Sequence[str], rows: Sequence[Row]) -> str:
     lines = [" & ".join(map(_latex_text, ("", *titles))) + r" \\ \hline"]
     for name, cells in rows:
-        told = (_latex_text(c) if isinstance(c, str) else _latex_figure(_short(c)) for c in cells)
-        lines.append(" & ".join((_latex_text(name), *told)) + r" \\")
+        reported = (
+            _latex_text(c) if isinstance(c, str) else _latex_figure(_short(c)) for c in cells
+        )
+        lines.append(" & ".join((_latex_text(name), *reported)) + r" \\")
     columns = "l" + "r" * len(titles)
     return "\n".join((rf"\begin{{tabular}}{{{columns}}}", *lines, r"\end{tabular}", ""))
 

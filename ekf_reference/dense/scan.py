@@ -115,14 +115,14 @@ class Scan:
         )
         bearing = np.mod(bearing_rad[returned] + np.pi, _TURN) - np.pi
         order = np.argsort(bearing, kind="stable")
-        told = None if value is None else value[returned][order]
+        reported = None if value is None else value[returned][order]
         return cls(
             pose=pose,
             bearing_rad=bearing[order],
             range_m=range_m[returned][order],
             sensor=sensor,
             number=number,
-            value=told,
+            value=reported,
         )
 
     @property

@@ -70,7 +70,7 @@ class DuplicateMerging:
         self.options = options or FusingOptions()
         self._tried: dict[tuple[int, int], int] = {}
 
-    def step(self, ekf: Ekf, tell: MergeSink) -> None:
+    def step(self, ekf: Ekf, sink: MergeSink) -> None:
         """Merge duplicates within reach, the closest first; call it after every scan."""
         gone = set[int]()
         for pair in self._close(ekf, self._slam.view.reach_m)[: self.options.tried]:
@@ -80,7 +80,7 @@ class DuplicateMerging:
             fit = self._fit(pair)
             if fit is None:
                 continue
-            known = tell.fuse(pair.first, pair.second, *fit)
+            known = sink.fuse(pair.first, pair.second, *fit)
             self._unite(pair.first, pair.second, known)
             gone |= {pair.first, pair.second}  # what other pairs say of these is past
 

@@ -141,14 +141,14 @@ class ScanSlam:
         self._last_seen: dict[int, int] = {}
         self._initialised = 0
 
-    def step(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
+    def step(self, ekf: Ekf, scan: SumOfGaussians, sink: MeasurementSink) -> None:
         """Process a scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
         predicted = self._predict(ekf)
         self._deactivate(ekf, predicted.landmark_index)
-        used = self._update(ekf, predicted, scan, tell)
+        used = self._update(ekf, predicted, scan, sink)
         if self.options.extraction.due(self.found.scans, self._initialised, used):
-            self._augment(ekf, scan, tell)
+            self._augment(ekf, scan, sink)
 
     def _deactivate(self, ekf: Ekf, near: Index) -> None:
         """Give up the landmarks whose template lies where things move (Nieto 2005, section 6.5)."""
@@ -169,7 +169,7 @@ class ScanSlam:
         return Predicted(near, z, out.T @ spread @ out)
 
     def _update(
-        self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, tell: MeasurementSink
+        self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, sink: MeasurementSink
     ) -> int:
         """Fuse [z, R] = scan_align(G_L, G_o, z^) of those in view and gate; returns how many."""
         seen: list[tuple[int, Array, Array]] = []
@@ -193,7 +193,7 @@ class ScanSlam:
                     reason = GATED
             self.found.reasons[reason] += 1
         if seen:
-            self._told(tell, seen)
+            self._reported(sink, seen)
         return len(seen)
 
     def _in_view(self, predicted: Predicted, scan: SumOfGaussians) -> list[int]:
@@ -219,7 +219,7 @@ class ScanSlam:
             else 0.0
         )
 
-    def _augment(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
+    def _augment(self, ekf: Ekf, scan: SumOfGaussians, sink: MeasurementSink) -> None:
         """Initialise landmarks of those candidate templates that align with themselves."""
         o = self.options
 
@@ -238,16 +238,16 @@ class ScanSlam:
                 self.found.rejected += 1
                 continue
             template = Template.of_segment(scan, rows)
-            landmark_index = self._told(tell, [(NEW, template.pose, found.covariance)])
+            landmark_index = self._reported(sink, [(NEW, template.pose, found.covariance)])
             self.found.template[landmark_index] = self.found.initialised[landmark_index] = template
             self._initialised = self.found.scans
 
-    def _told(self, tell: MeasurementSink, seen: list[tuple[int, Array, Array]]) -> int:
+    def _reported(self, sink: MeasurementSink, seen: list[tuple[int, Array, Array]]) -> int:
         """Fuse measurements (index, z, R) in the scanner's frame; returns the last index."""
         out = self._out()
         z = np.array([at for _, at, _ in seen]) @ out.T + self.mount
         r = np.array([out @ spread @ out.T for *_, spread in seen])
-        landmark_indices = tell.observe(
+        landmark_indices = sink.observe(
             z, r, np.array([landmark_index for landmark_index, *_ in seen], dtype=np.intp)
         )
         for landmark_index in landmark_indices.tolist():

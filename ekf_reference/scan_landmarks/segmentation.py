@@ -108,8 +108,8 @@ def quality(
         scaled = found.covariance / np.outer(unit, unit)
         size, axes = np.linalg.eigh(scaled)
         fixed = 3 - found.open_directions if o.open_directions else 3
-        told = axes[:, :fixed].T @ (found.pose / unit)
-        residual = np.linalg.norm(told) / np.linalg.norm(displaced / unit)
+        reported = axes[:, :fixed].T @ (found.pose / unit)
+        residual = np.linalg.norm(reported) / np.linalg.norm(displaced / unit)
         kept_size = np.minimum(size, o.displacement_m**2)
         covariance += (axes * kept_size) @ axes.T * np.outer(unit, unit) / o.trials
         runner_up = found.alignment.runner_up

@@ -110,9 +110,9 @@ def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) 
     write_log_folder(bad, tmp_path / "noisy")
     done = slamcheck("solve", "noisy", "--association", "own", "--out", "out", cwd=tmp_path)
     assert done.returncode == 3, done.stdout
-    told = SolutionResult.model_validate_json((tmp_path / "out" / "solution.json").read_text())
-    assert told.verdict == "unverified"
-    assert told.association_check is not None
-    assert not told.association_check.verified
-    assert told.association_check.disputes
+    reported = SolutionResult.model_validate_json((tmp_path / "out" / "solution.json").read_text())
+    assert reported.verdict == "unverified"
+    assert reported.association_check is not None
+    assert not reported.association_check.verified
+    assert reported.association_check.disputes
     assert "measurements in dispute: " in " ".join(done.stdout.split())

@@ -93,13 +93,13 @@ def test_the_unit_of_an_intensity_is_its_own() -> None:
     log = first_seconds(simulated(loop_s=10.0), 5.0)
     bright = np.random.default_rng(0).uniform(1.0, 4.0, len(log.measurements.time_s))
     bright[0] = np.nan
-    told = [
+    reported = [
         measured_attributes(
             replace(log, measurements=replace(log.measurements, intensity=unit * bright))
         )
         for unit in (1.0, 8192.0)
     ]
-    share = [(one.value[1:, 1] ** 2) / one.variance[1:, 1] for one in told]
+    share = [(one.value[1:, 1] ** 2) / one.variance[1:, 1] for one in reported]
     assert np.allclose(share[0], share[1], rtol=1e-12)
-    assert np.isnan(told[0].value[0, 1])
-    assert np.isfinite(told[0].variance).all()
+    assert np.isnan(reported[0].value[0, 1])
+    assert np.isfinite(reported[0].variance).all()

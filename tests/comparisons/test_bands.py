@@ -141,11 +141,11 @@ def test_a_wrong_level_or_dof_falls_outside(
     module: object,
     name: str,
     broken: Callable[..., object],
-    told: str,
+    reported: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, name, broken)
-    assert told in names(judged_anew())
+    assert reported in names(judged_anew())
 
 
 @pytest.mark.slow

@@ -133,9 +133,9 @@ def test_a_dropout_is_found_with_what_it_did() -> None:
     way = np.linalg.norm(np.diff(log.truth.poses.pose[inside, :2], axis=0), axis=1).sum()
     assert np.isclose(worst.way_m, way, rtol=0.1)
     assert worst.growth > 3.0
-    told = causes.dropout(found)
-    assert "no observation was used from" in told[0].evidence
-    assert "refused" not in told[0].evidence
+    reported = causes.dropout(found)
+    assert "no observation was used from" in reported[0].evidence
+    assert "refused" not in reported[0].evidence
 
 
 def test_a_stretch_with_scan_landmarks_seen_is_no_dropout() -> None:

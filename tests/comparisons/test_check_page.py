@@ -137,11 +137,11 @@ def test_no_band_is_drawn_where_none_is_justified(
         filtered, information=given["information"], pose=filtered.pose + given.get("pose", 0.0)
     )
     found = check(run.log, moved)
-    told, panels = given_panels(found)
+    reported, panels = given_panels(found)
     bands = [panel.bands for panel in named(panels, "given - smoother")]
     assert len(bands) == (3 if reason else 4)
     assert not any(bands) if reason else all(bands)
-    assert reason in told
+    assert reason in reported
     assert reason in found.consistency.unjudged
     assert all(panel.bands for panel in named(panels, "given - truth"))
 
@@ -151,12 +151,12 @@ def test_no_band_is_drawn_where_the_filter_is_surer(
 ) -> None:
     found = check(run.log, surer(filtered))
     assert found.consistency.smoothed is not None
-    told, panels = given_panels(found)
+    reported, panels = given_panels(found)
     high = named(panels, "given - smoother")[0].bands[0].high
     half = len(high) // 2
     assert np.isfinite(high[:half]).all()
     assert np.isnan(high[half + 2 : -2]).all()
-    assert "but where the given covariance is the smaller one" in told
+    assert "but where the given covariance is the smaller one" in reported
     squared = named(panels, "given - smoother")[3]
     clear = found.consistency.smoothed.dof > 0
     assert not clear.all()

@@ -83,8 +83,8 @@ def test_the_trace_holds_s_as_it_was_before_the_update(short: Log) -> None:
     trace = filtered(short, "full", Telling).trace
     blocks = [s[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for s, _ in kept for i in range(len(s) // 2)]
     joint = sum(float(nu @ np.linalg.solve(s, nu)) for s, nu in kept)
-    told = np.concatenate((trace.measurements[POINT].spread, trace.positions.spread))
-    assert sorted(np.trace(told, axis1=1, axis2=2)) == pytest.approx(
+    reported = np.concatenate((trace.measurements[POINT].spread, trace.positions.spread))
+    assert sorted(np.trace(reported, axis1=1, axis2=2)) == pytest.approx(
         sorted(np.trace(np.array(blocks), axis1=1, axis2=2)), rel=1e-12
     )
     fixes = trace.positions
@@ -179,10 +179,12 @@ def test_without_truth_the_smoother_is_the_measure(short: Log, tmp_path: Path) -
     ("unusable", "told"),
     [({}, "9.35)"), ({"not positive definite": 4}, "9.35; 4 not positive definite)")],
 )
-def test_covariances_that_are_none_stand_beside_nees(unusable: dict[str, int], told: str) -> None:
+def test_covariances_that_are_none_stand_beside_nees(
+    unusable: dict[str, int], reported: str
+) -> None:
     pose = NeesResult(
         dof=3, count=23, mean=2.0, last=2.0, single_band=(0.22, 9.35), inside=0.5, unusable=unusable
     )
     others = dict.fromkeys(set(TruthConsistencyResult.model_fields) - {"pose", "too_short"})
     ((_, row),) = nees_rows("NEES", TruthConsistencyResult(pose=pose, too_short=0, **others))
-    assert row == f"pose 2 of 3 (50 % of 23 in 0.22-{told}"
+    assert row == f"pose 2 of 3 (50 % of 23 in 0.22-{reported}"

@@ -70,9 +70,9 @@ class FixesTwice(Ekf):
         (FixesTwice, "120 positions, expected 60"),
     ],
 )
-def test_a_filter_that_miscounts_its_data_is_refused(kind: type[Ekf], told: str) -> None:
+def test_a_filter_that_miscounts_its_data_is_refused(kind: type[Ekf], reported: str) -> None:
     log, ekf = open_case("positions", seed=4)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=reported):
         compared(log, Modified(with_steps(kind)), ekf=ekf)
 
 
@@ -111,11 +111,13 @@ class CurvedRange(RangeBearing):
         (with_observation(CurvedRange), "the range row of H is wrong, the other is right"),
     ],
 )
-def test_what_is_not_in_the_catalogue_is_told_as_far_as_it_goes(plant: Plant, told: str) -> None:
+def test_what_is_not_in_the_catalogue_is_told_as_far_as_it_goes(
+    plant: Plant, reported: str
+) -> None:
     log, ekf = open_case("positions", seed=4)
     verdict = compared(log, Modified(plant), ekf=ekf).verdict
     assert verdict.outcome == "disagree"
-    assert re.search(told, verdict.causes[0].hint)
+    assert re.search(reported, verdict.causes[0].hint)
 
 
 def test_a_log_that_is_unknown_is_refused() -> None:

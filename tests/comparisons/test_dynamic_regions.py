@@ -163,10 +163,10 @@ def test_the_frozen_smoothers_stay_exact(comparison: Comparison) -> None:
     assert max(g.covariance for g in gaps) < 1e-8
     assert comparison.verdict.outcome == "agree"
     assert any("--accept-misfit" in remark for remark in comparison.verdict.remarks)
-    told = " ".join(comparison.verdict.remarks)
-    assert " dynamic" in told
-    assert "something moves in" in told
-    assert "stand where something moves" in told
+    reported = " ".join(comparison.verdict.remarks)
+    assert " dynamic" in reported
+    assert "something moves in" in reported
+    assert "stand where something moves" in reported
 
 
 def all_moving() -> ScanExperiment:

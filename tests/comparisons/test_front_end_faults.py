@@ -391,9 +391,9 @@ def test_a_run_on_scans_tells_of_failed_scans_gaps_and_measurements_left_out() -
     blind[20:30] = np.nan
     log = replace(log, scans=replace(log.scans, range_m=blind))
     for motion, count in (("scan", 3), ("both", 2)):
-        told = compared(log, motion=motion).verdict.remarks[-count:]
-        assert told[0].startswith("10 scans gave no increment; the first, row 20")
-        assert told[1] == "1 gaps are bridged by the wheels' motion"
-    told = compared(log, motion="scan").verdict.remarks
+        reported = compared(log, motion=motion).verdict.remarks[-count:]
+        assert reported[0].startswith("10 scans gave no increment; the first, row 20")
+        assert reported[1] == "1 gaps are bridged by the wheels' motion"
+    reported = compared(log, motion="scan").verdict.remarks
     seen = np.count_nonzero(log.measurements.time_s > last_s)
-    assert told[-1].startswith(f"{seen} measurements lie outside")
+    assert reported[-1].startswith(f"{seen} measurements lie outside")

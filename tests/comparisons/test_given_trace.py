@@ -202,7 +202,7 @@ def test_other_habits_make_no_difference(
     ids=lambda defect: defect.name,
 )
 def test_a_planted_defect_has_its_cause(tmp_path: Path, defect: Defect) -> None:
-    """Of algebra only the gap can be told: which operation is wrong needs the filter itself."""
+    """Of algebra only the gap can be reported: which operation is wrong needs the filter itself."""
     log, choices = open_case(defect.log, seed=4)
     hand_in(filtered(log, choices, defect.plant), tmp_path)
     found = checked(tmp_path, log, choices)
@@ -210,8 +210,8 @@ def test_a_planted_defect_has_its_cause(tmp_path: Path, defect: Defect) -> None:
     gap, *words = defect.expected_cause
     first = found.causes[0]
     assert first.gap == gap, first
-    told = f"{first.evidence}; {first.hint}"
-    assert gap == "algebra" or all(word in told for word in words), told
+    reported = f"{first.evidence}; {first.hint}"
+    assert gap == "algebra" or all(word in reported for word in words), reported
 
 
 def test_a_coarse_filter_that_fuses_late_is_told(
@@ -289,9 +289,9 @@ def test_damage_is_one_line(
 ) -> None:
     log, choices, run = plain
     hand_in(run, tmp_path)
-    edit, told = BAD[name]
+    edit, reported = BAD[name]
     change(tmp_path, edit)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=reported) as caught:
         checked(tmp_path, log, choices)
     assert str(tmp_path / TRACE) in str(caught.value)
 

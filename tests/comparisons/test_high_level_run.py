@@ -223,5 +223,12 @@ def test_the_command_line(tmp_path: Path) -> None:
 
 def test_results_of_before_corners_were_counted_are_read() -> None:
     """Of a run side by side with an older one."""
-    told = {"searches": 3, "candidates": 2, "poor": 1, "found": 1, "kept": 1, "looks": {"seen": 4}}
-    assert HighLevelResult.model_validate(told).corners is None
+    reported = {
+        "searches": 3,
+        "candidates": 2,
+        "poor": 1,
+        "found": 1,
+        "kept": 1,
+        "looks": {"seen": 4},
+    }
+    assert HighLevelResult.model_validate(reported).corners is None

@@ -97,8 +97,8 @@ def test_what_a_log_says_is_text(report: Path) -> None:
 def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
     result = build_result(comparison)
     cause = CauseResult(gap="<b>x</b>", evidence=HOSTILE, hint=HOSTILE)
-    told = result.model_copy(update={"causes": [cause], "remarks": [HOSTILE]})
-    text = drawn(comparison, told)
+    reported = result.model_copy(update={"causes": [cause], "remarks": [HOSTILE]})
+    text = drawn(comparison, reported)
     order = [text.index(part) for part in ('class="verdict', 'class="cause"', 'id="map"', "<table")]
     assert order == sorted(order)
     assert "<b>x</b>" not in text
@@ -109,10 +109,10 @@ def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -
     plain = build_result(comparison).model_copy(
         update={"verdict": "agree", "qualifiers": [], "inconsistent": []}
     )
-    told = plain.model_copy(
+    reported = plain.model_copy(
         update={"qualifiers": ["filter inconsistent"], "inconsistent": ["NIS of <b> 3"]}
     )
-    before, after = (drawn(comparison, one) for one in (plain, told))
+    before, after = (drawn(comparison, one) for one in (plain, reported))
     assert '<span class="verdict agree">agree<' in before
     assert "The filter is inconsistent" not in before
     assert '<span class="verdict unverified">agree, filter inconsistent<' in after

@@ -66,7 +66,7 @@ def drive() -> Log:
     return coloured_poles(0, 0.12)
 
 
-def told_by(layer: Painted) -> LayerAttributes:
+def reported_by(layer: Painted) -> LayerAttributes:
     return LayerAttributes(AttributeEstimates(np.ones(2)), layer, BRIGHTNESS)
 
 
@@ -95,7 +95,7 @@ def test_colour_decides_between_two_poles_in_one_gate(
     for colours in (COLOURS, COLOURS[::-1]):
         layer = Painted(np.array(colours), np.full(2, SIGMA_COLOUR**2))
         landmark_indices.append(
-            rule(attributes=told_by(layer)).assign(state, RangeBearing(), seen)[0]
+            rule(attributes=reported_by(layer)).assign(state, RangeBearing(), seen)[0]
         )
     assert landmark_indices == [right, 1 - right]
     assert rule().assign(state, RangeBearing(), seen)[0] != right
@@ -104,7 +104,7 @@ def test_colour_decides_between_two_poles_in_one_gate(
 def test_a_landmark_that_the_layer_does_not_know_stands_with_the_others() -> None:
     layer = Painted(np.array((1.0, np.nan)), np.array((0.04, np.nan)))
     _, seen = two_poles_in_one_gate(1.0, 0)
-    found = told_by(layer).distances(np.arange(2), seen)
+    found = reported_by(layer).distances(np.arange(2), seen)
     assert found.dof.tolist() == [[1, 0]]
     assert found.nis.tolist() == [[0.0, 0.0]]
     assert np.isclose(found.n[0, 0], found.n[0, 1], rtol=1e-12)
@@ -116,24 +116,24 @@ def test_what_a_measurement_shows_scatters_as_it_is_said_to(
 ) -> None:
     """Colours of one pole differ from side to side, more than one return is noisy."""
     rng, side, trials = np.random.default_rng(2), 0.8, 2000
-    told = told_by(kind(np.zeros(1), np.full(1, side**2)))
+    reported = reported_by(kind(np.zeros(1), np.full(1, side**2)))
     value = np.column_stack((np.full(trials, np.nan), rng.normal(0.0, side, trials)))
     value[:, 1] += rng.normal(0.0, SIGMA_COLOUR, trials)
     seen = MeasuredAttributes(value, np.full((trials, 2), SIGMA_COLOUR**2))
     z, noise = np.zeros((trials, 2)), np.tile(np.eye(2), (trials, 1, 1))
     many = Measurements(z, noise, np.full(trials, -1), attributes=seen)
-    total = float(told.distances(np.zeros(1, dtype=np.intp), many).nis.sum())
+    total = float(reported.distances(np.zeros(1, dtype=np.intp), many).nis.sum())
     low, high = chi2.ppf((0.0005, 0.9995), trials)
     assert (low < total < high) == holds
 
 
 def test_measurements_are_told_what_their_scan_shows_around_them() -> None:
     log = drive()
-    told = measured_attributes(log, "layer")
-    value = told.value[:, BRIGHTNESS]
+    reported = measured_attributes(log, "layer")
+    value = reported.value[:, BRIGHTNESS]
     known = np.isfinite(value)
     assert known.mean() > 0.9
-    assert 0.5 < np.sqrt(told.variance[0, BRIGHTNESS]) / SIGMA_COLOUR < 2.0
+    assert 0.5 < np.sqrt(reported.variance[0, BRIGHTNESS]) / SIGMA_COLOUR < 2.0
     off = np.abs(value[known, None] - COLOURS).min(axis=1)
     assert (off < 3.0 * SIGMA_COLOUR).mean() > 0.95
     farther = replace(log.measurements, range_m=log.measurements.range_m + 3.0 * AROUND_M)

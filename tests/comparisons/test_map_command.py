@@ -215,8 +215,8 @@ def test_the_command_refuses_it_before_it_starts(
 ) -> None:
     monkeypatch.setattr(memory, "MOST_BYTES", 1e8)
     monkeypatch.chdir(tmp_path)
-    code, told = outcome(lambda: run_main(["map", "occupancy-loop", "--resolution", "0.8"]))
+    code, reported = outcome(lambda: run_main(["map", "occupancy-loop", "--resolution", "0.8"]))
     assert code == 2
-    assert told.endswith("the limit is 0.0931323 GiB; expected a shorter log\n")
-    assert told.count("\n") == 1
+    assert reported.endswith("the limit is 0.0931323 GiB; expected a shorter log\n")
+    assert reported.count("\n") == 1
     assert not list(tmp_path.iterdir())

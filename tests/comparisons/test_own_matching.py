@@ -189,17 +189,17 @@ def differences(
 def test_a_common_shift_is_found_and_no_other(landmarks: int) -> None:
     """However few landmarks tell the scatter: for three, chi-square's limit is too low."""
 
-    def told(seed: int, moved: float) -> tuple[Array, float, int]:
+    def reported(seed: int, moved: float) -> tuple[Array, float, int]:
         rng = np.random.default_rng(seed)
         return common_shift(*differences(rng, np.array((0.0, 0.0, moved)), landmarks))
 
-    none = [told(seed, 0.0) for seed in range(300)]
+    none = [reported(seed, 0.0) for seed in range(300)]
     assert {freedom for *_, freedom in none} == {3 * (landmarks - 1)}
     limit = 3.0 * f.ppf(0.999, 3, 3 * (landmarks - 1))
     squared = np.array([value for _, value, _ in none])
     assert np.mean(squared > limit) <= 0.01
     assert (np.mean(squared > chi2.ppf(0.999, 3)) > 0.015) == (landmarks == 3)
-    shift, found, _ = told(0, 0.5)
+    shift, found, _ = reported(0, 0.5)
     assert found > limit
     np.testing.assert_allclose(shift, (0.0, 0.0, 0.5), atol=0.07)
 
@@ -236,14 +236,14 @@ def test_frames_are_compared_by_both_covariances_and_round_the_circle() -> None:
 
 
 def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> None:
-    def told(rows: list[tuple[int, int, float]], sigma: float) -> PoseLandmarkMeasurements:
+    def reported(rows: list[tuple[int, int, float]], sigma: float) -> PoseLandmarkMeasurements:
         z = np.array([(x, 0.0, np.pi / 2) for *_, x in rows])
         spread = np.tile(np.diag((sigma, 10.0 * sigma, sigma)) ** 2, (len(rows), 1, 1))
         pose, landmark = (np.array([row[i] for row in rows], dtype=np.intp) for i in (0, 1))
         return PoseLandmarkMeasurements(pose, landmark, z, spread)
 
-    filters_ = told([(0, 0, 1.0), (1, 0, 2.0), (2, 0, 3.0), (2, 1, 9.0), (3, 0, 4.0)], 0.3)
-    own = told([(0, 0, 7.0), (1, 0, 2.5), (3, 0, 4.0), (2, 1, 9.0), (4, 0, 1.0)], 0.4)
+    filters_ = reported([(0, 0, 1.0), (1, 0, 2.0), (2, 0, 3.0), (2, 1, 9.0), (3, 0, 4.0)], 0.3)
+    own = reported([(0, 0, 7.0), (1, 0, 2.5), (3, 0, 4.0), (2, 1, 9.0), (4, 0, 1.0)], 0.4)
     test = ChiSquareTest(1.0, 1, 0.0, 2.0)
     optimality = Optimality(
         stationarity=Stationarity(0.0, definite=True),

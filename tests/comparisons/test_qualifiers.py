@@ -141,12 +141,12 @@ def off_the_band(c: Consistency, factor: float) -> Consistency:
 
 def test_an_inconsistent_filter_is_said_and_fails_only_when_asked(sound: Comparison) -> None:
     off = off_the_band(sound.consistency, 10.0)
-    told = "NIS of measurements 10 per degree of freedom, band "
+    reported = "NIS of measurements 10 per degree of freedom, band "
     for asked in ((), ("consistency",)):
         found = qualified(AGREE, None, unchecked="", consistency=off, fail_on=asked)
         assert found.outcome == "agree"
         assert found.headline == "agree, filter inconsistent"
-        assert found.summary.startswith(f"agree; filter inconsistent ({told}")
+        assert found.summary.startswith(f"agree; filter inconsistent ({reported}")
         assert found.summary.endswith("; 1 more)")
         assert found.failed_on == asked
     inside = off_the_band(sound.consistency, 1.0)
@@ -231,8 +231,8 @@ def test_the_filter_against_the_smoother_has_a_band(sound: Comparison) -> None:
     alone = replace(sound.consistency, ekf=None, sensors=())
     assert inconsistencies(alone) == ()
     wrong = replace(smoothed, squared=4.0 * smoothed.squared)
-    [told] = inconsistencies(replace(alone, smoothed=wrong)) or ()
-    assert told.startswith("filter against smoother ")
+    [reported] = inconsistencies(replace(alone, smoothed=wrong)) or ()
+    assert reported.startswith("filter against smoother ")
 
 
 def test_a_shared_mistake_shows_in_verdict_and_result(sound: Comparison) -> None:

@@ -33,10 +33,10 @@ def test_what_fits_is_not_refused() -> None:
 
 def test_what_does_not_fit_is_refused_in_one_line() -> None:
     one = prepared()
-    with pytest.raises(InputError, match=r"poses.*landmarks need about 0\.3 GiB") as told:
+    with pytest.raises(InputError, match=r"poses.*landmarks need about 0\.3 GiB") as reported:
         check_size(one, 0.2 * GIB)
-    assert "\n" not in str(told.value)
-    assert "part of the log" in str(told.value)
+    assert "\n" not in str(reported.value)
+    assert "part of the log" in str(reported.value)
 
 
 @pytest.mark.parametrize("large", [False, True])

@@ -177,8 +177,8 @@ def test_both_associations_are_compared() -> None:
     assert comparison.verdict.outcome == "agree"
     result = build_result(comparison)
     again = Result.model_validate_json(result.model_dump_json())
-    told = OwnAssociationResult.model_validate((again.model_extra or {})["own_association"])
-    assert told.landmarks == 60
+    reported = OwnAssociationResult.model_validate((again.model_extra or {})["own_association"])
+    assert reported.landmarks == 60
 
 
 def test_what_a_wrong_association_costs() -> None:
@@ -197,9 +197,9 @@ def test_what_a_wrong_association_costs() -> None:
     )
     assert found.differing.tolist() == [row]
     assert found.cost[0, 0] > 1e3 > 20.0 > found.cost[0, 1]
-    told = association_cause(found, replace(run, landmark_index=wrong)).evidence
-    assert f"measurement {row} at " in told
-    assert f"by {found.cost[0, 0] ** 0.5:.1f} sigma" in told
+    reported = association_cause(found, replace(run, landmark_index=wrong)).evidence
+    assert f"measurement {row} at " in reported
+    assert f"by {found.cost[0, 0] ** 0.5:.1f} sigma" in reported
 
 
 @pytest.mark.slow

@@ -117,12 +117,12 @@ def test_the_commands(tmp_path: Path) -> None:
         (("csv/poses",), "every pose with covariance"),
         (("kitti/poses", "--times", "clock"), "every pose's place"),
     ]
-    for words, told in right:
+    for words, reported in right:
         done = slamcheck(
             "check", "simulated-loop", "--estimate", *words, "--out", "c", "--replace", cwd=tmp_path
         )
         assert done.returncode == 0, done.stderr + done.stdout
-        assert told in done.stdout
+        assert reported in done.stdout
     wrong: list[tuple[tuple[str, ...], str]] = [
         (("export", "solved", "x.csv"), "is no estimate; give solved/smoother"),
         (("export", "csv/poses", "again/tum/poses.tum"), "exists already"),
@@ -131,7 +131,7 @@ def test_the_commands(tmp_path: Path) -> None:
         (("export", "csv/poses", "x.tum", "--format", "csv"), "its suffix says tum, --format csv"),
         (("export", "csv/poses", "x.csv", "--times", "clock"), "--times is for KITTI"),
     ]
-    for words, told in wrong:
+    for words, reported in wrong:
         done = slamcheck(*words, cwd=tmp_path)
         assert done.returncode == 2
-        assert told in done.stderr
+        assert reported in done.stderr

@@ -35,10 +35,10 @@ def refused(name: str, file: str, old: str, new: str) -> str:
         text = (folder / file).read_text()
         assert old in text
         (folder / file).write_text(text.replace(old, new, 1))
-        code, told = outcome(lambda: subject.read(folder))
-        assert code == 2, told
-        assert_one_line(code, told, folder)
-        return told
+        code, reported = outcome(lambda: subject.read(folder))
+        assert code == 2, reported
+        assert_one_line(code, reported, folder)
+        return reported
 
 
 ENDLESS = "9" * 5000
@@ -146,8 +146,8 @@ def test_a_bag_whose_topic_has_no_name(tmp_path: Path) -> None:
     subject.write(tmp_path)
     path = tmp_path / "bag" / "metadata.yaml"
     path.write_text(path.read_text().replace("/scan", ""))
-    code, told = outcome(lambda: subject.read(tmp_path))
-    assert_one_line(code, told, tmp_path)
+    code, reported = outcome(lambda: subject.read(tmp_path))
+    assert_one_line(code, reported, tmp_path)
 
 
 def test_an_archive_larger_than_memory_is_not_unpacked(
@@ -155,9 +155,9 @@ def test_an_archive_larger_than_memory_is_not_unpacked(
 ) -> None:
     np.savez_compressed(tmp_path / "a.npz", pose=np.zeros(10_000))
     monkeypatch.setattr(archive, "_MOST_BYTES", 10_000)
-    code, told = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
+    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
     assert code == 2
-    assert "bytes unpacked, expected 10000 at most" in told
+    assert "bytes unpacked, expected 10000 at most" in reported
 
 
 def patched(change: Callable[[bytearray, int, int], object]) -> Callable[[bytes], bytes]:
@@ -279,9 +279,9 @@ def test_only_what_is_read_is_unpacked(
         return read(entry, n)
 
     monkeypatch.setattr(zipfile.ZipExtFile, "read", watched)
-    code, told = outcome(lambda: archive.read_arrays(path, ("pose",)))
+    code, reported = outcome(lambda: archive.read_arrays(path, ("pose",)))
     assert code == 2
-    assert ("pose is said to be (10,)" if header else "pose is not an array of numbers") in told
+    assert ("pose is said to be (10,)" if header else "pose is not an array of numbers") in reported
     assert max(asked) <= 10_000
 
 
@@ -294,17 +294,17 @@ def test_memory_that_is_short_is_not_a_damaged_file(
         raise MemoryError
 
     monkeypatch.setattr(np, "frombuffer", short)
-    code, told = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
-    assert (code, told) == (2, "slamcheck: not enough memory for this log\n")
+    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
+    assert (code, reported) == (2, "slamcheck: not enough memory for this log\n")
 
 
 @pytest.mark.parametrize("command", [["montecarlo"], ["reproduce", "N3.5"]])
 @pytest.mark.parametrize("workers", ["0", "-1", "1001", "9223372036854775808"])
 def test_workers_beyond_every_machine(command: list[str], workers: str, tmp_path: Path) -> None:
     words = [*command, "--workers", workers, "--out", str(tmp_path / "out")]
-    code, told = outcome(lambda: run_main(words))
+    code, reported = outcome(lambda: run_main(words))
     assert code == 2
-    assert told == f"slamcheck: --workers is {workers}, expected 1 to 1000\n"
+    assert reported == f"slamcheck: --workers is {workers}, expected 1 to 1000\n"
     assert not list(tmp_path.iterdir())
 
 
@@ -313,10 +313,10 @@ def test_workers_beyond_every_machine(command: list[str], workers: str, tmp_path
 def test_noise_beyond_every_number(command: str, log: str, tmp_path: Path) -> None:
     out = str(tmp_path / "out")
     target = ["--out", out] if command == "run" else [out]
-    code, told = outcome(lambda: run_main([command, log, "--noise-scale", "1e300", *target]))
+    code, reported = outcome(lambda: run_main([command, log, "--noise-scale", "1e300", *target]))
     assert code == 2
-    assert "is 1e+300" in told
-    assert told.count("\n") == 1
+    assert "is 1e+300" in reported
+    assert reported.count("\n") == 1
 
 
 def twice(folder: Path) -> None:
@@ -336,7 +336,7 @@ def dangling(folder: Path) -> None:
 def test_hostile_estimates(edit: Callable[[Path], None], message: str, tmp_path: Path) -> None:
     SUBJECTS["estimate folder"].write(tmp_path)
     edit(tmp_path)
-    code, told = outcome(lambda: SUBJECTS["estimate folder"].read(tmp_path))
+    code, reported = outcome(lambda: SUBJECTS["estimate folder"].read(tmp_path))
     assert code == 2
-    assert_one_line(code, told, tmp_path)
-    assert message in told
+    assert_one_line(code, reported, tmp_path)
+    assert message in reported

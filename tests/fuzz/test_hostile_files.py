@@ -34,28 +34,28 @@ QUIET = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_to
 
 def outcome(command: Callable[[], object]) -> tuple[int, str]:
     """Exit code and standard error, as the command line would leave them."""
-    told = io.StringIO()
-    with contextlib.redirect_stderr(told), contextlib.redirect_stdout(io.StringIO()):
+    reported = io.StringIO()
+    with contextlib.redirect_stderr(reported), contextlib.redirect_stdout(io.StringIO()):
         try:
             with guarded():
                 command()
         except SystemExit as stop:
-            return int(stop.code or 0), told.getvalue()
+            return int(stop.code or 0), reported.getvalue()
         except Exception:
             return 70, traceback.format_exc()
-    return 0, told.getvalue()
+    return 0, reported.getvalue()
 
 
-def assert_one_line(code: int, told: str, place: Path) -> None:
+def assert_one_line(code: int, reported: str, place: Path) -> None:
     """Exit code 2 comes with one line, which names a file; no other fault is known."""
-    assert code in (0, 2), told[-3000:]
+    assert code in (0, 2), reported[-3000:]
     if code == 2:
-        assert told.startswith("slamcheck: "), told
-        assert told.count("\n") == 1, told
-        assert told.endswith("\n"), told
-        assert told[:-1].isprintable(), told
-        assert len(told) < 1000, told
-        assert str(place) in told, told
+        assert reported.startswith("slamcheck: "), reported
+        assert reported.count("\n") == 1, reported
+        assert reported.endswith("\n"), reported
+        assert reported[:-1].isprintable(), reported
+        assert len(reported) < 1000, reported
+        assert str(place) in reported, reported
 
 
 def attempt(subject: Subject, hurt: list[Damage]) -> None:
@@ -133,14 +133,14 @@ def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
         given_in = {path.name for path in folder.iterdir()}
         for damage in hurt:
             damage.apply(folder)
-        code, told = outcome(
+        code, reported = outcome(
             lambda: run_main([str(folder / w.lower()) if w.isupper() else w for w in words])
         )
         left = {path.name for path in folder.iterdir()} - given_in
-        assert code in (0, 1, 2, 3), told[-3000:]
+        assert code in (0, 1, 2, 3), reported[-3000:]
         assert left <= {"out"}
         if code == 2:
-            assert_one_line(code, told, folder)
+            assert_one_line(code, reported, folder)
             assert not left
         for path in folder.glob("out/*.json"):
             json.loads(path.read_text(), parse_constant=pytest.fail)

@@ -122,9 +122,9 @@ def one_kill(kind: str, number: int, delay_s: float, folder: Path) -> None:
     with writing(kind, target, 0.0002) as job:
         time.sleep(delay_s)
         job.send_signal(number)
-        told = job.communicate(timeout=30)[1]
+        reported = job.communicate(timeout=30)[1]
     assert job.returncode == (-number if number == signal.SIGKILL else 128 + number)
-    assert not told
+    assert not reported
     left = unfinished(folder)
     if number != signal.SIGKILL:
         assert not left
@@ -342,9 +342,9 @@ def test_bad_targets_are_one_line(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "DIR").mkdir()
     (tmp_path / "DIR" / "mine.txt").write_text("")
-    code, told = outcome(lambda: TARGETS[kind](Path(target)))
+    code, reported = outcome(lambda: TARGETS[kind](Path(target)))
     assert code == 2
-    assert_one_line(code, told, Path(target.replace("\0", "?")))
+    assert_one_line(code, reported, Path(target.replace("\0", "?")))
     assert [p.name for p in tmp_path.rglob("*")] == ["DIR", "mine.txt"]
 
 
@@ -359,10 +359,10 @@ def test_bad_targets_are_one_line(
     ],
 )
 def test_a_bad_target_is_told_before_the_work(words: list[str]) -> None:
-    code, told = outcome(lambda: run_main(words))
+    code, reported = outcome(lambda: run_main(words))
     assert code == 2
-    assert told.startswith("slamcheck: /: is ")
-    assert told.count("\n") == 1
+    assert reported.startswith("slamcheck: /: is ")
+    assert reported.count("\n") == 1
 
 
 @pytest.mark.parametrize("words", [["--version"], ["logs"], ["config"]])

@@ -148,8 +148,8 @@ def in_child(
     if kill is not None:
         time.sleep(kill[1])
         os.kill(child, kill[0])
-    with os.fdopen(out, "rb") as told:
-        answer = told.read()
+    with os.fdopen(out, "rb") as reported:
+        answer = reported.read()
     status = os.waitpid(child, 0)[1]
     if not answer:
         return 70, f"ended by {status} (14, 24: took more than {SECONDS} s of the processor)"
@@ -157,17 +157,17 @@ def in_child(
     return code, text
 
 
-def assert_clean(code: int, told: str) -> None:
+def assert_clean(code: int, reported: str) -> None:
     """A verdict without a word, or one line and exit code 2 or 3; misuse shows the usage."""
-    assert code in (0, 1, 2, 3), told[-3000:]
-    if code == 2 and told.startswith("Usage: slamcheck "):
+    assert code in (0, 1, 2, 3), reported[-3000:]
+    if code == 2 and reported.startswith("Usage: slamcheck "):
         return
-    told = re.sub(r"slamcheck: [^\n]* \d+\.\d s\n", "", told)  # the stages of a long job
-    assert told.count("\n") <= 1, told
+    reported = re.sub(r"slamcheck: [^\n]* \d+\.\d s\n", "", reported)  # the stages of a long job
+    assert reported.count("\n") <= 1, reported
     if code == 2:
-        assert told.startswith("slamcheck: "), told
-        assert told[:-1].isprintable(), told
-        assert len(told) < 1000, told
+        assert reported.startswith("slamcheck: "), reported
+        assert reported[:-1].isprintable(), reported
+        assert len(reported) < 1000, reported
 
 
 def arguments(command: str, folder: Path, given_values: list[tuple[str, str]]) -> list[str]:
@@ -191,10 +191,10 @@ def odd(command: str, given_values: list[tuple[str, str]]) -> tuple[int, str]:
         WHOLE.write(folder)
         given_in = {path.name for path in folder.iterdir()}
         words = arguments(command, folder, given_values)
-        code, told = in_child(lambda: outcome(lambda: run_main(words)))
-        assert_clean(code, f"{given_values}\n{told}" if code == 70 else told)
+        code, reported = in_child(lambda: outcome(lambda: run_main(words)))
+        assert_clean(code, f"{given_values}\n{reported}" if code == 70 else reported)
         assert_whole_or_absent(folder, given_in, code)
-        return code, told
+        return code, reported
 
 
 def full_disk(command: str, file_bytes: int, earlier: bool) -> int:
@@ -210,17 +210,17 @@ def full_disk(command: str, file_bytes: int, earlier: bool) -> int:
         given_in = {path.name for path in folder.iterdir()}
         before = {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
         words = arguments(command, folder, [])
-        code, told = in_child(lambda: outcome(lambda: run_main(words)), file_bytes)
-        assert_clean(code, told)
+        code, reported = in_child(lambda: outcome(lambda: run_main(words)), file_bytes)
+        assert_clean(code, reported)
         if code == 2:
-            assert "File too large" in told
-            assert str(folder) in told
+            assert "File too large" in reported
+            assert str(folder) in reported
         if code == 2 and command != "montecarlo":  # whose finished chunks stay
             assert {path.name for path in folder.iterdir()} == given_in
             assert {p: p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
         assert not [p for p in folder.rglob("*") if is_unfinished(p.name)]
-        again, told = in_child(lambda: outcome(lambda: run_main(words)))
-        assert (again, told) == (code, told) if code != 2 else again < 4, told
+        again, reported = in_child(lambda: outcome(lambda: run_main(words)))
+        assert (again, reported) == (code, reported) if code != 2 else again < 4, reported
         return code
 
 
@@ -247,11 +247,11 @@ def test_a_killed_command_goes_again(command: str, number: int, delay_s: float) 
         folder = Path(place)
         WHOLE.write(folder)
         words = arguments(command, folder, [])
-        code, told = in_child(lambda: outcome(lambda: run_main(words)), kill=(number, delay_s))
+        code, reported = in_child(lambda: outcome(lambda: run_main(words)), kill=(number, delay_s))
         left = [p for p in folder.rglob("*") if is_unfinished(p.name)]
         assert not left or number == signal.SIGKILL
-        assert code in (0, 1, 3, 70, 128 + number), told
-        assert code != 70 or told.startswith("ended by "), told  # no traceback
+        assert code in (0, 1, 3, 70, 128 + number), reported
+        assert code != 70 or reported.startswith("ended by "), reported  # no traceback
         out = folder / "out"
         whole = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()}
         for path in out.glob("*.json"):
@@ -259,8 +259,8 @@ def test_a_killed_command_goes_again(command: str, number: int, delay_s: float) 
         assert (
             command.startswith(("montecarlo", "convert")) or not whole or list(out.glob("*.json"))
         )
-        again, told = in_child(lambda: outcome(lambda: run_main(words)))
-        assert again in (0, 1, 3) or (again == 2 and command.startswith("convert")), told
+        again, reported = in_child(lambda: outcome(lambda: run_main(words)))
+        assert again in (0, 1, 3) or (again == 2 and command.startswith("convert")), reported
 
 
 @pytest.mark.slow

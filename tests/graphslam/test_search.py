@@ -72,7 +72,7 @@ def test_the_relaxed_start_uses_positions_and_surveyed_landmarks() -> None:
     antenna = world.poses[::10, :2] + np.column_stack(
         (cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1])
     )
-    told = replace(
+    reported = replace(
         world.problem,
         prior_covariance=np.eye(3) * 1e4,
         prior_pose=np.zeros(3),
@@ -81,7 +81,7 @@ def test_the_relaxed_start_uses_positions_and_surveyed_landmarks() -> None:
         position_covariance=np.tile(np.eye(2) * 1e-6, (12, 1, 1)),
         lever_m=(1.5, 0.5),
     )
-    assert np.allclose(relax(told).poses[:, :2], world.poses[:, :2] + 1.0, atol=1e-3)
+    assert np.allclose(relax(reported).poses[:, :2], world.poses[:, :2] + 1.0, atol=1e-3)
     surveyed = replace(
         world.problem,
         prior_covariance=np.eye(3) * 1e4,
@@ -180,7 +180,7 @@ def test_a_path_may_be_mirrored_where_directions_are_loose() -> None:
     line = posts * (1.0, 0.0)
     beside = poses + (0.0, 2.0, 0.0)
     offset = line[problem.measurement_landmark] - beside[problem.measurement_pose, :2]
-    told = replace(
+    reported = replace(
         problem,
         prior_pose=beside[0],
         prior_covariance=np.diag((9.0, 9.0, 0.01)),
@@ -190,12 +190,12 @@ def test_a_path_may_be_mirrored_where_directions_are_loose() -> None:
         surveyed=line,
         surveyed_covariance=np.tile(np.eye(2) * 1e-4, (6, 1, 1)),
     )
-    assert loose(told)
-    images = [one.poses for one in mirrors(told, beside, line)]
+    assert loose(reported)
+    images = [one.poses for one in mirrors(reported, beside, line)]
     about_line = beside * (1.0, -1.0, -1.0)
     assert min(np.abs(image - about_line).max() for image in images) < 1e-9
-    assert all(np.array_equal(one.landmarks, line) for one in mirrors(told, beside, line))
-    minima = smooth(told, {}).optimality.exploration.minima
+    assert all(np.array_equal(one.landmarks, line) for one in mirrors(reported, beside, line))
+    minima = smooth(reported, {}).optimality.exploration.minima
     assert max(one.pose_m for one in minima) > 3.5  # the image was found and weighed
 
 

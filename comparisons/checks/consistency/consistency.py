@@ -57,8 +57,8 @@ class Consistency:
     @property
     def remarks(self) -> list[str]:
         """What is out of its band, in words; nothing of this changes a verdict."""
-        told = [remark for sensor in self.sensors for remark in self._of(sensor)]
-        told += [
+        reported = [remark for sensor in self.sensors for remark in self._of(sensor)]
+        reported += [
             f"{sensor.unusable} of the {sensor.sensor} have no positive definite innovation "
             "covariance, and are not in its NIS"
             for sensor in self.sensors
@@ -66,13 +66,13 @@ class Consistency:
         ]
         if self.smoothed is not None and len(surer := self.smoothed.surer):
             worst = int(np.argmin(self.smoothed.ratio))
-            told.append(
+            reported.append(
                 f"at {len(surer)} of {len(self.smoothed.time_s)} epochs, first at "
                 f"{self.smoothed.time_s[surer[0]]:.1f} s, the filter is surer of its pose than the "
                 f"smoother, who knows the future as well: by {self.smoothed.ratio[worst]:.2g} in "
                 f"variance at {self.smoothed.time_s[worst]:.1f} s"
             )
-        return told
+        return reported
 
     def _of(self, sensor: SensorInnovations) -> list[str]:
         """The components out of their bands, or both together where neither alone is."""

@@ -365,8 +365,8 @@ def _headings(paths: Paths, motion: _Motion) -> Iterator[Cause]:
     alone = paths.rms_m <= _NO_MATTER_M
     if motion.gap == "mirrored":
         return
-    if alone and (told := _no_heading(paths)):
-        yield Cause("heading", *told)
+    if alone and (reported := _no_heading(paths)):
+        yield Cause("heading", *reported)
         return
     both = np.exp(1j * (paths.pose[:, 2] + paths.reference[:, 2])).mean()
     each = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2]))

@@ -104,20 +104,20 @@ def counted(quantity: Quantity) -> str:
     """Return in how many records, and in which, if a bound or a name tells."""
     off = quantity.off()
     count = int(np.count_nonzero(off))
-    told = f"in {count} of {len(off)} {quantity.records}"
+    reported = f"in {count} of {len(off)} {quantity.records}"
     if min(count, len(off) - count) < _LEAST_SPLIT:
-        return told
+        return reported
     for name, values in quantity.features.items():
         inside, outside = values[off], values[~off]
         if values.dtype.kind == "i":
             names = np.unique(inside)
             if len(names) == 1 and names[0] not in outside:
-                return f"{told}, all of {name} {names[0]}"
+                return f"{reported}, all of {name} {names[0]}"
         elif inside.min() > outside.max():
-            return f"{told}, all with {name} from {inside.min():.4g} on"
+            return f"{reported}, all with {name} from {inside.min():.4g} on"
         elif inside.max() < outside.min():
-            return f"{told}, all with {name} up to {inside.max():.4g}"
-    return told
+            return f"{reported}, all with {name} up to {inside.max():.4g}"
+    return reported
 
 
 def _holds(
@@ -152,11 +152,11 @@ def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float
         figures = figures + moved / size
         if np.abs(moved / size).max() <= 1e-13 * max(1.0, float(np.abs(figures).max())):
             break
-    told = tuple(np.where(np.abs(figures) < 1e-12, 0.0, figures).tolist())
-    if not len(told):
-        return told
+    reported = tuple(np.where(np.abs(figures) < 1e-12, 0.0, figures).tolist())
+    if not len(reported):
+        return reported
     with np.errstate(invalid="ignore"):
-        return told if _holds(quantity, hypothesis, told, rows) else None
+        return reported if _holds(quantity, hypothesis, reported, rows) else None
 
 
 def says(text: str) -> Callable[..., str]:

@@ -59,20 +59,20 @@ class _Seen:
 
 def measurement_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     """Yield what was done to measurements of point landmarks, those that begin them included."""
-    told: list[str] = []
+    reported: list[str] = []
     updates, starts = run.trace.measurements[POINT], run.trace.initialisations[POINT]
     if len(updates.step):
         seen = _seen(log, run, updates, rounding)
         yield from _innovations(seen)
-        told = list(noise_hints("R", *_noise(seen), "measurements", seen.features))
-        yield from told
+        reported = list(noise_hints("R", *_noise(seen), "measurements", seen.features))
+        yield from reported
         yield from _jacobians(seen)
     starts = starts.rows(np.flatnonzero((starts.number >= 0) & (starts.weight > 0.0)))
     if len(starts.step):
         new = _seen(log, run, starts, rounding)
         yield from _places(new)
         yield from _jacobians_of_new(new)
-        alike = [text.partition(",")[0] for text in told]
+        alike = [text.partition(",")[0] for text in reported]
         for text in noise_hints("R of new landmarks", *_noise(new), "new landmarks", new.features):
             if text.partition(",")[0].replace(" of new landmarks", "") not in alike:
                 yield text

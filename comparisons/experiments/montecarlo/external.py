@@ -103,8 +103,8 @@ class Command:
             try:
                 return read_given(out)
             except InputError as error:
-                told = str(error).replace(f"{place}{os.sep}", "")
-                raise EstimatorError(told) from None
+                reported = str(error).replace(f"{place}{os.sep}", "")
+                raise EstimatorError(reported) from None
 
     def _run(self, place: Path, folders: Mapping[str, str]) -> None:
         words = list(self.words)
@@ -129,8 +129,8 @@ class Command:
                     os.killpg(program.pid, signal.SIGKILL)
                 program.wait()
                 if isinstance(error, subprocess.TimeoutExpired):
-                    told = f"took longer than {self.timeout_s:g} s"
-                    raise EstimatorError(told, _tail(stderr)) from None
+                    reported = f"took longer than {self.timeout_s:g} s"
+                    raise EstimatorError(reported, _tail(stderr)) from None
                 raise
             if code:
                 tail = _tail(stderr)
@@ -188,8 +188,8 @@ def run_external(estimator: Estimator, world: World, run: int, name: str) -> Rec
     except Exception as error:
         import traceback
 
-        told = str(EstimatorError(f"{type(error).__name__}: {error}"))
-        return Failure(run, told, traceback.format_exc()[-_TAIL_BYTES:])
+        reported = str(EstimatorError(f"{type(error).__name__}: {error}"))
+        return Failure(run, reported, traceback.format_exc()[-_TAIL_BYTES:])
 
 
 def errors_of(given: GivenEstimate, world: World) -> Records:

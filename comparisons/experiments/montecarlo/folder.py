@@ -101,7 +101,7 @@ def print_montecarlo(outcome: Outcome, console: Console) -> None:
     ]
     for name, figures in outcome.figures.items():
         lines.append(
-            f"{name:10}" + "".join(f"{_told(figures.consistency[block]):>14}" for block in DOF)
+            f"{name:10}" + "".join(f"{_reported(figures.consistency[block]):>14}" for block in DOF)
         )
     lines.append(f"{'RMSE':10}{'position m':>14}{'heading rad':>14}{'landmarks m':>14}")
     for name, figures in outcome.figures.items():
@@ -140,7 +140,7 @@ def _interval(band: tuple[float, float]) -> str:
     return f"{band[0]:.2f} to {band[1]:.2f}"
 
 
-def _told(consistency: Consistency) -> str:
+def _reported(consistency: Consistency) -> str:
     if consistency.place == "not given":
         return "none"
     mark = "" if consistency.place == "inside" else f"{consistency.place} "

@@ -35,13 +35,13 @@ _WHAT = {
 def study_page(outcome: Outcome, remarks: list[str]) -> str:
     """The whole page. remarks: what stands beside the figures."""
     study = outcome.study
-    told = "".join(f"<li>{escape(remark.strip())}</li>" for remark in remarks)
+    reported = "".join(f"<li>{escape(remark.strip())}</li>" for remark in remarks)
     rows = sum(pair.runs > 0 for pair in outcome.pairs)
     parts = [
         f"<header><h1>{escape(study.name)}</h1><p>{study.config.runs:,} runs of "
         f"{study.scenario.steps:,} steps, {outcome.landmarks} landmarks</p></header>",
         f'<p class="note">{escape(study.scenario.description)}</p>',
-        f'<ul class="note">{told}</ul>' if told else "",
+        f'<ul class="note">{reported}</ul>' if reported else "",
         "<h2>Consistency: mean NEES</h2>",
         _consistency(outcome),
         f'<p class="note">In brackets the exact {_LEVEL} band of the mean over the runs at one '

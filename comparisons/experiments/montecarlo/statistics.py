@@ -226,8 +226,8 @@ def _consistency(curve: Array, counted: Array, runs: int, dof: int) -> Consisten
     mean = float(_mean(counted))
     band = anees_band(runs, dof) if runs else (np.nan, np.nan)
     place: Place = "above" if not mean <= band[1] else "below" if mean < band[0] else "inside"
-    told = counted[np.isfinite(counted)]
-    share = float((told > band[1]).mean()) if len(told) else np.nan
+    reported = counted[np.isfinite(counted)]
+    share = float((reported > band[1]).mean()) if len(reported) else np.nan
     return Consistency(curve, mean, band, place, share)
 
 
@@ -245,5 +245,5 @@ def inside_at_end(kept: Tally) -> tuple[int, int, tuple[int, int]]:
 def _mean(values: Array, axis: int | None = None) -> Array:
     """Over what is told; landmarks are not before the first is mapped."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # nothing told: NaN is the answer
+        warnings.simplefilter("ignore", RuntimeWarning)  # nothing reported: NaN is the answer
         return np.asarray(np.nanmean(values, axis=axis))

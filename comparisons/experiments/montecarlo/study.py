@@ -272,9 +272,9 @@ class _ExternalJob:
             done += 1
             self.progress(name, done, runs)
         failures.sort(key=lambda one: one.seed)
-        told = self._keep_logs(name, failures)
-        if len(told) == runs:
-            first = told[0]
+        reported = self._keep_logs(name, failures)
+        if len(reported) == runs:
+            first = reported[0]
             raise InputError(
                 f"{name}: all {runs} runs failed; seed {first.seed}: {first.reason}; its log is "
                 f"{first.log}"
@@ -284,12 +284,12 @@ class _ExternalJob:
             name=name,
             runs=runs,
             used=np.ones(len(steps), dtype=bool),
-            failures=tuple(told),
+            failures=tuple(reported),
             reused=runs - len(wanted),
         )
         used = kept.used
         for run, records in enumerate(kept.records()):
-            if run not in {one.seed for one in told}:
+            if run not in {one.seed for one in reported}:
                 used = used & np.isfinite(records.position_square[0])
         return replace(kept, used=used)
 
@@ -297,13 +297,13 @@ class _ExternalJob:
         """Leave the first few logs, with what was said; what was said earlier goes."""
         for old in (self.folder / LOGS).glob(f"{name}-*.stderr"):
             old.unlink()
-        told = []
+        reported = []
         for failure in failures[:_KEPT_LOGS]:
             log = keep_log(self.study, self.folder, failure.seed)
             said = log.parent / f"{name}-{log.name}.stderr"
             said.write_text(failure.output, encoding="utf-8")
-            told.append(replace(failure, log=log))
-        return told + failures[_KEPT_LOGS:]
+            reported.append(replace(failure, log=log))
+        return reported + failures[_KEPT_LOGS:]
 
 
 def keep_log(study: Study, folder: Path, seed: int) -> Path:

@@ -10,7 +10,7 @@ from rich.console import Console
 from comparisons.atomic import fresh_folder
 from comparisons.experiments.reproduction.catalogue import FIGURES
 from comparisons.experiments.reproduction.contract import Claim, Reproduced, Skipped
-from comparisons.experiments.reproduction.gallery import gallery, told
+from comparisons.experiments.reproduction.gallery import gallery, reported
 from comparisons.experiments.reproduction.models import (
     ClaimResult,
     FigureResult,
@@ -78,7 +78,7 @@ def print_claims(result: ReproductionResult, console: Console) -> None:
         )
         for claim in figure.claims:
             if not claim.holds:
-                lines.append(f"       does not hold: {claim.text}: {told(claim)}")
+                lines.append(f"       does not hold: {claim.text}: {reported(claim)}")
                 if claim.why:
                     lines.append(f"         {claim.why}")
     lines += [f"{row.name:6} skipped: {row.reason}" for row in result.skipped]

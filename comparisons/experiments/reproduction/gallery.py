@@ -37,7 +37,7 @@ def gallery(result: ReproductionResult, pictures: Mapping[str, bytes]) -> str:
     return document("slamcheck: reproduced figures", parts)
 
 
-def told(claim: ClaimResult) -> str:
+def reported(claim: ClaimResult) -> str:
     """The number beside its limit."""
     return f"{_measured(claim)}, expected {claim.relation} {_number(claim.limit, claim.unit)}"
 

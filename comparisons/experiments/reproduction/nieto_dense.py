@@ -151,14 +151,14 @@ def _maps(name: str, layers: tuple[Layer, ...], sources: Sources) -> Maps:
         logs.append(open_log(name, choices=SimulationChoices(len(logs))))
         ours.append(map_log(logs[-1], _config(name, "recommended", layers=layers)))
     literal = [map_log(log, _config(name, "as-published", layers=layers)) for log in logs]
-    told = f"{name}, {len(ours)} drives from seed 0, {{}} of them corrected at once"
-    found = [_of_drives(told, drives) for drives in (ours, literal)]
+    reported = f"{name}, {len(ours)} drives from seed 0, {{}} of them corrected at once"
+    found = [_of_drives(reported, drives) for drives in (ours, literal)]
     return replace(found[0], literal=found[1])
 
 
-def _of_drives(told: str, drives: list[DenseMapping]) -> Maps:
+def _of_drives(reported: str, drives: list[DenseMapping]) -> Maps:
     closed = _closed(drives)
-    return Maps(told.format(len(closed)), closed, tuple(drives))
+    return Maps(reported.format(len(closed)), closed, tuple(drives))
 
 
 def _closed(drives: list[DenseMapping]) -> tuple[ClosedMap, ...]:

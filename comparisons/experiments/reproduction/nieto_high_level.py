@@ -160,16 +160,16 @@ def corner_pairs(sources: Sources) -> Pairs:
         pose, landmark = mapping.ekf.departed[-1], mapping.dense.landmark
         around = Around(layers["occupancy"], gaussians, mapping.placed, pose, landmark)
         each.append(Searched.of(log.duration_s, around, search(around, np.empty((0, 4, 2)))))
-    told = f"{len(each)} simulated drives past a building and something small, from seed 0"
-    return Pairs(told, tuple(each), _by_a_building().world.segment)
+    reported = f"{len(each)} simulated drives past a building and something small, from seed 0"
+    return Pairs(reported, tuple(each), _by_a_building().world.segment)
 
 
 def high_level_drives(sources: Sources) -> HighLevelDrives:
     """Section 6.1.3: a search every minute, seeds from 0."""
     count = min(sources.drives, MOST_DRIVES)
     logs = (open_log("occupancy-loop", choices=SimulationChoices(k, LOOPS)) for k in range(count))
-    told = f"occupancy-loop --loops {LOOPS}, {count} drives from seed 0"
-    return HighLevelDrives(told, tuple(of_log(log, EVERY_S) for log in logs))
+    reported = f"occupancy-loop --loops {LOOPS}, {count} drives from seed 0"
+    return HighLevelDrives(reported, tuple(of_log(log, EVERY_S) for log in logs))
 
 
 def of_log(log: Log, every_s: float) -> HighLevelDrive:

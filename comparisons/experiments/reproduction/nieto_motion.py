@@ -84,8 +84,8 @@ def _motion(experiment: ScanExperiment, seed: int) -> Motion:
 
 def _motions(experiment: ScanExperiment, true: Array, sources: Sources) -> Motions:
     drives = min(sources.drives, _MOST_DRIVES)
-    told = f"{experiment.name}, {drives} drives from seed 0"
-    return Motions(told, tuple(_motion(experiment, seed) for seed in range(drives)), true)
+    reported = f"{experiment.name}, {drives} drives from seed 0"
+    return Motions(reported, tuple(_motion(experiment, seed) for seed in range(drives)), true)
 
 
 def lanes(sources: Sources) -> Motions:

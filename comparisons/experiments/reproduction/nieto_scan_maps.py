@@ -91,12 +91,12 @@ def scan_maps(sources: Sources) -> ScanMaps:
     return of_logs(logs, f"scan-slam-maps, {drives} drives from seed 0")
 
 
-def of_logs(logs: list[Log], told: str) -> ScanMaps:
+def of_logs(logs: list[Log], reported: str) -> ScanMaps:
     """The same of any drives with truth. Raises InputError."""
     each = tuple(_mapped(log) for log in logs)
     cases = [case for one in each for case in cases_of(one)]
     held = basin(cases, ERRORS_M, _DRAWS, np.random.default_rng(0))
-    return ScanMaps(told, each, held, _shown(each[0]))
+    return ScanMaps(reported, each, held, _shown(each[0]))
 
 
 def _mapped(log: Log) -> ScanMap:

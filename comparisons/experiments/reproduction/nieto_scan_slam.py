@@ -208,9 +208,9 @@ def drives(sources: Sources) -> ScanDrives:
         for config in (OURS, published_config())
     )
     found = ScanDrives("", ours, thesis)
-    told = f"that of seed {found.shown.seed} drawn, whose map is corrected the most"
+    reported = f"that of seed {found.shown.seed} drawn, whose map is corrected the most"
     rules = f"ours: {ours[0].templates}; the thesis': {thesis[0].templates}"
-    return replace(found, log=f"scan-slam, {count} drives from seed 0, {told}; {rules}")
+    return replace(found, log=f"scan-slam, {count} drives from seed 0, {reported}; {rules}")
 
 
 def published_config() -> ScanLandmarksConfig:

@@ -210,16 +210,16 @@ def _draw(axis: Axes, found: Scans, error: Array, title: str) -> None:
 def draw_5_5(canvas: Canvas, found: Scans) -> None:
     """Before and after."""
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
-    _draw(left, found, found.shown.before, f"(a) as displaced: {_told(found.shown.before)}")
-    _draw(right, found, found.shown.sog, f"(b) sums of Gaussians: {_told(found.shown.sog)}")
+    _draw(left, found, found.shown.before, f"(a) as displaced: {_reported(found.shown.before)}")
+    _draw(right, found, found.shown.sog, f"(b) sums of Gaussians: {_reported(found.shown.sog)}")
 
 
 def draw_5_6(canvas: Canvas, found: Scans) -> None:
     """The same after ICP."""
-    _draw(canvas.add_subplot(), found, found.shown.icp, f"ICP: {_told(found.shown.icp)}")
+    _draw(canvas.add_subplot(), found, found.shown.icp, f"ICP: {_reported(found.shown.icp)}")
 
 
-def _told(error: Array) -> str:
+def _reported(error: Array) -> str:
     return f"off by {np.hypot(*error[:2]):.2g} m, {np.rad2deg(abs(error[2])):.2g} deg"
 
 

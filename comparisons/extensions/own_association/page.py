@@ -51,8 +51,8 @@ def association_differences(own: OwnAssociationCheck, run: EkfRun) -> str:
         misses = (number(squared**0.5) for squared in cost)
         rows.append((key, (str(row), f"{time_s[row]:.3f}", filters, smoothers, *misses)))
     count, more = len(own.differing), len(own.differing) - len(rows)
-    told = f"{count:,} of {len(own.landmark_index):,} measurements differ"
-    told += f"; the first {len(rows):,} are listed, {more:,} more are not." if more else "."
+    reported = f"{count:,} of {len(own.landmark_index):,} measurements differ"
+    reported += f"; the first {len(rows):,} are listed, {more:,} more are not." if more else "."
     head = (
         "measurement",
         "time [s]",
@@ -62,6 +62,6 @@ def association_differences(own: OwnAssociationCheck, run: EkfRun) -> str:
         "misses the smoother's [sigma]",
     )
     return (
-        f'<h2>Associations that differ</h2><p class="note">{told}</p>'
+        f'<h2>Associations that differ</h2><p class="note">{reported}</p>'
         f"{sortable('association', head, rows) if rows else ''}"
     )

@@ -46,7 +46,7 @@ def own_matching_result(own: OwnMatchingCheck, time_s: Array) -> OwnMatchingResu
 def own_matching_rows(result: OwnMatchingResult) -> list[Row]:
     """Return how the alignments compare, how the estimates do, and the accuracy."""
     shift = np.hypot(*result.shift_m)
-    told = (f"{count:,} {reason}" for reason, count in result.reasons.items() if count)
+    reported = (f"{count:,} {reason}" for reason, count in result.reasons.items() if count)
     return [
         Row(
             "own matcher",
@@ -55,7 +55,7 @@ def own_matching_rows(result: OwnMatchingResult) -> list[Row]:
             f"apart (rms), together {shift:.3f} m and {np.degrees(result.shift_rad):.2f} degrees "
             f"({_shown(result.shift_sigma)} sigma)",
         ),
-        Row("its matches", ", ".join(told) or "none"),
+        Row("its matches", ", ".join(reported) or "none"),
         *(
             Row(
                 "with it",

@@ -74,7 +74,7 @@ def published_rule() -> TemplateRule:
 def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
     """Return how many agree, and what became of the measurements."""
     agreeing = sum(row.agrees for row in result.landmarks)
-    told = (f"{count:,} {reason}" for reason, count in result.measurements.items() if count)
+    reported = (f"{count:,} {reason}" for reason, count in result.measurements.items() if count)
     return [
         Row(
             "scan landmarks",
@@ -86,7 +86,7 @@ def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
             + (f", {result.enriched:,} alignments enriched" if result.enriched else ""),
         ),
         *([Row("their templates", rule_text(result.rule))] if result.rule else ()),
-        Row("their measurements", ", ".join(told) or "none"),
+        Row("their measurements", ", ".join(reported) or "none"),
     ]
 
 

@@ -112,8 +112,8 @@ def _shown(moved: Reckoned, fixes: Positions, start: Array) -> tuple[Array, Arra
     arrived[:, 0, 2], arrived[:, 1, 2] = place.imag, -place.real
     added = arrived @ moved.covariance @ arrived.transpose(0, 2, 1)
     total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
-    told = np.column_stack([np.interp(fixes.time_s, moved.time_s, one) for one in total.T])
-    noise = np.diff(told, axis=0, prepend=np.zeros((1, 9))).reshape(-1, 3, 3)
+    reported = np.column_stack([np.interp(fixes.time_s, moved.time_s, one) for one in total.T])
+    noise = np.diff(reported, axis=0, prepend=np.zeros((1, 9))).reshape(-1, 3, 3)
     lever = turn * _at(fixes.time_s, moved.time_s, moved.antenna)
     slopes = np.tile(np.eye(2, 3), (len(lever), 1, 1))
     slopes[:, 0, 2], slopes[:, 1, 2] = -lever.imag, lever.real

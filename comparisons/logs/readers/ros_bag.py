@@ -65,9 +65,9 @@ class Bag:
         known = {str(c.topic): str(c.msgtype) for c in reader.connections}
         for name in chosen:
             if name not in known:
-                told = ", ".join(f"{one} ({kind})" for one, kind in sorted(known.items()))
+                reported = ", ".join(f"{one} ({kind})" for one, kind in sorted(known.items()))
                 raise InputError(
-                    f"{path}: no topic {shorten(name)}, expected some of {shorten(told, 2000)}"
+                    f"{path}: no topic {shorten(name)}, expected some of {shorten(reported, 2000)}"
                 )
         for name in chosen:
             same = [one for one in chosen if known[one] == known[name]]

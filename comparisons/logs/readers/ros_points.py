@@ -139,8 +139,11 @@ def fix(message: Any, place: str) -> Array | None:
             f"{place}: latitude and longitude are {values[:2].tolist()}, expected up to 90 and 360"
         )
     covariance = np.asarray(message.position_covariance, dtype=float).reshape(3, 3)[:2, :2]
-    told = int(message.position_covariance_type) > 0 and np.isfinite(covariance).all()
-    if not told or not _LEAST_VARIANCE <= np.linalg.eigvalsh(covariance)[0] <= LARGEST_VARIANCE**2:
+    reported = int(message.position_covariance_type) > 0 and np.isfinite(covariance).all()
+    if (
+        not reported
+        or not _LEAST_VARIANCE <= np.linalg.eigvalsh(covariance)[0] <= LARGEST_VARIANCE**2
+    ):
         covariance = np.full((2, 2), np.nan)
     return np.concatenate((values, ((covariance + covariance.T) / 2).ravel()))
 

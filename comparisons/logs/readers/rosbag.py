@@ -150,9 +150,9 @@ def _instants(
     if moved is not None and "measurements" in kept:  # may be rare, while the vehicle drives on
         start = int(moved.time_ns[0])
         wanted, sampled = ((ns - start) / 1e9 for ns in (instants, moved.time_ns))
-        told = instants_of(wanted, sampled)
+        reported = instants_of(wanted, sampled)
         both = np.concatenate((instants, moved.time_ns))
-        instants = np.unique(both[np.isin(np.concatenate((wanted, sampled)), told)])
+        instants = np.unique(both[np.isin(np.concatenate((wanted, sampled)), reported)])
     start = int(instants[0])
     outside = sum(len(s.items) for s in found.values()) - sum(len(s.items) for s in kept.values())
     provenance |= {
@@ -198,8 +198,8 @@ class _Frame:
         """(4, 4) from the stream's frame into the base's; the identity where that is not told."""
         motion = _motion(stream.frame, self.base, self.transforms)
         if motion is None:
-            told = f"unknown ({stream.frame} from {self.base or 'the base'}), taken as the pose"
-            self.provenance[key] = told
+            reported = f"unknown ({stream.frame} from {self.base or 'the base'}), taken as the pose"
+            self.provenance[key] = reported
             return np.eye(4)
         self.provenance[key] = f"{stream.frame} seen from {self.base}"
         return motion
@@ -230,8 +230,8 @@ class _Drive:
         if added is None:
             return stated, f"{NOISE_TEXT}, for {words}"
         total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
-        told = np.column_stack([np.interp(self.time_s, sample_s, one) for one in total.T])
-        covariance = np.diff(told, axis=0).reshape(-1, 3, 3) + _LEAST_SIGMA**2 * np.eye(3)
+        reported = np.column_stack([np.interp(self.time_s, sample_s, one) for one in total.T])
+        covariance = np.diff(reported, axis=0).reshape(-1, 3, 3) + _LEAST_SIGMA**2 * np.eye(3)
         words += f", and {_LEAST_SIGMA:g} m and rad a motion"
         return RelativePoses(stated.time_s, stated.displacement, covariance), words
 
@@ -376,7 +376,7 @@ def _stream(
         return None
     topic = topics[0]
     others = ", ".join(f"{t.name} ({t.count})" for t in topics[1:10])
-    told = f"{topic.name}, {topic.count} messages" + (f"; not read: {others}" if others else "")
+    reported = f"{topic.name}, {topic.count} messages" + (f"; not read: {others}" if others else "")
     items, stamps, recorded, frames = [], [], [], []
     empty = 0
     for place, recorded_ns, message in bag.messages(topic):
@@ -391,12 +391,12 @@ def _stream(
             raise InputError(
                 f"{place}: frame is {frames[-1]}, expected {frames[0]} as in the first"
             )
-    told += f"; {empty} that hold nothing" if empty else ""
-    provenance[kind.rsplit("/", 1)[1]] = told
+    reported += f"; {empty} that hold nothing" if empty else ""
+    provenance[kind.rsplit("/", 1)[1]] = reported
     if not items:
         return None
     if not any(stamps):
-        stamps, told = recorded, told + "; times of recording, the headers hold none"
+        stamps, reported = recorded, reported + "; times of recording, the headers hold none"
     steps = [later - earlier for earlier, later in pairwise(stamps)]
     for row, step in enumerate(steps, start=1):
         if step < 0:
@@ -408,8 +408,8 @@ def _stream(
         raise InputError(f"{bag.path}: {topic.name}: times from {stamps[0]} to {stamps[-1]} ns")
     fresh = [0, *(row for row, step in enumerate(steps, start=1) if step)]
     if len(fresh) < len(items):
-        told += f"; {len(items) - len(fresh)} with a repeated time left out"
-    provenance[kind.rsplit("/", 1)[1]] = told
+        reported += f"; {len(items) - len(fresh)} with a repeated time left out"
+    provenance[kind.rsplit("/", 1)[1]] = reported
     return _Stream(
         topic,
         np.array([stamps[row] for row in fresh], dtype=np.int64),

@@ -112,11 +112,11 @@ def draw_map(c: MapContent) -> DrawnMap:
         drawing.path(f"{name} trajectory", colour, path, track.dashes, name)
         times[name] = np.round(track.time_s[row], 3).tolist()
         if track.landmark is not None and np.isfinite(track.landmark).any():
-            told = [f"{name}, {label}" for label in c.labels]
+            reported = [f"{name}, {label}" for label in c.labels]
             if track.landmark_covariance is not None:
                 outline = ellipses(track.landmark, track.landmark_covariance, _SIGMAS, 32)
-                drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, told)
-            drawing.marks(f"{name} landmarks", colour, track.landmark, told, c.keys)
+                drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, reported)
+            drawing.marks(f"{name} landmarks", colour, track.landmark, reported, c.keys)
     for draw in c.above:
         draw(drawing)
     return DrawnMap(drawing, times, _differences(drawing, c), outside)
@@ -165,9 +165,9 @@ def _differences(drawing: Drawing, c: MapContent) -> float:
     drawing.links("differences", "#7b4fa3", second, first)
     if np.isfinite(c.ratio).any():
         pairs = zip(c.labels, c.ratio.tolist(), strict=True)
-        told = [f"{label}; variance ratio {ratio:.3g}" for label, ratio in pairs]
+        reported = [f"{label}; variance ratio {ratio:.3g}" for label, ratio in pairs]
         colours = ratio_colours(c.ratio, decades)
-        drawing.marks(RATIO_LAYER, "#666666", second, told, c.keys, colours, shown=False)
+        drawing.marks(RATIO_LAYER, "#666666", second, reported, c.keys, colours, shown=False)
     return decades
 
 

@@ -28,7 +28,7 @@ class PageContent:
     """What a job puts on its page, in the order in which it stands there. Texts may hold anything.
 
     name: of the log. headline: the verdict in full. colour: `agree`, `disagree` or `unverified`.
-    about: of log and estimate. told: what the curves show, and why others are not there.
+    about: of log and estimate. reported: what the curves show, and why others are not there.
     curves_file: a picture with the same curves. pictures: files, to be embedded. sections: HTML of
     ours. landmarks_note: above the table of landmarks, or in its place.
     """
@@ -41,7 +41,7 @@ class PageContent:
     causes: Sequence[CauseResult]
     remarks: Sequence[str]
     map: MapContent
-    told: str
+    reported: str
     panels: Sequence[Panel]
     curves_file: str = ""
     rows: Sequence[Row]
@@ -79,7 +79,7 @@ def page(content: PageContent) -> str:
         f'{ratio_legend(drawn.decades)}<p id="told" role="status"></p>',
         f'<p class="note">{escape(off)}{_HINT["map"]}</p></section>',
         f'<section id="when"><h2>Curves <span id="now"></span></h2>'
-        f'<p class="note">{escape(c.told)}</p>',
+        f'<p class="note">{escape(c.reported)}</p>',
         f'<div id="curves"></div><p class="note">{_HINT["curves"]}</p></section></main>',
         "<h2>Figures</h2>",
         table(("", ""), c.rows),

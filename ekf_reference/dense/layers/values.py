@@ -41,19 +41,19 @@ class Values(PointLayer):
         """Average in the values of returns, late ones as well."""
         if hits.value is None:
             return
-        told = np.flatnonzero(np.isfinite(hits.value))
-        value, region = hits.value[told], hits.region[told]
+        reported = np.flatnonzero(np.isfinite(hits.value))
+        value, region = hits.value[reported], hits.region[reported]
         old, where = self._placed(placed, np.union1d(near, region))
-        row = np.full(len(told), len(where), dtype=np.intp)
-        if len(where) and len(told):
-            row = cKDTree(where).query(hits.point[told], distance_upper_bound=self._reach_m)[1]
+        row = np.full(len(reported), len(where), dtype=np.intp)
+        if len(where) and len(reported):
+            row = cKDTree(where).query(hits.point[reported], distance_upper_bound=self._reach_m)[1]
         met = row < len(where)
         if met.any():
             old.value[:, 2:] = _pooled(old.value[:, 2:], row[met], value[met])
             self._store.put(old)
         rest = np.flatnonzero(~met)
         none = np.zeros(len(rest))
-        columns = hits.local[told[rest]], none + 1.0, value[rest], none
+        columns = hits.local[reported[rest]], none + 1.0, value[rest], none
         self._store.append(region[rest], np.column_stack(columns))
 
     def around(self, point: Array, placed: RegionsAtMap, reach_m: float) -> PlaceValues:

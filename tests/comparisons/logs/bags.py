@@ -95,9 +95,11 @@ class Types:
         zero = self.make(name + "Vector3", 0.0, 0.0, 0.0)
         spread = [np.zeros(36), np.zeros(36)]
         for values, key in zip(spread, ("pose_covariance", "twist_variances"), strict=True):
-            told = np.asarray(changes.pop(key, np.zeros(3)), dtype=float)
+            reported = np.asarray(changes.pop(key, np.zeros(3)), dtype=float)
             six = np.zeros((6, 6))
-            six[np.ix_((0, 1, 5), (0, 1, 5))] = told if told.ndim == 2 else np.diag(told)
+            six[np.ix_((0, 1, 5), (0, 1, 5))] = (
+                reported if reported.ndim == 2 else np.diag(reported)
+            )
             values[:] = six.ravel()
         kind = "nav_msgs/msg/Odometry"
         message = self.make(

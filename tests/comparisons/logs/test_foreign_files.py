@@ -51,9 +51,11 @@ class Circle(NamedTuple):
 def circle(count: int = 320) -> Circle:
     rng = np.random.default_rng(4)
     controls = np.column_stack((np.full(count, SPEED), np.full(count, RATE)))
-    told = controls + rng.normal(0.0, (WHEELS["sigma_speed_mps"], WHEELS["sigma_turn"]), (count, 2))
+    reported = controls + rng.normal(
+        0.0, (WHEELS["sigma_speed_mps"], WHEELS["sigma_turn"]), (count, 2)
+    )
     paths = []
-    for speed, turn in (controls.T, told.T):
+    for speed, turn in (controls.T, reported.T):
         heading = np.concatenate(([0.0], np.cumsum(turn * STEP_S)))
         middle = (heading[:-1] + heading[1:]) / 2
         place = np.concatenate(([0.0], np.cumsum(speed * STEP_S * np.exp(1j * middle))))
@@ -68,7 +70,7 @@ def circle(count: int = 320) -> Circle:
                 z = (abs(ray), np.angle(ray)) + rng.normal(0.0, (0.05, 0.01))
                 seen.append((k * STEP_S, post, *z.tolist()))
     time_s = STEP_S * np.arange(count)
-    return Circle(time_s, told[:, 0], told[:, 1], reckoned, seen, truth)
+    return Circle(time_s, reported[:, 0], reported[:, 1], reckoned, seen, truth)
 
 
 DRIVE = circle()

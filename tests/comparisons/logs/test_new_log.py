@@ -141,10 +141,10 @@ def test_poses_become_motions(tmp_path: Path) -> None:
     assert log.provenance["odometry_noise"].startswith("stated: 0.1 m per root metre")
     assert "left out: 1 of 3 measurements, before or after the odometry" in notes
     sigmas = {"sigma_move_m": 0.02, "sigma_turn": 0.01}
-    told = build(files(tmp_path, POSES, trees, stated=SIGMAS | sigmas)).log.odometry
-    assert isinstance(told, RelativePoses)
-    assert np.allclose(told.covariance[0], 2.5 * np.diag((0.02, 0.02, 0.01)) ** 2)
-    assert np.allclose(told.covariance.sum(axis=0), 20 * np.diag((0.02, 0.02, 0.01)) ** 2)
+    reported = build(files(tmp_path, POSES, trees, stated=SIGMAS | sigmas)).log.odometry
+    assert isinstance(reported, RelativePoses)
+    assert np.allclose(reported.covariance[0], 2.5 * np.diag((0.02, 0.02, 0.01)) ** 2)
+    assert np.allclose(reported.covariance.sum(axis=0), 20 * np.diag((0.02, 0.02, 0.01)) ** 2)
 
 
 def test_motions_with_covariances(tmp_path: Path) -> None:
@@ -243,8 +243,8 @@ def test_sigmas_are_stated_once_and_where_they_are_needed(tmp_path: Path) -> Non
     for value in (0.0, float("nan")):
         with pytest.raises(InputError, match=r"--sigma-range is .*, expected between 1e-07 and"):
             build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_range_m": value}))
-    told = "id,range,bearing,t,sigma_range,sigma_bearing_deg\n1,5,0,0.1,0.2,1\n"
-    log = build(files(tmp_path, trees=told, stated=WHEELS)).log
+    reported = "id,range,bearing,t,sigma_range,sigma_bearing_deg\n1,5,0,0.1,0.2,1\n"
+    log = build(files(tmp_path, trees=reported, stated=WHEELS)).log
     assert log.measurements.sigma_range_m.tolist() == [0.2]
     assert np.allclose(log.measurements.sigma_bearing_rad, np.deg2rad(1.0))
 

@@ -36,12 +36,12 @@ def test_a_topic_is_chosen_by_name(tmp_path: Path) -> None:
     path = T.write(tmp_path / "bag", [*few, *many, T.static(("a", "b", 0, 0, 0, 0))])
     assert read_log(path).provenance["LaserScan"].startswith("/b, 3 messages")
     assert read_log(path, topics=("/a",)).provenance["LaserScan"].startswith("/a, 2 messages")
-    told = (
+    reported = (
         "bag: no topic /scan, expected some of /a (sensor_msgs/msg/LaserScan), "
         "/b (sensor_msgs/msg/LaserScan), /tf_static (tf2_msgs/msg/TFMessage)"
     )
     for topics, message in (
-        (("/scan",), told),
+        (("/scan",), reported),
         (("/a", "/b"), "topic /b is of the same type, expected one of each"),
         (("/tf_static",), "topic /tf_static is of type tf2_msgs/msg/TFMessage, expected one of"),
     ):
@@ -194,9 +194,9 @@ def test_the_start_that_fixes_show_is_as_certain_as_it_says() -> None:
     rng = np.random.default_rng(5)
     nees = np.zeros((count, 2))
     for drive, row in enumerate(nees):
-        told = np.tile((1.0, 0.0, 0.05), (steps, 1))
-        true = _chained(told + sigma * rng.normal(size=(steps, 3)))
-        pose, place = _chained(told), true[:, :2] @ np.array([1.0, 1j])
+        reported = np.tile((1.0, 0.0, 0.05), (steps, 1))
+        true = _chained(reported + sigma * rng.normal(size=(steps, 3)))
+        pose, place = _chained(reported), true[:, :2] @ np.array([1.0, 1j])
         heading = rng.uniform(-np.pi, np.pi)
         fixes = np.exp(1j * heading) * (place + np.exp(1j * true[:, 2])) + complex(30, drive)
         seen = np.column_stack((fixes.real, fixes.imag)) + 0.5 * rng.normal(size=(steps + 1, 2))
@@ -237,12 +237,12 @@ def test_covariances_of_odometry(tmp_path: Path) -> None:
     assert words.startswith("Odometry's twist covariances")
     assert np.allclose(found.covariance[0], np.diag((0.04, 0.0, 0.01)) + floor)
     assert np.allclose(found.covariance[1], np.diag((0.08, 0.0, 0.02)) + floor)
-    grown, added, told = np.zeros((3, 3)), np.diag((0.02, 0.01, 0.005)), []
+    grown, added, reported = np.zeros((3, 3)), np.diag((0.02, 0.01, 0.005)), []
     for t in range(5):
-        told.append(T.odometry(EPOCH + t, float(t), pose_covariance=grown.copy()))
+        reported.append(T.odometry(EPOCH + t, float(t), pose_covariance=grown.copy()))
         carry = np.array(((1, 0, 0), (0, 1, 1.0), (0, 0, 1)))
         grown = carry @ grown @ carry.T + added
-    found, words = noise(tmp_path / "pose", told)
+    found, words = noise(tmp_path / "pose", reported)
     assert words.startswith("the growth of Odometry's pose covariances")
     assert np.allclose(found.covariance[0], added + floor)
     assert np.allclose(found.covariance[1], 2 * added + floor)

@@ -182,12 +182,14 @@ def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_bad_scenarios(change: tuple[str, str], told: str, scenario: Path, tmp_path: Path) -> None:
+def test_bad_scenarios(
+    change: tuple[str, str], reported: str, scenario: Path, tmp_path: Path
+) -> None:
     text = scenario.read_text()
     assert change[0] in text
     path = tmp_path / "bad.toml"
     path.write_text(text.replace(*change))
-    with pytest.raises(InputError, match=told) as fault:
+    with pytest.raises(InputError, match=reported) as fault:
         build_world(read_scenario(str(path)))
     assert "\n" not in str(fault.value)
 
@@ -195,14 +197,14 @@ def test_bad_scenarios(change: tuple[str, str], told: str, scenario: Path, tmp_p
 def test_usage_faults_are_one_line(scenario: Path, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "bad.toml").write_text("steps = 0\n")
-    for arguments, told in (
+    for arguments, reported in (
         ((str(tmp_path / "bad.toml"),), "bad.toml: "),
         ((str(scenario), "--out", str(tmp_path)), "already holds bad.toml"),
     ):
         done = slamcheck(*arguments)
         assert done.returncode == 2
         assert done.stderr.count("\n") == 1
-        assert told in done.stderr
+        assert reported in done.stderr
     with pytest.raises(InputError, match="neither a file nor one of"):
         read_scenario("nowhere")
     with pytest.raises(InputError, match=r"filters\.1 is 'ukf': input should be 'ekf', 'fej', "):

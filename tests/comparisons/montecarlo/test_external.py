@@ -142,8 +142,8 @@ def test_the_log_handed_out_holds_no_truth(tmp_path: Path) -> None:
     files = {p.name for p in (tmp_path / "given").iterdir()}
     assert files == {"log.toml", "odometry.csv", "measurements.csv"}
     assert truths(tmp_path / "given") == []
-    told = replace(seen[0], truth=Truth(Poses(np.array([0.0]), np.zeros((1, 3)))))
-    write_log_folder(told, tmp_path / "told")
+    reported = replace(seen[0], truth=Truth(Poses(np.array([0.0]), np.zeros((1, 3)))))
+    write_log_folder(reported, tmp_path / "told")
     assert truths(tmp_path / "told") == ["truth_poses.csv"]
 
 
@@ -219,8 +219,8 @@ def test_a_command_that_hangs_is_ended_with_its_children(tmp_path: Path) -> None
         ("ekf=python f.py {log} {out}", "estimator 'ekf': expected up to 20 of a-z"),
     ],
 )
-def test_commands_that_are_none(text: str, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_commands_that_are_none(text: str, reported: str) -> None:
+    with pytest.raises(InputError, match=reported):
         parse([text])
 
 
@@ -327,14 +327,14 @@ BROKEN: dict[str, tuple[Callable[[Estimate], object], str]] = {
 
 @pytest.mark.parametrize("how", BROKEN)
 def test_an_estimate_that_is_no_whole_one_fails(how: str, scenario: Path) -> None:
-    broken, told = BROKEN[how]
+    broken, reported = BROKEN[how]
 
     def mine(log: Log) -> Estimate:
         found = ekf(log)
         return broken(found) if log.name == "short-1" else found  # type: ignore[return-value]
 
     outcome = montecarlo(str(scenario), 2, estimators={"mine": mine})
-    assert [(one.seed, one.reason) for one in outcome.failures["mine"]] == [(1, told)]
+    assert [(one.seed, one.reason) for one in outcome.failures["mine"]] == [(1, reported)]
     with pytest.raises(InputError, match="mine: all 2 runs failed; seed 0: "):
         montecarlo(str(scenario), 2, estimators={"mine": lambda log: broken(ekf(log))})  # type: ignore[dict-item, return-value]
 

@@ -37,11 +37,11 @@ def finished(scenario: Path) -> Path:
     return out
 
 
-def assert_refused(*arguments: str, told: tuple[str, ...], out: Path) -> None:
+def assert_refused(*arguments: str, reported: tuple[str, ...], out: Path) -> None:
     done = slamcheck(*arguments, "--out", str(out))
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    for one in told:
+    for one in reported:
         assert one in done.stderr
     assert not out.exists()
 
@@ -77,8 +77,8 @@ def test_a_scenario_that_has_changed_is_refused(
 ) -> None:
     config, text = str(finished / "config.toml"), scenario.read_text()
     scenario.write_text(text.replace("sigma_share = 0.1", "sigma_share = 0.2"))
-    told = (f"{scenario}: has changed since", "give --allow-changed-scenario")
-    assert_refused(config, told=told, out=tmp_path / "b")
+    reported = (f"{scenario}: has changed since", "give --allow-changed-scenario")
+    assert_refused(config, reported=reported, out=tmp_path / "b")
     done = slamcheck(config, "--allow-changed-scenario", "--out", str(tmp_path / "b"))
     assert done.returncode == 0, done.stderr
     found, kept = (json.loads((tmp_path / x / "montecarlo.json").read_text()) for x in "ba")
@@ -96,7 +96,7 @@ def test_words_do_not_change_a_scenario(scenario: Path) -> None:
 @pytest.mark.slow
 def test_what_is_wrong_is_named_in_one_line(finished: Path, tmp_path: Path) -> None:
     text, mine, out = (finished / "config.toml").read_text(), tmp_path / "my.toml", tmp_path / "b"
-    for change, told in (
+    for change, reported in (
         (('"riekf"', '"ukf"'), ("filters.0 is 'ukf'", "'ekf', 'fej', 'oc', 'riekf' or 'ideal'")),
         (("runs = 4", "run = 4"), ("run: is unknown", "job, scenario, runs, filters, sha256")),
         (("runs = 4", "runs = 0"), ("runs is 0", "greater than or equal to 1")),
@@ -106,9 +106,11 @@ def test_what_is_wrong_is_named_in_one_line(finished: Path, tmp_path: Path) -> N
     ):
         assert change[0] in text
         mine.write_text(text.replace(*change, 1))
-        assert_refused(str(mine), told=(f"{mine}: ", *told), out=out)
-    assert_refused("--filters", "ekf,ukf", told=("filters.1 is 'ukf'", "'ekf', 'fej'"), out=out)
-    assert_refused("--filters", ",", told=("filters: empty, expected some of ekf, fej",), out=out)
+        assert_refused(str(mine), reported=(f"{mine}: ", *reported), out=out)
+    assert_refused("--filters", "ekf,ukf", reported=("filters.1 is 'ukf'", "'ekf', 'fej'"), out=out)
+    assert_refused(
+        "--filters", ",", reported=("filters: empty, expected some of ekf, fej",), out=out
+    )
 
 
 def test_a_study_is_named_by_its_scenario_wherever_it_lies(scenario: Path) -> None:
@@ -132,7 +134,7 @@ def test_a_path_that_no_settings_can_hold_is_refused_before_the_work(
         pytest.skip("the file system has no such names")
     place = folder / "mine.toml"
     place.write_text(scenario.read_text())
-    assert_refused(str(place), told=("its full name is not UTF-8",), out=tmp_path / "b")
+    assert_refused(str(place), reported=("its full name is not UTF-8",), out=tmp_path / "b")
 
 
 def test_settings_and_scenarios_are_told_apart(scenario: Path) -> None:

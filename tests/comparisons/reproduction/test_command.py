@@ -184,10 +184,10 @@ def test_processes_find_the_same() -> None:
 
 
 def test_each_experiment_runs_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[str, int, int]] = []
+    reported: list[tuple[str, int, int]] = []
     monkeypatch.setattr(catalogue, "FIGURES", (figure("A1"), figure("B1")))
-    runner.reproduce(("all",), Sources(), progress=lambda *step: told.append(step))
-    assert [step[1:] for step in told] == [(0, 2), (1, 2), (2, 2)]
+    runner.reproduce(("all",), Sources(), progress=lambda *step: reported.append(step))
+    assert [step[1:] for step in reported] == [(0, 2), (1, 2), (2, 2)]
 
 
 @pytest.mark.slow

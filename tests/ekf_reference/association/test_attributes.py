@@ -45,15 +45,15 @@ def mapped(points: list[tuple[float, float]], pose_covariance: np.ndarray) -> Ka
 def seen(z: np.ndarray, value: np.ndarray, sigma: float | np.ndarray) -> Measurements:
     """Measurements (m, 2) with attributes (m, A)."""
     noise = diagonal_noise(np.tile(SIGMA, (len(z), 1)))
-    told = MeasuredAttributes(value, np.broadcast_to(np.square(sigma), value.shape))
-    return Measurements(z, noise, np.full(len(z), -1), attributes=told)
+    reported = MeasuredAttributes(value, np.broadcast_to(np.square(sigma), value.shape))
+    return Measurements(z, noise, np.full(len(z), -1), attributes=reported)
 
 
 def remembered(mean: np.ndarray, sigma: np.ndarray, repeats: float = 1.0) -> AttributeEstimates:
     """Landmarks (L, A) whose attributes are known to a sigma (L, A), NaN for unknown."""
     memory = AttributeEstimates(np.full(mean.shape[1], repeats))
-    told = seen(np.ones((len(mean), 2)), mean, sigma)
-    memory.note(np.arange(len(mean)), told.attributes)
+    reported = seen(np.ones((len(mean), 2)), mean, sigma)
+    memory.note(np.arange(len(mean)), reported.attributes)
     return memory
 
 
@@ -92,13 +92,13 @@ def test_the_density_is_the_product_of_the_gaussians() -> None:
     rng = np.random.default_rng(1)
     mean, sigma = rng.normal(size=(3, 2)), rng.uniform(0.1, 2.0, (3, 2))
     memory = remembered(mean, sigma)
-    told = seen(np.ones((4, 2)), rng.normal(size=(4, 2)), 0.3)
-    found = memory.distances(np.array([2, 0]), told)
+    reported = seen(np.ones((4, 2)), rng.normal(size=(4, 2)), 0.3)
+    found = memory.distances(np.array([2, 0]), reported)
     for i, j in product(range(4), range(2)):
         own = norm(mean[(2, 0)[j]], np.hypot(sigma[(2, 0)[j]], 0.3))
-        log_density = float(own.logpdf(told.attributes.value[i]).sum()) + np.log(2.0 * np.pi)
+        log_density = float(own.logpdf(reported.attributes.value[i]).sum()) + np.log(2.0 * np.pi)
         assert np.isclose(found.n[i, j], -2.0 * log_density, rtol=1e-10)
-        innovation = told.attributes.value[i] - mean[(2, 0)[j]]
+        innovation = reported.attributes.value[i] - mean[(2, 0)[j]]
         assert np.isclose(found.nis[i, j], np.sum((innovation / own.std()) ** 2), rtol=1e-10)
     assert (found.dof == 2).all()
 

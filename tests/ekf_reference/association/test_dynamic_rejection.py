@@ -31,7 +31,7 @@ class Yard:
 
 
 def drive(
-    kind: str, rule: Association, yard: Yard | None, told_at: int = 6, seed: int = 0
+    kind: str, rule: Association, yard: Yard | None, reported_at: int = 6, seed: int = 0
 ) -> tuple[Ekf, DynamicRejection | None, list[NDArray[np.intp]]]:
     """Twenty steps east past LANDMARK; all that is within 16 m is seen."""
     rng = np.random.default_rng(seed)
@@ -42,7 +42,7 @@ def drive(
     x = 0.0
     for k in range(20):
         if yard is not None:
-            yard.known = k >= told_at
+            yard.known = k >= reported_at
         step = rng.multivariate_normal((2.0, 0.0, 0.0), noise)
         x += 2.0
         ekf.predict(step, noise, 1.0)

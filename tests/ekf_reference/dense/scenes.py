@@ -63,7 +63,7 @@ def field() -> tuple[Array, LocalRegions]:
     return lattice(np.array([0.0, -5.0]), np.array([20.0, 15.0]), 5.0)
 
 
-def told(
+def reported(
     placed: RegionsAtMap, scan: Scan, late: bool = False
 ) -> tuple[Hits, RegionsAtMap, Scan | None, Index]:
     """What a dense map tells its layers of a scan."""
@@ -125,5 +125,5 @@ def mapped(name: str) -> Layer:
     placed, scans = simulation()
     filled = layer(name)
     for scan in scans:
-        filled.fuse(*told(placed, scan))
+        filled.fuse(*reported(placed, scan))
     return filled

@@ -15,7 +15,7 @@ from ekf_reference.dense.low_pass import LowPass
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense import scenes
-from tests.ekf_reference.dense.scenes import field, told
+from tests.ekf_reference.dense.scenes import field, reported
 
 SENSOR = replace(scenes.SENSOR, sigma_range_m=0.2)
 HERE = np.array([1.0, 5.0, 0.0])
@@ -45,7 +45,7 @@ def watched(
     placed = regions.placed(landmark)
     for k, y in enumerate(north):
         scan = scene(None if y is None else np.array((east, y)), rng)
-        hits, _, _, near = told(placed, scan)
+        hits, _, _, near = reported(placed, scan)
         layer.fuse(hits, placed, scan, near, 0.1 * k)
     return layer, placed
 
@@ -120,7 +120,7 @@ def test_slow_motion_shows_between_two_visits() -> None:
     placed = regions.placed(landmark)
     for k, y in enumerate([*first, *again]):
         scan = scene(None if y is None else np.array((8.0, y)), rng)
-        hits, _, _, near = told(placed, scan)
+        hits, _, _, near = reported(placed, scan)
         layer.fuse(hits, placed, scan, near, 0.1 * k + (60.0 if k >= 20 else 0.0))
     cells = layer.points(placed)
     assert layer.counters.fast == 0
@@ -138,7 +138,7 @@ def test_a_scene_that_is_all_moving_is_all_dynamic() -> None:
         range_m = (9.0 if (k // 15) % 2 else 14.0) / np.cos(BEARING)
         noisy = range_m + 0.1 * rng.standard_normal(len(range_m))
         scan = Scan.of_ranges(HERE, BEARING, noisy, SENSOR)
-        hits, _, _, near = told(placed, scan)
+        hits, _, _, near = reported(placed, scan)
         layer.fuse(hits, placed, scan, near, 0.1 * k)
     north = np.linspace(-1.0, 11.0, 25)
     wall = np.column_stack((np.full(25, HERE[0] + 9.0), north))
@@ -154,7 +154,7 @@ def test_a_region_that_changes_its_shape_is_not_compared() -> None:
         moved = landmark + np.where(np.arange(len(landmark)) % 2, 0.05 * k, 0.0)[:, None]
         placed = regions.placed(moved)
         scan = scene(np.array((8.0, 5.0)), rng)
-        hits, _, _, near = told(placed, scan)
+        hits, _, _, near = reported(placed, scan)
         layer.fuse(hits, placed, scan, near, 0.1 * k)
     assert layer.counters.deformed > 5 * layer.counters.compared
     assert not len(layer.regions)

@@ -16,7 +16,7 @@ from ekf_reference.dense.layers.gaussians import (
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import local_jacobians
-from tests.ekf_reference.dense.scenes import field, mapped, simulation, told, wall_scan
+from tests.ekf_reference.dense.scenes import field, mapped, reported, simulation, wall_scan
 from tests.ekf_reference.numerics import random_covariance
 
 NOWHERE = np.empty(0, dtype=np.intp)
@@ -103,7 +103,7 @@ def test_ellipses_turn_and_shear_with_the_landmarks() -> None:
     landmark, regions = field()
     placed, layer, rng = regions.placed(landmark), Gaussians(), np.random.default_rng(0)
     for _ in range(4):
-        layer.fuse(*told(placed, wall_scan(rng=rng)))
+        layer.fuse(*reported(placed, wall_scan(rng=rng)))
     before = layer.ellipses(placed)
     matrix = np.array([(0.6, -0.9), (0.8, 0.5)])
     after = layer.ellipses(regions.placed(landmark @ matrix.T + (3.0, 0.0)))
@@ -131,7 +131,7 @@ def test_numbers_and_widths_level_off_in_a_scene_that_stays() -> None:
     placed, layer, rng = place(), Gaussians(), np.random.default_rng(0)
     size = []
     for _ in range(300):
-        layer.fuse(*told(placed, wall_scan(rng=rng)))
+        layer.fuse(*reported(placed, wall_scan(rng=rng)))
         size.append(len(layer))
     assert max(size[200:]) < 1.15 * max(size[:100])
     assert largest_sigma(layer.ellipses(placed).covariance).max() < 0.2

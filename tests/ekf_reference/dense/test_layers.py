@@ -19,7 +19,7 @@ from tests.ekf_reference.dense.scenes import (
     WALL_M,
     field,
     layer,
-    told,
+    reported,
     wall_scan,
 )
 
@@ -37,7 +37,7 @@ def place() -> RegionsAtMap:
 def filled(name: str, scans: int = 5, seed: int = 0) -> tuple[Layer, RegionsAtMap]:
     placed, made, rng = place(), layer(name, seed), np.random.default_rng(seed)
     for _ in range(scans):
-        made.fuse(*told(placed, wall_scan(rng=rng)))
+        made.fuse(*reported(placed, wall_scan(rng=rng)))
     return made, placed
 
 
@@ -56,11 +56,11 @@ def test_nothing_returned_nothing_known(name: str) -> None:
     assert nothing_known(made, placed)
     bearing = np.linspace(-1.0, 1.0, 50)
     for empty in (np.full(50, np.nan), np.full(50, np.inf), np.zeros(50), -np.ones(50)):
-        made.fuse(*told(placed, Scan.of_ranges(HERE, bearing, empty, SENSOR)))
+        made.fuse(*reported(placed, Scan.of_ranges(HERE, bearing, empty, SENSOR)))
     none = Scan.of_ranges(HERE, np.empty(0), np.empty(0), SENSOR)
     everywhere = np.arange(len(placed.triangle))
-    made.fuse(*told(placed, none)[:3], everywhere)
-    made.fuse(*told(placed, none, late=True)[:3], everywhere)
+    made.fuse(*reported(placed, none)[:3], everywhere)
+    made.fuse(*reported(placed, none, late=True)[:3], everywhere)
     assert nothing_known(made, placed)
 
 
@@ -117,7 +117,7 @@ def test_samples_only_of_the_regions_asked_for(name: str) -> None:
 
 def test_late_returns_are_taken_in_without_a_scan(name: str) -> None:
     made, placed = layer(name), place()
-    hits, _, scan, near = told(placed, wall_scan(), late=True)
+    hits, _, scan, near = reported(placed, wall_scan(), late=True)
     assert scan is None
     hits = replace(hits, late=(LateScan(wall_scan(), near),))
     for _ in range(3):
@@ -127,7 +127,7 @@ def test_late_returns_are_taken_in_without_a_scan(name: str) -> None:
     if name == "occupancy":  # which knows free space, too, by the rule of any scan
         at_once = layer(name)
         for _ in range(3):
-            at_once.fuse(*told(placed, wall_scan()))
+            at_once.fuse(*reported(placed, wall_scan()))
         assert np.array_equal(known.occupancy, at_once.samples(placed).occupancy)
         return
     assert (known.occupancy >= 0.5 - 1e-9).all()
@@ -137,7 +137,7 @@ def test_late_returns_are_taken_in_without_a_scan(name: str) -> None:
 def test_a_scan_outside_every_region_leaves_no_trace(name: str) -> None:
     made, placed = layer(name), place()
     far = HERE + (500.0, 0.0, 0.0)
-    made.fuse(*told(placed, wall_scan(far, wall_m=512.0)))
+    made.fuse(*reported(placed, wall_scan(far, wall_m=512.0)))
     assert nothing_known(made, placed)
 
 
@@ -147,8 +147,8 @@ def test_beams_without_return_change_nothing(name: str) -> None:
     bearing = np.concatenate((scan.bearing_rad, np.linspace(1.0, 3.0, 40), [np.nan]))
     ranges = np.concatenate((scan.range_m, np.full(40, np.nan), [3.0]))
     one, other = layer(name), layer(name)
-    one.fuse(*told(placed, scan))
-    other.fuse(*told(placed, Scan.of_ranges(HERE, bearing, ranges, SENSOR)))
+    one.fuse(*reported(placed, scan))
+    other.fuse(*reported(placed, Scan.of_ranges(HERE, bearing, ranges, SENSOR)))
     for a, b in zip(one.samples(placed), other.samples(placed), strict=True):
         assert np.array_equal(a, b)
 
@@ -178,7 +178,7 @@ def test_questions_and_flat_regions_change_nothing(name: str) -> None:
     assert pickle.dumps(made) == before
     landmark, regions = field()
     landmark[regions.base[0]] = landmark[regions.base[0, 0]]
-    made.fuse(*told(regions.placed(landmark), wall_scan()))
+    made.fuse(*reported(regions.placed(landmark), wall_scan()))
     assert np.isfinite(made.samples(placed).point).all()
 
 

@@ -12,7 +12,7 @@ from ekf_reference.dense.layers.grid_update import GridUpdate
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid, RegionGrid
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
-from tests.ekf_reference.dense.scenes import HERE, SENSOR, WALL_M, field, told, wall_scan
+from tests.ekf_reference.dense.scenes import HERE, SENSOR, WALL_M, field, reported, wall_scan
 
 MODELS = (InverseSensorModel(), InverseSensorModel(0.8, 0.4, with_bearing=True))
 
@@ -57,7 +57,7 @@ def test_one_scan_equals_a_loop_over_the_cells(model: InverseSensorModel) -> Non
     sensor = replace(SENSOR, beam_rad=0.03)
     scan = Scan.of_ranges(HERE, bearing, rng.uniform(4, 15, len(bearing)), sensor)
     grid = OccupancyGrid(0.5, model)
-    grid.fuse(*told(placed, scan))
+    grid.fuse(*reported(placed, scan))
     sigma = math.hypot(sensor.sigma_range_m, 0.25)
     gap, compared = 0.0, 0
     broken = 0.0
@@ -98,7 +98,7 @@ def test_every_grid_stays_within_its_confidence() -> None:
     placed = regions.placed(landmark)
     local, classic = OccupancyGrid(confidence=0.95), ClassicGrid(confidence=0.95)
     for _ in range(12):
-        local.fuse(*told(placed, wall_scan()))
+        local.fuse(*reported(placed, wall_scan()))
         classic.fuse(wall_scan())
     for known in (local.samples(placed), classic.samples()):
         assert known.occupancy.min() == pytest.approx(0.05, abs=1e-6)
@@ -136,7 +136,7 @@ def test_almost_empty_regions_coarsen_and_keep_their_surfaces() -> None:
     grid = OccupancyGrid(0.2)
     everywhere = np.arange(len(placed.triangle))
     empty = Scan.of_ranges(HERE, np.array([3.0]), np.array([1.0]), SENSOR)
-    grid.fuse(*told(placed, empty)[:3], everywhere)
+    grid.fuse(*reported(placed, empty)[:3], everywhere)
     for number, cells in grid.grids.items():
         cells.odds[:] = log_odds(0.05)
         surface = {0: 0, 1: 2, 2: 10}.get(number, 0)
@@ -145,7 +145,7 @@ def test_almost_empty_regions_coarsen_and_keep_their_surfaces() -> None:
     assert 2 / fine[1] < 0.01 < 10 / fine[2]
     before = grid.samples(placed)
     grid.coarsening = Coarsening(0.5, every=1)
-    grid.fuse(*told(placed, empty)[:3], everywhere)
+    grid.fuse(*reported(placed, empty)[:3], everywhere)
     after = grid.samples(placed)
     for number, cells in grid.grids.items():
         assert (len(cells.odds) == fine[number]) == (number == 2)
@@ -164,7 +164,7 @@ def test_the_classic_grid_agrees_where_poses_are_right() -> None:
     local, classic, rng = OccupancyGrid(0.2), ClassicGrid(0.2), np.random.default_rng(0)
     for _ in range(6):
         scan = wall_scan(rng=rng)
-        local.fuse(*told(placed, scan))
+        local.fuse(*reported(placed, scan))
         classic.fuse(scan)
     for known, other in ((local.samples(placed), classic), (classic.samples(), local)):
         free, wall = known.occupancy < 0.1, known.occupancy > 0.8
@@ -202,7 +202,7 @@ def test_corrected_poses_double_a_wall_in_the_classic_grid_alone() -> None:
         placed = regions.placed(landmark + wrong)
         for _ in range(3):
             scan = wall_scan(HERE + (*wrong, 0.0), rng, WALL_M + wrong[0])
-            local.fuse(*told(placed, scan))
+            local.fuse(*reported(placed, scan))
             classic.fuse(scan)
     there = np.column_stack((np.full(20, WALL_M), np.linspace(3.0, 8.0, 20)))
     assert np.nanmean(local.occupancy(there, placed)) > 0.8

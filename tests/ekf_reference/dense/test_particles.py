@@ -16,8 +16,8 @@ from tests.ekf_reference.dense.scenes import (
     SENSOR,
     field,
     mapped,
+    reported,
     simulation,
-    told,
     wall_scan,
 )
 
@@ -42,7 +42,7 @@ def exactly(particles: Particles, hits: Hits, placed: RegionsAtMap, weight: floa
 def test_samples_are_drawn_from_the_sensor_model_and_weighed_by_the_occupancy_model() -> None:
     """N 4.8 and 4.9."""
     placed = place()
-    hits, _, scan, _ = told(placed, one_return(placed, 9.0, 0.3))
+    hits, _, scan, _ = reported(placed, one_return(placed, 9.0, 0.3))
     assert scan is not None
     point, odds = Particles(np.random.default_rng(0), 20_000).sampled(hits, scan)
     assert np.allclose(point.mean(axis=0), hits.point[0], atol=0.005)
@@ -58,7 +58,7 @@ def test_samples_are_drawn_from_the_sensor_model_and_weighed_by_the_occupancy_mo
 
 def test_with_bearing_samples_are_weighed_by_both() -> None:
     placed = place()
-    hits, _, scan, _ = told(placed, one_return(placed, 9.0))
+    hits, _, scan, _ = reported(placed, one_return(placed, 9.0))
     assert scan is not None
     model = InverseSensorModel(with_bearing=True)
     point, odds = Particles(np.random.default_rng(0), 500, model=model).sampled(hits, scan)
@@ -74,10 +74,10 @@ def test_weights_and_places_by_brute_force() -> None:
     placed, seed = place(), 3
     rng = np.random.default_rng(0)
     particles = Particles(np.random.default_rng(seed), 3, least=0.0, confidence=0.999)
-    first, _, _, _ = told(placed, wall_scan(rng=rng))
+    first, _, _, _ = reported(placed, wall_scan(rng=rng))
     exactly(particles, first, placed, 0.6)
     before = particles.samples(placed)
-    hits, _, scan, near = told(placed, wall_scan(rng=rng))
+    hits, _, scan, near = reported(placed, wall_scan(rng=rng))
     assert scan is not None
     drawn, odds = Particles(np.random.default_rng(seed), 3).sampled(hits, scan)
     said = 1.0 / (1.0 + np.exp(-odds))
@@ -123,7 +123,7 @@ def test_the_printed_normaliser_of_4_11_is_none() -> None:
     assert not math.isclose(printed + printed_free, 1.0, abs_tol=0.1)
     placed = place()
     particles = Particles(np.random.default_rng(0), least=0.0, confidence=0.999)
-    hits, _, scan, near = told(placed, one_return(placed, 9.0))
+    hits, _, scan, near = reported(placed, one_return(placed, 9.0))
     exactly(particles, hits, placed, old)
     point, odds = Particles(np.random.default_rng(0)).sampled(hits, scan)
     i = int(np.linalg.norm(point - hits.point[0], axis=1).argmin())
@@ -146,11 +146,11 @@ def test_what_has_gone_is_removed_by_the_free_space_update(kind: type[Particles]
     placed, rng = place(), np.random.default_rng(0)
     particles = kind(np.random.default_rng(1))
     for _ in range(6):
-        particles.fuse(*told(placed, wall_scan(rng=rng, wall_m=9.3)))
+        particles.fuse(*reported(placed, wall_scan(rng=rng, wall_m=9.3)))
     there = np.column_stack((np.full(10, 9.3), np.linspace(4.5, 6.5, 10)))
     assert np.nanmean(particles.occupancy(there, placed)) > 0.8
     for _ in range(12):
-        particles.fuse(*told(placed, wall_scan(rng=rng)))
+        particles.fuse(*reported(placed, wall_scan(rng=rng)))
     now = particles.occupancy(there, placed)
     assert np.isnan(now).all() == (kind is Particles)
     assert (np.nan_to_num(now) > 0.8).any() == (kind is Blind)
@@ -160,10 +160,10 @@ def test_what_is_hidden_or_out_of_view_stays() -> None:
     placed, rng = place(), np.random.default_rng(0)
     particles = Particles(np.random.default_rng(1))
     for _ in range(4):
-        particles.fuse(*told(placed, wall_scan(rng=rng)))
+        particles.fuse(*reported(placed, wall_scan(rng=rng)))
     before = particles.samples(placed)
     for _ in range(10):
-        particles.fuse(*told(placed, wall_scan(rng=rng, wall_m=9.3, half_rad=0.1)))
+        particles.fuse(*reported(placed, wall_scan(rng=rng, wall_m=9.3, half_rad=0.1)))
     after = particles.samples(placed)
     old = after.point[:, 0] > 12.0
     assert np.array_equal(after.point[old], before.point)
@@ -175,7 +175,7 @@ def test_numbers_level_off_in_a_scene_that_stays() -> None:
     particles = Particles(np.random.default_rng(1))
     size = []
     for _ in range(300):
-        particles.fuse(*told(placed, wall_scan(rng=rng)))
+        particles.fuse(*reported(placed, wall_scan(rng=rng)))
         size.append(len(particles))
     assert max(size[200:]) < 1.15 * max(size[:100])
     assert min(np.diff(size)) < 0  # some are dropped

@@ -66,7 +66,7 @@ def test_neighbours_keep_apart_and_the_map_takes_them_along() -> None:
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_returns_that_wait_keep_their_values(told: bool) -> None:
+def test_returns_that_wait_keep_their_values(reported: bool) -> None:
     """A return's value follows it by its number; by its row it would get another's."""
     dense = DenseMap(
         layers={"values": Values()}, regions=LocalRegions(conditions=TRUSTING), waiting=room()
@@ -74,14 +74,14 @@ def test_returns_that_wait_keep_their_values(told: bool) -> None:
 
     def scan() -> Scan:
         seen = wall()
-        return replace(seen, value=seen.bearing_rad.copy()) if told else seen
+        return replace(seen, value=seen.bearing_rad.copy()) if reported else seen
 
     line = view(np.column_stack((np.full(4, 6.0), (-9.0, -3.0, 3.0, 9.0))))
     drive(dense, line, *[scan()] * (PATIENCE + 6))
     assert dense.tally.late > 20
     layer = dense.layers["values"]
     assert isinstance(layer, Values)
-    if not told:
+    if not reported:
         assert not len(layer)
         return
     placed, seen = dense.place(line), scan()

@@ -25,7 +25,7 @@ from ekf_reference.scan_landmarks.high_level import (
     to_world,
     within,
 )
-from tests.ekf_reference.dense.scenes import lattice, told
+from tests.ekf_reference.dense.scenes import lattice, reported
 from tests.ekf_reference.ray_casting import Solids, cast, sides
 
 SENSOR = Sensor(0.05, math.radians(0.5), math.radians(0.5), math.radians(8.0))
@@ -62,7 +62,7 @@ def around() -> Around:
         for radius in (3.0, 20.0):
             pose = np.array((radius * math.cos(turn), radius * math.sin(turn), turn))
             seen = cast(BEAMS, pose, yard()) + 0.05 * rng.standard_normal(len(BEAMS))
-            what = told(placed, Scan.of_ranges(pose, BEAMS, seen, SENSOR))
+            what = reported(placed, Scan.of_ranges(pose, BEAMS, seen, SENSOR))
             occupancy.fuse(*what)
             gaussians.fuse(*what)
     return Around(occupancy, gaussians, placed, HERE, POLE[None])

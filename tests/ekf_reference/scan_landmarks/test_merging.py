@@ -22,7 +22,13 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import relative as frame_in_frame
 from tests.ekf_reference.numerics import relative_error
 from tests.ekf_reference.ray_casting import Solids
-from tests.ekf_reference.scan_landmarks.test_scan_slam import EVERY, MOUNT, VIEW, Told, filter_at
+from tests.ekf_reference.scan_landmarks.test_scan_slam import (
+    EVERY,
+    MOUNT,
+    VIEW,
+    Reported,
+    filter_at,
+)
 from tests.ekf_reference.scan_landmarks.test_templates import STAR
 from tests.ekf_reference.scan_matching.scenes import BEAMS, LASER, WALL, outline, ranges, solids
 
@@ -39,7 +45,7 @@ ALIKE = solids(
 
 
 @dataclass
-class Telling(Told):
+class Telling(Reported):
     """Fuses, too."""
 
     fused: list[tuple[int, int]] = field(default_factory=list)
@@ -69,7 +75,7 @@ def initialised_twice(wrong: Array, scene: Solids = STAR) -> tuple[ScanSlam, Tel
     (2, 3), too.
     """
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, EVERY), filter_at(np.zeros(3))
-    tell, frames = Telling(ekf), []
+    sink, frames = Telling(ekf), []
     for k, vehicle in enumerate((np.zeros(3), MOVED)):
         if k:
             ekf.predict(MOVED - wrong, np.diag((0.2, 0.2, 0.02)) ** 2, 1.0)
@@ -80,11 +86,11 @@ def initialised_twice(wrong: Array, scene: Solids = STAR) -> tuple[ScanSlam, Tel
             shape = template.shape.transformed(-aside)
             template = Template(shape, template.pose + aside)
         z = composed(MOUNT, template.pose)
-        landmark_index = int(tell.observe(z[None], R[None], np.array([NEW]))[0])
+        landmark_index = int(sink.observe(z[None], R[None], np.array([NEW]))[0])
         slam.found.template[landmark_index] = template
         slam.found.measurements[landmark_index] += 1
         frames.append(composed(vehicle, z))
-    return slam, tell, np.array(frames)
+    return slam, sink, np.array(frames)
 
 
 def off_the_star(points: Array, frame: Array) -> float:
@@ -99,12 +105,12 @@ def off_the_star(points: Array, frame: Array) -> float:
 
 
 def test_one_object_begun_twice_becomes_one_landmark() -> None:
-    slam, tell, frames = initialised_twice(np.array((0.25, -0.2, 0.03)))
-    ekf, template = tell.ekf, dict(slam.found.template)
+    slam, sink, frames = initialised_twice(np.array((0.25, -0.2, 0.03)))
+    ekf, template = sink.ekf, dict(slam.found.template)
     stale = frame_in_frame(*ekf.state.places(POSE)[::-1])
     twins = DuplicateMerging(slam)
-    twins.step(ekf, tell)
-    assert len(tell.fused) == twins.merged == 1
+    twins.step(ekf, sink)
+    assert len(sink.fused) == twins.merged == 1
     kept = int(np.argmax([len(template[k].shape) for k in range(2)]))
     assert kept == 1
     assert ekf.state.layout.present(POSE).tolist() == [kept] == list(slam.found.template)
@@ -120,23 +126,23 @@ def test_one_object_begun_twice_becomes_one_landmark() -> None:
 
 
 def test_what_is_fused_is_known_better() -> None:
-    slam, tell, frames = initialised_twice(np.array((0.25, -0.2, 0.03)))
-    error = frame_in_frame(*tell.ekf.state.places(POSE)) - frame_in_frame(*frames)
+    slam, sink, frames = initialised_twice(np.array((0.25, -0.2, 0.03)))
+    error = frame_in_frame(*sink.ekf.state.places(POSE)) - frame_in_frame(*frames)
     assert np.abs(error[:2]).max() > 0.1
-    DuplicateMerging(slam).step(tell.ekf, tell)
-    moved = frame_in_frame(tell.ekf.state.places(POSE)[1], tell.ekf.state.pose)
-    DuplicateMerging(slam).step(tell.ekf, tell)
-    moved = frame_in_frame(tell.ekf.state.places(POSE)[1], tell.ekf.state.pose)
+    DuplicateMerging(slam).step(sink.ekf, sink)
+    moved = frame_in_frame(sink.ekf.state.places(POSE)[1], sink.ekf.state.pose)
+    DuplicateMerging(slam).step(sink.ekf, sink)
+    moved = frame_in_frame(sink.ekf.state.places(POSE)[1], sink.ekf.state.pose)
     seen = frame_in_frame(frames[1], MOVED)
     assert np.abs(moved - seen)[:2].max() < 0.1
     # The second was initialised with the vehicle's error, which is gone by what the first knows.
-    assert np.abs(tell.ekf.state.pose - MOVED)[:2].max() < 0.15
+    assert np.abs(sink.ekf.state.pose - MOVED)[:2].max() < 0.15
 
 
 def test_united_templates_are_moved_and_spread_by_what_lies_between_the_frames() -> None:
-    slam, tell, _ = initialised_twice(np.zeros(3))
+    slam, sink, _ = initialised_twice(np.zeros(3))
     first, second = (slam.found.template[k] for k in range(2))
-    local = tell.ekf.state.map_of(np.arange(2), POSE)
+    local = sink.ekf.state.map_of(np.arange(2), POSE)
     sure = replace(local, covariance=np.zeros_like(local.covariance))
     one, count = united(first, second, sure), len(first.shape)
     expected = second.shape.transformed(frame_in_frame(*local.landmark))
@@ -150,28 +156,28 @@ def test_united_templates_are_moved_and_spread_by_what_lies_between_the_frames()
 
 
 def test_the_gate_and_the_certainty_keep_landmarks_apart() -> None:
-    slam, tell, _ = initialised_twice(np.array((0.0, 1.5, 0.0)))  # seven times the sigma
-    DuplicateMerging(slam).step(tell.ekf, tell)
-    assert not tell.fused
-    slam, tell, _ = initialised_twice(np.zeros(3))
-    DuplicateMerging(slam, FusingOptions(certain_m=0.1)).step(tell.ekf, tell)
-    assert not tell.fused
-    DuplicateMerging(slam, FusingOptions(within_m=0.01)).step(tell.ekf, tell)
-    assert not tell.fused
+    slam, sink, _ = initialised_twice(np.array((0.0, 1.5, 0.0)))  # seven times the sigma
+    DuplicateMerging(slam).step(sink.ekf, sink)
+    assert not sink.fused
+    slam, sink, _ = initialised_twice(np.zeros(3))
+    DuplicateMerging(slam, FusingOptions(certain_m=0.1)).step(sink.ekf, sink)
+    assert not sink.fused
+    DuplicateMerging(slam, FusingOptions(within_m=0.01)).step(sink.ekf, sink)
+    assert not sink.fused
     twins = DuplicateMerging(slam)
-    twins.step(tell.ekf, tell)
-    assert len(tell.fused) == 1
-    twins.step(tell.ekf, tell)
-    assert len(tell.fused) == 1
+    twins.step(sink.ekf, sink)
+    assert len(sink.fused) == 1
+    twins.step(sink.ekf, sink)
+    assert len(sink.fused) == 1
 
 
 def test_what_may_slide_along_the_other_is_not_fused() -> None:
-    slam, tell, _ = initialised_twice(np.zeros(3), WALL)
+    slam, sink, _ = initialised_twice(np.zeros(3), WALL)
     near = FusingOptions(within_m=50.0)
-    DuplicateMerging(slam, near).step(tell.ekf, tell)
-    assert not tell.fused
-    DuplicateMerging(slam, replace(near, open_directions=3)).step(tell.ekf, tell)  # broken: it may
-    assert len(tell.fused) == 1
+    DuplicateMerging(slam, near).step(sink.ekf, sink)
+    assert not sink.fused
+    DuplicateMerging(slam, replace(near, open_directions=3)).step(sink.ekf, sink)  # broken: it may
+    assert len(sink.fused) == 1
 
 
 SMALL_ONES = ScanSlamOptions(
@@ -182,32 +188,32 @@ SMALL_ONES = ScanSlamOptions(
 def alike(options: ScanSlamOptions = SMALL_ONES) -> tuple[ScanSlam, Telling]:
     """Both objects initialised by the first scan."""
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
-    tell = Telling(ekf)
-    slam.step(ekf, seen_from(ALIKE, np.zeros(3), 0), tell)
-    assert tell.landmark_index == [NEW, NEW]
-    return slam, tell
+    sink = Telling(ekf)
+    slam.step(ekf, seen_from(ALIKE, np.zeros(3), 0), sink)
+    assert sink.landmark_index == [NEW, NEW]
+    return slam, sink
 
 
 def test_equal_objects_side_by_side_are_not_fused() -> None:
     near = FusingOptions(within_m=5.0)
-    slam, tell = alike()
+    slam, sink = alike()
     same = slam.found.template[0].shape
     slam.found.template[1] = replace(slam.found.template[1], shape=same)
-    DuplicateMerging(slam, near).step(tell.ekf, tell)
-    assert not tell.fused
+    DuplicateMerging(slam, near).step(sink.ekf, sink)
+    assert not sink.fused
     # Were the second initialised by a vehicle that may be that far off, only the certainty is left.
-    lost, tell = alike()
+    lost, sink = alike()
     landmark_index = np.array([1])
-    tell.ekf.remove(landmark_index, POSE)
+    sink.ekf.remove(landmark_index, POSE)
     z, r = composed(MOUNT, lost.found.template[1].pose), np.diag((1.5, 1.5, 0.02)) ** 2
-    again = int(tell.observe(z[None], r[None], np.array([NEW]))[0])
+    again = int(sink.observe(z[None], r[None], np.array([NEW]))[0])
     lost.found.template[again] = replace(lost.found.template.pop(1), shape=same)
-    DuplicateMerging(lost, near).step(tell.ekf, tell)
-    assert not tell.fused
+    DuplicateMerging(lost, near).step(sink.ekf, sink)
+    assert not sink.fused
     DuplicateMerging(lost, replace(near, certain_m=10.0)).step(
-        tell.ekf, tell
+        sink.ekf, sink
     )  # broken: never mind it
-    assert len(tell.fused) == 1
+    assert len(sink.fused) == 1
 
 
 @pytest.mark.parametrize("off_m", [-3.0, -SPACING_M / 2.0, SPACING_M / 2.0, 3.0])
@@ -225,17 +231,17 @@ def test_without_the_second_best_the_wrong_one_is_taken() -> None:
 
 def seen_alike(options: ScanSlamOptions, off_m: float) -> tuple[ScanSlam, bool]:
     """The second scan, and whether anything in it was taken for its neighbour."""
-    slam, tell = alike(options)
+    slam, sink = alike(options)
     true = np.array((0.0, off_m, 0.0))
-    tell.ekf.predict(np.zeros(3), np.diag((0.05, 1.5, 0.02)) ** 2, 1.0)
-    slam.step(tell.ekf, seen_from(ALIKE, true, 1), tell)
+    sink.ekf.predict(np.zeros(3), np.diag((0.05, 1.5, 0.02)) ** 2, 1.0)
+    slam.step(sink.ekf, seen_from(ALIKE, true, 1), sink)
     known = [
         (landmark_index, z)
-        for landmark_index, z in zip(tell.landmark_index, tell.z, strict=True)
+        for landmark_index, z in zip(sink.landmark_index, sink.z, strict=True)
         if landmark_index != NEW
     ]
     off = [
-        np.abs(z - frame_in_frame(true, tell.z[landmark_index]))[:2].max()
+        np.abs(z - frame_in_frame(true, sink.z[landmark_index]))[:2].max()
         for landmark_index, z in known
     ]
     return slam, any(distance > 0.3 for distance in off)

@@ -38,7 +38,7 @@ EVERY = ScanSlamOptions(extraction=SINGLE)
 
 
 @dataclass
-class Told:
+class Reported:
     """Remembers what it is told, and tells the filter."""
 
     ekf: Ekf
@@ -65,28 +65,30 @@ def scan_from(vehicle: Array, seed: int = 0) -> SumOfGaussians:
 
 def initialised(
     options: ScanSlamOptions = EVERY, observer: TemplateObserver | None = None
-) -> tuple[ScanSlam, Ekf, Told]:
+) -> tuple[ScanSlam, Ekf, Reported]:
     """One landmark, initialised by the first scan."""
     slam = ScanSlam(LASER, VIEW, MOUNT, options, observer=observer)
     ekf = filter_at(np.zeros(3))
-    told = Told(ekf)
-    slam.step(ekf, scan_from(np.zeros(3)), told)
-    assert told.landmark_index == [NEW]
+    reported = Reported(ekf)
+    slam.step(ekf, scan_from(np.zeros(3)), reported)
+    assert reported.landmark_index == [NEW]
     assert list(slam.found.template) == [0]
-    return slam, ekf, told
+    return slam, ekf, reported
 
 
 def test_a_landmark_is_begun_once_and_then_seen_where_it_is() -> None:
-    slam, ekf, told = initialised()
+    slam, ekf, reported = initialised()
     moved = np.array((0.5, 0.2, 0.1))
     ekf.predict(moved, np.diag((0.1, 0.1, 0.02)) ** 2, 1.0)
-    slam.step(ekf, scan_from(moved, 1), told)
-    assert told.landmark_index == [NEW, 0]
+    slam.step(ekf, scan_from(moved, 1), reported)
+    assert reported.landmark_index == [NEW, 0]
     assert slam.found.reasons[USED] == 1
-    expected = relative(moved, told.z[0])  # the first scan was taken at the origin
-    assert np.abs(told.z[1] - expected).max() < 0.12
-    unturned = np.append(told.z[0][:2] - moved[:2], 0.0)  # broken: a template that is not turned
-    assert np.abs(told.z[1] - unturned).max() > 0.4
+    expected = relative(moved, reported.z[0])  # the first scan was taken at the origin
+    assert np.abs(reported.z[1] - expected).max() < 0.12
+    unturned = np.append(
+        reported.z[0][:2] - moved[:2], 0.0
+    )  # broken: a template that is not turned
+    assert np.abs(reported.z[1] - unturned).max() > 0.4
 
 
 def test_the_prediction_is_h_p_ht_in_the_scanners_frame() -> None:
@@ -115,30 +117,30 @@ def relative_inverse(base: Array, shift: Array) -> Array:
 
 
 def test_a_filter_that_errs_more_than_it_says_is_gated() -> None:
-    slam, ekf, told = initialised()
+    slam, ekf, reported = initialised()
     ekf.predict(np.array((0.5, 0.0, 0.0)), np.eye(3) * 1e-8, 1.0)
-    slam.step(ekf, scan_from(np.array((0.1, 0.3, 0.0)), 1), told)
+    slam.step(ekf, scan_from(np.array((0.1, 0.3, 0.0)), 1), reported)
     assert slam.found.reasons[GATED] == 1
-    assert told.landmark_index == [NEW]
+    assert reported.landmark_index == [NEW]
 
 
 def test_a_blank_scan_is_counted_and_changes_nothing() -> None:
-    slam, ekf, told = initialised()
+    slam, ekf, reported = initialised()
     before = ekf.state.mean.copy()
-    slam.step(ekf, of_scan(BEAMS, np.full(len(BEAMS), np.nan), LASER), told)
+    slam.step(ekf, of_scan(BEAMS, np.full(len(BEAMS), np.nan), LASER), reported)
     assert slam.found.reasons[BLANK] == 1
     assert np.array_equal(ekf.state.mean, before)
-    slam.step(ekf, scan_from(np.zeros(3), 2), told)
+    slam.step(ekf, scan_from(np.zeros(3), 2), reported)
     assert not np.array_equal(ekf.state.mean, before)  # one with returns does
 
 
 def test_a_template_out_of_view_is_not_aligned() -> None:
-    slam, ekf, told = initialised()
+    slam, ekf, reported = initialised()
     ekf.predict(np.array((0.0, 0.0, np.pi)), np.eye(3) * 1e-6, 1.0)
-    slam.step(ekf, scan_from(np.zeros(3), 1), told)
+    slam.step(ekf, scan_from(np.zeros(3), 1), reported)
     assert slam.found.reasons[OUT_OF_VIEW] == 1
     assert not slam.found.reasons[USED]
-    assert 0 not in told.landmark_index
+    assert 0 not in reported.landmark_index
 
 
 @pytest.mark.parametrize("points", [1, 2])
@@ -148,19 +150,19 @@ def test_segments_too_small_for_a_heading_begin_nothing(points: int) -> None:
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
     way = np.full(len(BEAMS), np.nan)
     way[180 : 180 + points] = 5.0
-    slam.step(ekf, of_scan(BEAMS, way, LASER), Told(ekf))
+    slam.step(ekf, of_scan(BEAMS, way, LASER), Reported(ekf))
     assert not slam.found.template
 
 
 def test_of_two_identical_templates_each_keeps_its_own_measurements() -> None:
-    slam, ekf, told = initialised()
+    slam, ekf, reported = initialised()
     template = slam.found.template[0]
     far = template.pose + (30.0, 0.0, 0.0)
     ekf.observe_known(far[None], PRIOR[None], np.array([NEW]))
     slam.found.template[1] = Template(template.shape, far)
     slam._last_seen[1] = 0
-    slam.step(ekf, scan_from(np.zeros(3), 2), told)
-    assert told.landmark_index == [NEW, 0]
+    slam.step(ekf, scan_from(np.zeros(3), 2), reported)
+    assert reported.landmark_index == [NEW, 0]
     assert USED in slam.found.reasons
     assert slam.found.measurements == {0: 2}
 
@@ -169,11 +171,11 @@ def test_of_two_identical_templates_each_keeps_its_own_measurements() -> None:
 def test_a_scan_is_aligned_with_so_many_templates_and_with_all_for_0(
     aligned: int, seen: int
 ) -> None:
-    slam, ekf, told = initialised(replace(EVERY, aligned=aligned))
-    ekf.observe_known(told.z[0][None], PRIOR[None], np.array([NEW]))
+    slam, ekf, reported = initialised(replace(EVERY, aligned=aligned))
+    ekf.observe_known(reported.z[0][None], PRIOR[None], np.array([NEW]))
     slam.found.template[1] = slam.found.template[0]
     slam._last_seen[1] = 0
-    slam.step(ekf, scan_from(np.zeros(3), 2), told)
+    slam.step(ekf, scan_from(np.zeros(3), 2), reported)
     assert slam.found.reasons[USED] == seen
     assert slam.found.reasons[LEFT_OUT] == 2 - seen
 
@@ -189,10 +191,10 @@ def test_templates_are_enriched_from_a_sigma_on() -> None:
     moved = np.array((0.3, 0.1, 0.02))
     for least_sigma_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
         observer = MapAidedObserver(around, least_sigma_m)
-        slam, ekf, told = initialised(observer=observer)
+        slam, ekf, reported = initialised(observer=observer)
         place = ekf.state.places(POSE)[0].copy()
         ekf.predict(moved, PRIOR, 1.0)
-        slam.step(ekf, scan_from(moved, 1), told)
+        slam.step(ekf, scan_from(moved, 1), reported)
         assert observer.observed == len(asked) == times
         assert slam.found.reasons[USED] == 1
         for one in asked:
