@@ -39,7 +39,7 @@ from comparisons.arrays import Array
 from comparisons.config import EkfConfig, SmootherConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
-from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
 from comparisons.experiments.defects.catalogue import CATALOGUE
 from comparisons.experiments.defects.defect import with_state
@@ -47,7 +47,7 @@ from comparisons.experiments.defects.exports import EXPORTS, FEEDS, with_joint
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.check import GivenCheck, judge_given
+from comparisons.pipeline.check import ExternalCheck, check_external
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
@@ -68,7 +68,7 @@ class Case(NamedTuple):
 
     name: str
     sound: bool
-    make: Callable[[], GivenEstimate]
+    make: Callable[[], ExternalEstimate]
     like: bool = False
 
 
@@ -82,12 +82,12 @@ class Outcome:
     reason: str
 
 
-def of_run(run: FilterRun | None, time_s: Array) -> GivenEstimate:
+def of_run(run: FilterRun | None, time_s: Array) -> ExternalEstimate:
     """What a filter knew at some times."""
     if run is None:
         raise InputError("the filter broke down")
     pose, covariance = run.at(time_s)
-    return GivenEstimate(
+    return ExternalEstimate(
         time_s=time_s,
         pose=pose,
         landmark_id=run.map.landmark_id,
@@ -186,7 +186,7 @@ class Cases:
         self.shown = ("loop", "closing") if log.end_s > QUICK_S else ("loop",)
         self.log, self.config = log, settle(EkfConfig(), log)
         self.timeline = build_timeline(log)
-        self.right = GivenEstimate.of(run_ekf(log, self.timeline, self.config).estimate)
+        self.right = ExternalEstimate.of(run_ekf(log, self.timeline, self.config).estimate)
 
     def all(self) -> Iterator[Case]:
         """Faults, then sound ones."""
@@ -205,27 +205,27 @@ class Cases:
 
     def _filtered(
         self, plant: Callable[[Ekf], None] = lambda ekf: None, **settings: str
-    ) -> GivenEstimate:
+    ) -> ExternalEstimate:
         config = settle(EkfConfig.of(**settings), self.log)
         setup = FilterSetup(modify=[plant])
         try:
             run = run_ekf(self.log, self.timeline, config, None, setup)
         except TypeError as error:  # a defect of another vehicle
             raise InputError(str(error)) from None
-        return GivenEstimate.of(run.estimate)
+        return ExternalEstimate.of(run.estimate)
 
-    def _fed(self, feed: Callable[[Log], Log]) -> GivenEstimate:
+    def _fed(self, feed: Callable[[Log], Log]) -> ExternalEstimate:
         log = feed(self.log)
         run = run_reference(log, build_timeline(log), self.config)
         return of_run(run, self.right.time_s)
 
-    def _variant(self, kind: type[Ekf]) -> GivenEstimate:
+    def _variant(self, kind: type[Ekf]) -> ExternalEstimate:
         return of_run(
             run_reference(self.log, self.timeline, self.config, kind=kind), self.right.time_s
         )
 
     def _filters(self) -> Iterator[Case]:
-        def kept_in(state: type[KalmanState]) -> Callable[[], GivenEstimate]:
+        def kept_in(state: type[KalmanState]) -> Callable[[], ExternalEstimate]:
             return partial(self._filtered, with_state(state))
 
         yield Case("the reference EKF", True, lambda: self.right, True)
@@ -248,7 +248,7 @@ class Cases:
 
     def _exports(self) -> Iterator[Case]:
         right = self.right
-        bare = GivenEstimate(time_s=right.time_s, pose=right.pose)
+        bare = ExternalEstimate(time_s=right.time_s, pose=right.pose)
         yield Case(
             "no covariances",
             True,
@@ -298,16 +298,16 @@ class Cases:
             True,
         )
 
-    def _at_samples(self) -> GivenEstimate:
+    def _at_samples(self) -> ExternalEstimate:
         run = run_reference(self.log, self.timeline, self.config)
         return of_run(
             run, np.unique(np.append(np.round(self.timeline.step_begin_s(), 4), self.right.time_s))
         )
 
     def _smoothers(self) -> Iterator[Case]:
-        def smoothed(**settings: str) -> GivenEstimate:
+        def smoothed(**settings: str) -> ExternalEstimate:
             config = SolveConfig(smoother=SmootherConfig.of(**settings))
-            return GivenEstimate.of(solve(self.log, config).estimate)
+            return ExternalEstimate.of(solve(self.log, config).estimate)
 
         yield Case("smoother", True, smoothed, True)
         yield Case(
@@ -329,7 +329,7 @@ class Cases:
         yield Case("fixed lag", True, lambda: smoothed(method="fixed-lag"))
 
 
-def backwards(given: GivenEstimate) -> GivenEstimate:
+def backwards(given: ExternalEstimate) -> ExternalEstimate:
     """Landmarks from the last to the first."""
     if given.landmark is None or given.landmark_id is None or given.joint_covariance is None:
         raise ValueError("the estimate is not whole")
@@ -348,14 +348,14 @@ def wrapped(angle: Array) -> Array:
     return found
 
 
-def single(given: GivenEstimate) -> GivenEstimate:
+def single(given: ExternalEstimate) -> ExternalEstimate:
     """Every number but times as a float32."""
     names = ("pose", "landmark", "pose_covariance", "landmark_covariance", "joint_covariance")
     found = {name: getattr(given, name).astype(np.float32).astype(float) for name in names}
     return replace(given, **found)
 
 
-def thinned(given: GivenEstimate) -> GivenEstimate:
+def thinned(given: ExternalEstimate) -> ExternalEstimate:
     """Every fifth pose, and the last."""
     rows = np.unique(np.append(np.arange(0, len(given.time_s), 5), len(given.time_s) - 1))
     if given.pose_covariance is None:
@@ -368,25 +368,25 @@ def thinned(given: GivenEstimate) -> GivenEstimate:
     )
 
 
-def resampled(given: GivenEstimate) -> GivenEstimate:
+def resampled(given: ExternalEstimate) -> ExternalEstimate:
     """Poses half way between those there are, by interpolation."""
     middle = 0.5 * (given.time_s[1:] + given.time_s[:-1])
     pose = 0.5 * (given.pose[1:] + given.pose[:-1])
-    return GivenEstimate(time_s=middle, pose=pose)
+    return ExternalEstimate(time_s=middle, pose=pose)
 
 
-def from_file(given: GivenEstimate, format_name: str) -> GivenEstimate:
+def from_file(given: ExternalEstimate, format_name: str) -> ExternalEstimate:
     """Written and read."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "path.txt"
         write_trajectory(Trajectory(given.time_s, given.pose), path, format_name)
-        return read_given(path)
+        return read_external(path)
 
 
 def grade(case: Case, solution: Solution) -> Outcome:
     """Grade an estimate."""
     try:
-        found = judge_given(case.make(), solution)
+        found = check_external(case.make(), solution)
     except (InputError, np.linalg.LinAlgError) as error:
         return Outcome(case, "refused", "", str(error))
     by = found.grade.by
@@ -394,7 +394,7 @@ def grade(case: Case, solution: Solution) -> Outcome:
     return Outcome(case, found.grade.value or "none", name, reason(found))
 
 
-def reason(found: GivenCheck) -> str:
+def reason(found: ExternalCheck) -> str:
     """The first cause, or what stands beside."""
     if found.causes:
         return f"{found.causes[0].gap}: {found.causes[0].evidence}"

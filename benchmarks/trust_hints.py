@@ -28,13 +28,13 @@ from trust_row import Row, print_table  # type: ignore[import-not-found]
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.arrays import Array
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
-from comparisons.estimates.external import read_given
+from comparisons.estimates.external import read_external
 from comparisons.experiments.defects.logs import open_case
 from comparisons.experiments.foreign.faults import FAULTS, HELD_OUT, Fault
 from comparisons.experiments.foreign.filter import Foreign, in_single
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.given_trace import TraceCheck, check_trace
+from comparisons.pipeline.external_trace import TraceCheck, check_trace
 from comparisons.pipeline.prepare import Prepared, prepare
 from graphslam.smoother import SmootherOptions
 
@@ -89,7 +89,7 @@ def checked(one: Foreign, prepared: Prepared[SolveConfig], *, stored_single: boo
         one.run(folder)
         if stored_single:
             in_single(folder)
-        return check_trace(read_given(folder), prepared, SmootherOptions())
+        return check_trace(read_external(folder), prepared, SmootherOptions())
 
 
 def hint_parts(check: TraceCheck) -> list[str]:

@@ -22,11 +22,11 @@ from comparisons.config import CheckConfig, RunConfig, merge
 from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
-from comparisons.report.check import CheckResult, GivenLandmarkResult
+from comparisons.report.check import CheckResult, ExternalLandmarkResult
 from comparisons.report.models import (
     CauseResult,
     ConsistencyResult,
-    GivenConsistencyResult,
+    ExternalConsistencyResult,
     Result,
 )
 from comparisons.report.result import metrics
@@ -387,7 +387,7 @@ def _kept_config(config: RunConfig | CheckConfig) -> dict[str, Any]:
     return kept
 
 
-def _of_landmarks(rows: Sequence[GivenLandmarkResult]) -> dict[str, float | None]:
+def _of_landmarks(rows: Sequence[ExternalLandmarkResult]) -> dict[str, float | None]:
     """Return figures of all landmarks together; those without any are None."""
     found: dict[str, float | None] = {
         "landmarks.count": len(rows),
@@ -403,7 +403,9 @@ def _of_landmarks(rows: Sequence[GivenLandmarkResult]) -> dict[str, float | None
     return found
 
 
-def _of_consistency(found: ConsistencyResult | GivenConsistencyResult) -> dict[str, float | None]:
+def _of_consistency(
+    found: ConsistencyResult | ExternalConsistencyResult,
+) -> dict[str, float | None]:
     """Averages of the NEES and NIS, and of the estimate's poses against the smoother's."""
     kept: dict[str, float | None] = {}
     if isinstance(found, ConsistencyResult):

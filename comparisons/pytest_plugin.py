@@ -269,12 +269,12 @@ def _judge(
     place = folder.relative_to(root) if folder.is_relative_to(root) else folder
     make = partial(Judgement, folder=folder, shown=str(place))
     if isinstance(config, CheckConfig):
-        from comparisons.estimates.external import read_given
+        from comparisons.estimates.external import read_external
         from comparisons.pipeline.check import check
         from comparisons.report.check import build_check_result, check_folder, print_check
 
         times = None if config.times is None else Path(config.times)
-        given = read_given(Path(config.estimate), times)
+        given = read_external(Path(config.estimate), times)
         checked = check(log, given, config, solver=partial(_solved, kept))
         graded = build_check_result(checked)
         found = make(

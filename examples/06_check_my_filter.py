@@ -17,12 +17,12 @@ import numpy as np
 from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import read_given
+from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.pipeline.check import GivenCheck, check
+from comparisons.pipeline.check import ExternalCheck, check
 from ekf_reference.models.motion import AckermannModel
 
 BUGS = ("none", "the prediction leaves P_vm as it was", "R holds sigma in place of its square")
@@ -126,13 +126,13 @@ def run(log: Log, timeline: Timeline, bug: str, folder: Path) -> None:
     np.savez(folder / "trace.npz", **arrays)  # type: ignore[arg-type]
 
 
-def main() -> dict[str, GivenCheck]:
+def main() -> dict[str, ExternalCheck]:
     """Return what the check finds, by bug."""
     log, found = open_log("simulated-loop"), {}
     for bug in BUGS:
         with tempfile.TemporaryDirectory() as folder:
             run(log, build_timeline(log, None), bug, Path(folder))
-            found[bug] = check(log, read_given(Path(folder)))
+            found[bug] = check(log, read_external(Path(folder)))
         print(f"bug: {bug}\n  {found[bug].outcome}")
         for cause in found[bug].causes:
             print(f"  {cause.gap}: {cause.evidence}")

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from comparisons.config import SolveConfig as SolveConfig
     from comparisons.errors import InputError as InputError
     from comparisons.estimates.estimate import Estimate as Estimate
-    from comparisons.estimates.external import GivenEstimate as GivenEstimate
-    from comparisons.estimates.external import read_given as read_estimate
+    from comparisons.estimates.external import ExternalEstimate as ExternalEstimate
+    from comparisons.estimates.external import read_external as read_estimate
     from comparisons.estimates.folder import write_estimate as write_estimate
     from comparisons.experiments.montecarlo.study import montecarlo as montecarlo
     from comparisons.logs.log import Log as Log
     from comparisons.logs.log_folder import write_log_folder as write_log
-    from comparisons.pipeline.check import GivenCheck as GivenCheck
+    from comparisons.pipeline.check import ExternalCheck as ExternalCheck
     from comparisons.pipeline.compare import Comparison as Comparison
     from comparisons.pipeline.compare import compare as compare
     from comparisons.pipeline.dense_map import DenseMapping as DenseMapping
@@ -54,8 +54,8 @@ _PLACES = {
     "Ekf": "ekf_reference.core.ekf",
     "Estimate": "comparisons.estimates.estimate",
     "FrontEnd": "comparisons.pipeline.odometry",
-    "GivenCheck": "comparisons.pipeline.check",
-    "GivenEstimate": "comparisons.estimates.external",
+    "ExternalCheck": "comparisons.pipeline.check",
+    "ExternalEstimate": "comparisons.estimates.external",
     "InputError": "comparisons.errors",
     "Log": "comparisons.logs.log",
     "MapConfig": "comparisons.config",
@@ -67,7 +67,7 @@ _PLACES = {
     "dense_map": "comparisons.pipeline.dense_map:map_log",
     "montecarlo": "comparisons.experiments.montecarlo.study",
     "odometry": "comparisons.pipeline.odometry:run_front_end",
-    "read_estimate": "comparisons.estimates.external:read_given",
+    "read_estimate": "comparisons.estimates.external:read_external",
     "run_config": "comparisons.settings",
     "solve": "comparisons.pipeline.solve",
     "write_estimate": "comparisons.estimates.folder",
@@ -83,9 +83,9 @@ __all__ = [
     "DirectionCosineEkf",
     "Ekf",
     "Estimate",
+    "ExternalCheck",
+    "ExternalEstimate",
     "FrontEnd",
-    "GivenCheck",
-    "GivenEstimate",
     "InputError",
     "Log",
     "MapConfig",
@@ -124,8 +124,8 @@ def load_log(source: str | Path, **settings: Any) -> Log:
 
 
 def check(
-    log: Log, estimate: GivenEstimate | Estimate | str | Path, config: CheckConfig | None = None
-) -> GivenCheck:
+    log: Log, estimate: ExternalEstimate | Estimate | str | Path, config: CheckConfig | None = None
+) -> ExternalCheck:
     """Grade another system's estimate of a log.
 
     Args:
@@ -138,14 +138,14 @@ def check(
         graphslam.marginals.SingularProblemError: the smoother has no unique solution.
     """
     from comparisons.estimates.estimate import Estimate
-    from comparisons.estimates.external import GivenEstimate, read_given
-    from comparisons.pipeline.check import check as check_given
+    from comparisons.estimates.external import ExternalEstimate, read_external
+    from comparisons.pipeline.check import check as check_external_estimate
 
     if isinstance(estimate, Estimate):
-        estimate = GivenEstimate.of(estimate)
-    elif not isinstance(estimate, GivenEstimate):
-        estimate = read_given(Path(estimate))
-    return check_given(log, estimate, config)
+        estimate = ExternalEstimate.of(estimate)
+    elif not isinstance(estimate, ExternalEstimate):
+        estimate = read_external(Path(estimate))
+    return check_external_estimate(log, estimate, config)
 
 
 def __getattr__(name: str) -> Any:

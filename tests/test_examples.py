@@ -19,11 +19,11 @@ import pytest
 from nbclient import NotebookClient
 
 from comparisons.config import CheckConfig
-from comparisons.estimates.external import read_given
+from comparisons.estimates.external import read_external
 from comparisons.experiments.scenarios.scenario import read_scenario
 from comparisons.experiments.scenarios.world import build_world, log_of_run
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
-from comparisons.pipeline.check import GivenCheck, check
+from comparisons.pipeline.check import ExternalCheck, check
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -79,12 +79,12 @@ def log_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def checked(program: Path, log: Path) -> GivenCheck:
+def checked(program: Path, log: Path) -> ExternalCheck:
     """What `slamcheck check --require like` finds of an own filter's output."""
     out = program.parent / "out"
     alone = (sys.executable, "-I", str(program), str(log), str(out))
     subprocess.run(alone, check=True, cwd=program.parent, timeout=120)
-    return check(read_log_folder(log), read_given(out), CheckConfig(require="like"))
+    return check(read_log_folder(log), read_external(out), CheckConfig(require="like"))
 
 
 def test_the_own_filter_is_like_ours(log_folder: Path, tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def build(tmp_path: Path) -> Callable[..., str]:
 def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., str], tmp_path: Path) -> None:
     program, out = build(WRITER), tmp_path / "out"
     subprocess.run((program, str(out)), check=True, timeout=60)
-    given, k = read_given(out), np.arange(50)
+    given, k = read_external(out), np.arange(50)
     u = 1.0 / (k + 3.0)
     assert np.array_equal(given.time_s, 1e9 + k + u)
     assert np.array_equal(given.pose[:, :2], np.column_stack((u, -1e5 * u)))
@@ -219,7 +219,7 @@ def test_the_cpp_example_runs(build: Callable[..., str], log_folder: Path, tmp_p
     log = read_log_folder(log_folder)
     words = (program, str(log_folder), str(tmp_path / "out"), *map(str, log.prior.pose.tolist()))
     subprocess.run(words, check=True, timeout=60)
-    given = read_given(tmp_path / "out")
+    given = read_external(tmp_path / "out")
     assert np.array_equal(given.time_s, log.odometry.time_s)
     assert given.absent == ["landmarks", "landmark covariances", "the joint covariance"]
 

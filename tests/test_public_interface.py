@@ -52,7 +52,7 @@ def test_a_log_is_run_checked_and_solved(tmp_path: Path) -> None:
     assert run.verdict.outcome == "agree"
     estimate = run.ekf.estimate
     slamcheck.write_estimate(estimate, tmp_path)
-    for handed_in in (estimate, slamcheck.GivenEstimate.of(estimate), tmp_path, str(tmp_path)):
+    for handed_in in (estimate, slamcheck.ExternalEstimate.of(estimate), tmp_path, str(tmp_path)):
         assert slamcheck.check(log, handed_in).outcome == "agree"
     solution = slamcheck.solve(log)
     assert np.isfinite(solution.estimate.pose).all()
@@ -61,7 +61,7 @@ def test_a_log_is_run_checked_and_solved(tmp_path: Path) -> None:
     assert repr(run) == f"<Comparison of simulated-loop: {run.verdict.summary}>"
     assert repr(estimate) == "<Estimate: 426 filtered poses, 60 landmarks>"
     checked = slamcheck.check(log, estimate)
-    assert repr(checked) == "<GivenCheck of simulated-loop: agree, grade equal>"
+    assert repr(checked) == "<ExternalCheck of simulated-loop: agree, grade equal>"
     assert repr(solution).endswith(", verified>")
 
 

@@ -157,7 +157,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("comparisons.pipeline.read.read_for", stop)
-    monkeypatch.setattr("comparisons.estimates.external.read_given", stop)
+    monkeypatch.setattr("comparisons.estimates.external.read_external", stop)
     monkeypatch.setattr("comparisons.report.viewer.check_viewer", lambda *_: None)
 
 

@@ -13,7 +13,7 @@ from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
 from comparisons.checks.agreement import ROUNDING
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
 from ekf_reference.core.geometry import wrap_angle
 
@@ -129,7 +129,7 @@ class Likeness:
         return float(np.nanmin(least)), float(np.nanmax(largest))
 
 
-def likeness(given: GivenEstimate, reference: Reference, *, labelled: bool) -> Likeness:
+def likeness(given: ExternalEstimate, reference: Reference, *, labelled: bool) -> Likeness:
     """Compare every pose, every landmark, and the last pose and map together.
 
     given: its poses at the reference's times, and no others. labelled: ids are the log's.
@@ -160,7 +160,9 @@ def likeness(given: GivenEstimate, reference: Reference, *, labelled: bool) -> L
     )
 
 
-def match_map(given: GivenEstimate, reference: Reference, *, labelled: bool) -> tuple[Index, Index]:
+def match_map(
+    given: ExternalEstimate, reference: Reference, *, labelled: bool
+) -> tuple[Index, Index]:
     """Return the rows of the landmarks that both have. labelled: ids are the log's."""
     if given.landmark is None or given.landmark_id is None:
         none = np.zeros(0, dtype=np.intp)
@@ -209,7 +211,7 @@ def joint_rows(landmarks: Index) -> Index:
 
 
 def joint_pair(
-    given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]
+    given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]
 ) -> tuple[Array, Array] | None:
     """Return the joint covariances (n, n) of an estimate and a reference, None without any.
 
@@ -227,7 +229,7 @@ def joint_pair(
     )
 
 
-def _poses(given: GivenEstimate, reference: Reference) -> Part:
+def _poses(given: ExternalEstimate, reference: Reference) -> Part:
     at = reference.known
     own = reference.pose_covariance[at]
     difference = pose_difference(given.pose[at], reference.pose[at])
@@ -239,7 +241,7 @@ def _poses(given: GivenEstimate, reference: Reference) -> Part:
     return Part("poses", in_sigma(difference, own), *_ratios(cover, own), rounding)
 
 
-def _landmarks(given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
+def _landmarks(given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
     ours, theirs = rows
     own = reference.landmark_covariances(theirs)
     theirs_at = reference.landmark[theirs]
@@ -249,7 +251,7 @@ def _landmarks(given: GivenEstimate, reference: Reference, rows: tuple[Index, In
     return Part("landmarks", in_sigma(at - theirs_at, own), *_ratios(cover, own), rounding)
 
 
-def _joint(given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
+def _joint(given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
     pair = joint_pair(given, reference, rows)
     if pair is None:
         none = np.zeros(0)
@@ -298,7 +300,7 @@ def _missing(reference: Reference) -> Sequence[str]:
     return missing
 
 
-def _unmapped(given: GivenEstimate, reference: Reference, ours: Index) -> Sequence[str]:
+def _unmapped(given: ExternalEstimate, reference: Reference, ours: Index) -> Sequence[str]:
     """What the reference's map has and the estimate's has not, or the other way about."""
     missing = []
     if given.landmark is not None:

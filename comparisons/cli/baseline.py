@@ -197,12 +197,12 @@ def _find(log: Log, config: RunConfig | CheckConfig) -> Found:
 
     with progress_bar() as progress:
         if isinstance(config, CheckConfig):
-            from comparisons.estimates.external import read_given
+            from comparisons.estimates.external import read_external
             from comparisons.pipeline.check import check
             from comparisons.report.check import build_check_result
 
             times = None if config.times is None else Path(config.times)
-            given = read_given(Path(config.estimate), times)
+            given = read_external(Path(config.estimate), times)
             return build_check_result(check(log, given, config, progress))
         from comparisons.pipeline.compare import compare as compare_estimators
         from comparisons.report.result import build_result

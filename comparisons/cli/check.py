@@ -27,18 +27,18 @@ def check(given: Given) -> None:
     with guarded(verbose=given.verbose, log_file=given.log_file):
         with progress_bar() as progress:
             from comparisons.config import CheckConfig
-            from comparisons.estimates.external import GivenEstimate, read_given
+            from comparisons.estimates.external import ExternalEstimate, read_external
             from comparisons.report.check import build_check_result, check_folder, print_check
             from comparisons.report.folder import write_job_folder
 
-            handed_in: list[GivenEstimate] = []
+            handed_in: list[ExternalEstimate] = []
 
             def read_first(config: CheckConfig) -> None:
                 if not config.estimate:
                     raise InputError(
                         "--estimate is missing: give a trajectory or an estimate's folder"
                     )
-                handed_in.append(read_given(Path(config.estimate), _path(config.times)))
+                handed_in.append(read_external(Path(config.estimate), _path(config.times)))
 
             job = start_job(given, CheckConfig, check=read_first)
             from comparisons.pipeline.check import check as check_estimate

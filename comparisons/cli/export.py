@@ -39,13 +39,13 @@ def export(
     """
     with guarded():
         kind = _format(file, format_name)
-        from comparisons.estimates.external import read_given
+        from comparisons.estimates.external import read_external
         from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 
         parts = [f"{estimate / name}" for name in ("ekf", "smoother") if (estimate / name).is_dir()]
         if parts:
             raise InputError(f"{estimate}: is no estimate; give {' or '.join(parts)}")
-        given = read_given(estimate, times)
+        given = read_external(estimate, times)
         trajectory = Trajectory(given.time_s, given.pose, given.pose_covariance)
         write_trajectory(trajectory, file, kind)
         typer.echo(f"{file}: {len(given.pose):,} poses")

@@ -33,7 +33,7 @@ _ARRAYS = ("pose", "landmarks", "last_pose_and_landmarks")
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenEstimate:
+class ExternalEstimate:
     """What was handed in; None for what was not.
 
     time_s: (K,). pose: (K, 3) x, y, heading, unwrapped. landmark_id: (L,) and landmark: (L, 2),
@@ -58,7 +58,7 @@ class GivenEstimate:
     sha256: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, estimate: Estimate) -> GivenEstimate:
+    def of(cls, estimate: Estimate) -> ExternalEstimate:
         """Return an estimate with all it has, as somebody else would hand it in."""
         return cls(
             time_s=estimate.time_s,
@@ -112,7 +112,7 @@ class GivenEstimate:
         ]
 
 
-def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
+def read_external(path: Path, times: Path | None = None) -> ExternalEstimate:
     """A trajectory's file, or a folder with `trajectory.tum` and any files of an estimate folder.
 
     times: of a KITTI file. Raises InputError.
@@ -126,7 +126,7 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
     (time_s, pose, covariance), files = read_with_files(path, times)
     if not len(pose):
         raise InputError(f"{path}: holds no poses")
-    return GivenEstimate(
+    return ExternalEstimate(
         time_s=time_s, pose=pose, pose_covariance=covariance, sha256=_hashes(files)
     )
 
@@ -138,7 +138,7 @@ def _hashes(files: Iterable[Path]) -> dict[str, str]:
     }
 
 
-def _read_folder(path: Path) -> GivenEstimate:
+def _read_folder(path: Path) -> ExternalEstimate:
     time_s, pose = read_trajectory(path / "trajectory.tum")
     if not len(pose):
         raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
@@ -156,7 +156,7 @@ def _read_folder(path: Path) -> GivenEstimate:
         if ids is None:
             raise InputError(f"{path / TRACE}: needs landmarks.csv beside it")
         trace = read_trace(path / TRACE, ids)
-    return GivenEstimate(
+    return ExternalEstimate(
         time_s=time_s,
         pose=pose,
         landmark_id=ids,

@@ -13,13 +13,13 @@ from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess
 from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.causes import Cause
-from comparisons.checks.consistency.consistency import GivenConsistency, given_consistency
+from comparisons.checks.consistency.consistency import ExternalConsistency, external_consistency
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts
-from comparisons.checks.given_agreement import (
+from comparisons.checks.external_agreement import (
     Coverage,
-    GivenAgreement,
+    ExternalAgreement,
     clock_words,
-    compare_given,
+    compare_external,
     coverage,
     within_log,
 )
@@ -27,9 +27,9 @@ from comparisons.checks.grade import GRADES, Grade, Likeness, Reference, likenes
 from comparisons.checks.verdict import Outcome
 from comparisons.choices import RequiredGrade
 from comparisons.config import MIN_COVERAGE, CheckConfig
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.log import Log
-from comparisons.pipeline.given_trace import TraceCheck, check_trace
+from comparisons.pipeline.external_trace import TraceCheck, check_trace
 from comparisons.pipeline.prepare import Progress, no_progress
 from comparisons.pipeline.references import reference_ekf, smoother, variants
 from comparisons.pipeline.solve import Solution, solve
@@ -58,7 +58,7 @@ class Graded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenCheck:
+class ExternalCheck:
     """What the check found.
 
     solution: the smoother's; optimum: at the given times. peers: right estimates of the kinds that
@@ -67,13 +67,13 @@ class GivenCheck:
     filter's own gaps, where it left one. grade, outcome, causes, remarks: the verdict.
     """
 
-    given: GivenEstimate
+    given: ExternalEstimate
     solution: Solution
     optimum: Reference
     peers: tuple[Reference, ...]
-    agreement: GivenAgreement
+    agreement: ExternalAgreement
     coverage: Coverage
-    consistency: GivenConsistency
+    consistency: ExternalConsistency
     accuracy: Accuracy | None
     trace: TraceCheck | None
     grade: Graded
@@ -85,7 +85,7 @@ class GivenCheck:
         """Return log, outcome, grade and the causes' names in one line."""
         gaps = ", ".join(one.gap for one in self.causes)
         name, grade = self.solution.log.name, self.grade.value or "none"
-        return f"<GivenCheck of {name}: {self.outcome}, grade {grade}{gaps and f' ({gaps})'}>"
+        return f"<ExternalCheck of {name}: {self.outcome}, grade {grade}{gaps and f' ({gaps})'}>"
 
 
 @dataclass(frozen=True)
@@ -99,28 +99,30 @@ class _References:
 
 def check(
     log: Log,
-    given: GivenEstimate,
+    given: ExternalEstimate,
     config: CheckConfig | None = None,
     progress: Progress = no_progress,
     solver: Callable[[Log, CheckConfig, Progress], Solution] = solve,
-) -> GivenCheck:
+) -> ExternalCheck:
     """Solve the log, run the reference EKF, grade. Raises InputError, and as `solve` does.
 
     solver: in the place of `solve`, as one that keeps what it has solved.
     """
     config = config or CheckConfig()
     solution = solver(log, config, progress)
-    return judge_given(given, solution, config.require, progress, min_coverage=config.min_coverage)
+    return check_external(
+        given, solution, config.require, progress, min_coverage=config.min_coverage
+    )
 
 
-def judge_given(
-    given: GivenEstimate,
+def check_external(
+    given: ExternalEstimate,
     solution: Solution,
     require: RequiredGrade | None = None,
     progress: Progress = no_progress,
     *,
     min_coverage: float = MIN_COVERAGE,
-) -> GivenCheck:
+) -> ExternalCheck:
     """Grade an estimate of a log that is solved. Raises InputError for one of another time.
 
     min_coverage: share of the log's time below which no estimate agrees.
@@ -132,7 +134,7 @@ def judge_given(
         references = _references(inside, solution)
         near = _nearest(inside, references, solution)
     progress("check", 0, 0)
-    found = compare_given(inside, references.optimum, references.peers, labelled=labelled)
+    found = compare_external(inside, references.optimum, references.peers, labelled=labelled)
     verified = solution.verified
     grade = _grade(require or _expected(given), near, found, verified=verified)
     first = near and likeness(inside, references.peers[0], labelled=labelled)
@@ -164,14 +166,14 @@ def judge_given(
         rest = tuple(one for one in causes if one.gap not in _OWN)
         outcome = "disagree"
         causes = (*own, _short(given, inside, covered, min_coverage), *rest)
-    return GivenCheck(
+    return ExternalCheck(
         given=given,
         solution=solution,
         optimum=references.optimum,
         peers=references.peers,
         agreement=found,
         coverage=covered,
-        consistency=given_consistency(
+        consistency=external_consistency(
             inside,
             references.optimum,
             solution.estimate,
@@ -189,7 +191,9 @@ def judge_given(
     )
 
 
-def _short(given: GivenEstimate, inside: GivenEstimate, covered: Coverage, least: float) -> Cause:
+def _short(
+    given: ExternalEstimate, inside: ExternalEstimate, covered: Coverage, least: float
+) -> Cause:
     """Too little is covered, which may be the clock's fault."""
     outside, (first, last) = len(given.time_s) - len(inside.time_s), covered.span_s
     if outside <= (1.0 - least) * len(given.time_s):
@@ -208,7 +212,7 @@ def _on_association(solution: Solution) -> list[str]:
     return [] if checked is None else checked.remarks
 
 
-def _information(given: GivenEstimate, near: Likeness | None) -> str | None:
+def _information(given: ExternalEstimate, near: Likeness | None) -> str | None:
     """What its poses know of the log: as it says, or else as a reference does that it is like."""
     filtered, smoothed = (given.may_be(kind) for kind in ("filtered", "smoothed"))
     if filtered != smoothed or given.information is not None:
@@ -218,17 +222,17 @@ def _information(given: GivenEstimate, near: Likeness | None) -> str | None:
     return "smoothed" if near.reference.smoothed else "filtered"
 
 
-def _expected(given: GivenEstimate) -> RequiredGrade:
+def _expected(given: ExternalEstimate) -> RequiredGrade:
     """What is asked of an estimate by what it calls itself."""
     return "like" if given.estimator == "ekf" else "plausible"
 
 
-def _chosen(given: GivenEstimate, rows: NDArray[np.bool_]) -> GivenEstimate:
+def _chosen(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:
     cover = None if given.pose_covariance is None else given.pose_covariance[rows]
     return replace(given, time_s=given.time_s[rows], pose=given.pose[rows], pose_covariance=cover)
 
 
-def _references(given: GivenEstimate, solution: Solution) -> _References:
+def _references(given: ExternalEstimate, solution: Solution) -> _References:
     optimum = smoother(solution, given.time_s)
     smoothed = optimum.pose, optimum.pose_covariance
     ekf = reference_ekf(solution.prepared, given.time_s) if given.may_be("filtered") else None
@@ -244,7 +248,9 @@ def _references(given: GivenEstimate, solution: Solution) -> _References:
     return _References(optimum, peers, clues)
 
 
-def _nearest(given: GivenEstimate, references: _References, solution: Solution) -> Likeness | None:
+def _nearest(
+    given: ExternalEstimate, references: _References, solution: Solution
+) -> Likeness | None:
     """The best of all likenesses; variants of the EKF are tried where it is not equal to it."""
     labelled, best = solution.prepared.labelled, None
     for peer in references.peers:
@@ -273,7 +279,7 @@ def _better(first: Likeness | None, second: Likeness) -> Likeness:
 
 
 def _grade(
-    required: RequiredGrade, near: Likeness | None, found: GivenAgreement, *, verified: bool
+    required: RequiredGrade, near: Likeness | None, found: ExternalAgreement, *, verified: bool
 ) -> Graded:
     value: Grade | None = near.grade if near else None
     if value is None and verified:
@@ -281,7 +287,7 @@ def _grade(
     return Graded(value=value, required=required, by=near)
 
 
-def _causes(grade: Graded, known: list[Cause], found: GivenAgreement) -> tuple[Cause, ...]:
+def _causes(grade: Graded, known: list[Cause], found: ExternalAgreement) -> tuple[Cause, ...]:
     """Why the grade is not higher."""
     causes = list(known)
     if found.against and grade.value in ("wrong", None):
@@ -315,7 +321,7 @@ def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Ca
 
 
 def _beside(
-    grade: Graded, known: list[Cause], found: GivenAgreement, outcome: Outcome
+    grade: Graded, known: list[Cause], found: ExternalAgreement, outcome: Outcome
 ) -> list[str]:
     """What the grade does not say."""
     remarks = []
@@ -331,7 +337,7 @@ def _beside(
     return remarks
 
 
-def _remarks(given: GivenEstimate, found: GivenAgreement) -> list[str]:
+def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
     """How the verdict is narrowed by what was not handed in."""
     remarks = []
     if given.absent:

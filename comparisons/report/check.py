@@ -11,14 +11,14 @@ from rich.console import Console
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
-from comparisons.checks.given_agreement import Block, GivenAgreement
+from comparisons.checks.external_agreement import Block, ExternalAgreement
 from comparisons.checks.grade import Likeness, match_map
 from comparisons.extensions.contract import Row
-from comparisons.pipeline.check import GivenCheck
-from comparisons.pipeline.given_trace import TraceCheck
+from comparisons.pipeline.check import ExternalCheck
+from comparisons.pipeline.external_trace import TraceCheck
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.consistency_result import (
-    given_consistency_result,
+    external_consistency_result,
     nees_rows,
     smoothed_rows,
 )
@@ -40,11 +40,11 @@ from comparisons.report.models import (
     AccuracyResult,
     BlockResult,
     CauseResult,
-    GivenConsistencyResult,
+    ExternalConsistencyResult,
     LogResult,
     SmootherResult,
 )
-from comparisons.report.panels import REFERENCE_COLOUR, filters_compared, given_panels
+from comparisons.report.panels import REFERENCE_COLOUR, external_panels, filters_compared
 from comparisons.report.rows import (
     accuracy_rows,
     gap_row,
@@ -68,7 +68,7 @@ NOT_STATED = "not stated"
 """In place of what an estimate's poses know of the log."""
 
 
-def build_check_result(check: GivenCheck, read: Clock | None = None) -> CheckResult:
+def build_check_result(check: ExternalCheck, read: Clock | None = None) -> CheckResult:
     """The findings, read being the time that reading log and estimate took."""
     found, solution = check.agreement, check.solution
     return CheckResult(
@@ -90,11 +90,11 @@ def build_check_result(check: GivenCheck, read: Clock | None = None) -> CheckRes
         if found.last is None
         else BlockResult.model_validate(_block(found, found.last)),
         landmarks=[
-            GivenLandmarkResult.model_validate({"id": int(number), **_block(found, block)})
+            ExternalLandmarkResult.model_validate({"id": int(number), **_block(found, block)})
             for number, block in zip(found.landmark_id, found.landmarks, strict=True)
         ],
         estimate_sha256=dict(check.given.sha256),
-        consistency=given_consistency_result(check.consistency),
+        consistency=external_consistency_result(check.consistency),
         accuracy=accuracy_result(check.accuracy),
         smoother_accuracy=accuracy_result(solution.accuracy),
         trace=_trace(check.trace),
@@ -115,7 +115,7 @@ def print_check(result: CheckResult, console: Console) -> None:
     print_verdict(result.verdict, console, result.causes, result.remarks)
 
 
-def check_folder(check: GivenCheck, result: CheckResult) -> JobFolder:
+def check_folder(check: ExternalCheck, result: CheckResult) -> JobFolder:
     """Return what is to be written."""
 
     def write_page(path: Path) -> None:
@@ -131,10 +131,10 @@ def check_folder(check: GivenCheck, result: CheckResult) -> JobFolder:
     )
 
 
-def check_page(check: GivenCheck, result: CheckResult) -> PageContent:
+def check_page(check: ExternalCheck, result: CheckResult) -> PageContent:
     """Return what stands on the page."""
     given, solution = check.given, check.solution
-    reported, panels = given_panels(check)
+    reported, panels = external_panels(check)
     ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
     map_content, marked = _map(check, ours, theirs)
     rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
@@ -161,7 +161,7 @@ def check_page(check: GivenCheck, result: CheckResult) -> PageContent:
 
 
 def _landmark_table(
-    check: GivenCheck, result: CheckResult, ours: Index, shown: Index
+    check: ExternalCheck, result: CheckResult, ours: Index, shown: Index
 ) -> tuple[list[LandmarkRow], str]:
     """Rows of those landmarks that both have and the map marks, and a note.
 
@@ -192,7 +192,7 @@ def _both_names(own: int, given: int) -> str:
     return str(own) if own == given else f"{own} (given as {given})"
 
 
-def _map(check: GivenCheck, ours: Index, theirs: Index) -> tuple[MapContent, Index]:
+def _map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapContent, Index]:
     """The smoother's, the given estimate, and filters it was compared with.
 
     ours, theirs: rows of the landmarks that both have. The smoother's that are marked come second.
@@ -356,7 +356,7 @@ def _nearest(found: Likeness | None) -> NearestResult | None:
     )
 
 
-def _block(found: GivenAgreement, block: Block) -> dict[str, float | bool | None]:
+def _block(found: ExternalAgreement, block: Block) -> dict[str, float | bool | None]:
     return {
         "difference_m": block.difference_m,
         "distance_sigma": block.distance,
@@ -366,7 +366,7 @@ def _block(found: GivenAgreement, block: Block) -> dict[str, float | bool | None
     }
 
 
-class GivenLandmarkResult(BlockResult):
+class ExternalLandmarkResult(BlockResult):
     """One landmark of both."""
 
     id: int
@@ -388,7 +388,7 @@ class NearestResult(Model):
 
 
 class TraceResult(Model):
-    """See comparisons.checks.given_trace.TraceCheck; gaps as in `result.json`."""
+    """See comparisons.checks.external_trace.TraceCheck; gaps as in `result.json`."""
 
     steps: int
     updates: int
@@ -428,9 +428,9 @@ class CheckResult(Model):
     rms_heading_rad: float
     outside: float | None
     last_pose: BlockResult | None
-    landmarks: list[GivenLandmarkResult]
+    landmarks: list[ExternalLandmarkResult]
     estimate_sha256: dict[str, str]
-    consistency: GivenConsistencyResult
+    consistency: ExternalConsistencyResult
     accuracy: AccuracyResult | None
     smoother_accuracy: AccuracyResult | None
     trace: TraceResult | None

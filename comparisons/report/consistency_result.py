@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.checks.consistency.consistency import Consistency, GivenConsistency
+from comparisons.checks.consistency.consistency import Consistency, ExternalConsistency
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.consistency.normalised import Normalised
 from comparisons.report.models import (
     ConsistencyResult,
+    ExternalConsistencyResult,
     FilterAgainstSmootherResult,
-    GivenConsistencyResult,
     InnovationResult,
     NeesResult,
     NisResult,
@@ -64,13 +64,13 @@ def _nees(n: Normalised) -> NeesResult | None:
     )
 
 
-def given_consistency_result(c: GivenConsistency) -> GivenConsistencyResult:
+def external_consistency_result(c: ExternalConsistency) -> ExternalConsistencyResult:
     """An external estimate's."""
     truth = c.truth
     if truth is not None and truth.poses is not None and not len(truth.poses.pose.squared):
         truth = replace(truth, poses=None)
     none = truth is None or (truth.poses is None and truth.map is None)
-    return GivenConsistencyResult(
+    return ExternalConsistencyResult(
         truth=None if none else _truth(truth),
         filter_against_smoother=_smoothed(c.smoothed),
         unjudged=c.unjudged,

@@ -116,7 +116,7 @@ class SmootherResult(Model):
 class BlockResult(Model):
     """An estimate against the smoother's in one block of the state.
 
-    See comparisons.checks.agreement.BlockAgreement; of `slamcheck check`, given_agreement.Block.
+    See comparisons.checks.agreement.BlockAgreement; of `slamcheck check`, external_agreement.Block.
     """
 
     difference_m: float
@@ -372,7 +372,7 @@ class ConsistencyResult(Model):
     filter_against_smoother: FilterAgainstSmootherResult | None
 
 
-class GivenConsistencyResult(Model):
+class ExternalConsistencyResult(Model):
     """Of an external estimate's covariances, by truth and by the smoother.
 
     unjudged: why filter_against_smoother is None.

@@ -22,7 +22,7 @@ from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_
 
 if TYPE_CHECKING:
     from comparisons.checks.grade import Reference
-    from comparisons.pipeline.check import GivenCheck
+    from comparisons.pipeline.check import ExternalCheck
 
 REFERENCE_COLOUR = "#5c6f2b"
 _FURTHER = (SCANS_COLOUR, "#6a3d9a", REFERENCE_COLOUR)
@@ -139,7 +139,7 @@ def distance_panel(
     )
 
 
-def given_panels(check: GivenCheck) -> tuple[str, tuple[Panel, ...]]:
+def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
     """Errors of an external trajectory by truth and by the smoother; what they show, in words."""
     c, reported = check.consistency, []
     panels: list[Panel] = []
@@ -179,7 +179,7 @@ def given_panels(check: GivenCheck) -> tuple[str, tuple[Panel, ...]]:
     return " ".join(reported), tuple(panels)
 
 
-def filters_compared(check: GivenCheck) -> list[Reference]:
+def filters_compared(check: ExternalCheck) -> list[Reference]:
     """Reference filters that the estimate was compared with: the EKF, and a nearer variant."""
     nearest = [] if check.grade.by is None else [check.grade.by.reference]
     found = {one.name: one for one in (*check.peers, *nearest) if not one.smoothed}

@@ -27,7 +27,7 @@ from comparisons.baseline import (
 from comparisons.config import CheckConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check
@@ -58,13 +58,13 @@ def estimate(comparison: Comparison) -> Estimate:
 
 @pytest.fixture(scope="module")
 def checked(estimate: Estimate) -> CheckResult:
-    return build_check_result(check(simulated(loop_s=20.0), GivenEstimate.of(estimate)))
+    return build_check_result(check(simulated(loop_s=20.0), ExternalEstimate.of(estimate)))
 
 
 @pytest.fixture(scope="module")
 def bare(estimate: Estimate) -> CheckResult:
     """The same without covariances and landmarks."""
-    given = GivenEstimate(time_s=estimate.time_s, pose=estimate.pose, information="filtered")
+    given = ExternalEstimate(time_s=estimate.time_s, pose=estimate.pose, information="filtered")
     return build_check_result(check(simulated(loop_s=20.0), given))
 
 

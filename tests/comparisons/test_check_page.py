@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 from comparisons.config import CheckConfig
-from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
-from comparisons.pipeline.check import GivenCheck, check
+from comparisons.pipeline.check import ExternalCheck, check
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import build_check_result, check_folder, check_page
-from comparisons.report.consistency_result import consistency_result, given_consistency_result
+from comparisons.report.consistency_result import consistency_result, external_consistency_result
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html.page import page
-from comparisons.report.panels import Panel, given_panels
+from comparisons.report.panels import Panel, external_panels
 from tests.comparisons.browser import came_up, look
 from tests.comparisons.test_html_report import HOSTILE, read
 from tests.helpers import compared, simulated
@@ -35,15 +35,15 @@ def run() -> Comparison:
 
 
 @pytest.fixture(scope="module")
-def filtered(run: Comparison) -> GivenEstimate:
-    return GivenEstimate.of(run.ekf.estimate)
+def filtered(run: Comparison) -> ExternalEstimate:
+    return ExternalEstimate.of(run.ekf.estimate)
 
 
-def bare(given: GivenEstimate) -> GivenEstimate:
-    return GivenEstimate(time_s=given.time_s, pose=given.pose)
+def bare(given: ExternalEstimate) -> ExternalEstimate:
+    return ExternalEstimate(time_s=given.time_s, pose=given.pose)
 
 
-def surer(given: GivenEstimate) -> GivenEstimate:
+def surer(given: ExternalEstimate) -> ExternalEstimate:
     """From half of the way on its pose covariances are a hundredth of what they should be."""
     assert given.pose_covariance is not None
     late = given.time_s > given.time_s[len(given.time_s) // 2]
@@ -52,7 +52,7 @@ def surer(given: GivenEstimate) -> GivenEstimate:
     )
 
 
-def html(found: GivenCheck) -> str:
+def html(found: ExternalCheck) -> str:
     return page(check_page(found, build_check_result(found)))
 
 
@@ -72,7 +72,7 @@ def layers(text: str) -> list[str]:
 
 
 def test_everything_that_was_handed_in_is_on_the_page(
-    run: Comparison, filtered: GivenEstimate
+    run: Comparison, filtered: ExternalEstimate
 ) -> None:
     text = html(check(run.log, filtered))
     shown = layers(text)
@@ -93,10 +93,10 @@ def test_everything_that_was_handed_in_is_on_the_page(
 
 
 def test_consistency_is_judged_as_the_run_judges_its_own_filter(
-    run: Comparison, filtered: GivenEstimate
+    run: Comparison, filtered: ExternalEstimate
 ) -> None:
     found, own = check(run.log, filtered), consistency_result(run.consistency)
-    given = given_consistency_result(found.consistency)
+    given = external_consistency_result(found.consistency)
     assert given.truth is not None
     assert own.ekf is not None
     assert given.truth.model_dump() == own.ekf.model_dump()
@@ -107,9 +107,9 @@ def test_consistency_is_judged_as_the_run_judges_its_own_filter(
     assert (theirs.epochs, theirs.surer_epochs) == (ours.epochs, ours.surer_epochs)
 
 
-def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: GivenEstimate) -> None:
+def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: ExternalEstimate) -> None:
     found = check(run.log, filtered)
-    east = named(given_panels(found)[1], "given - smoother")[0]
+    east = named(external_panels(found)[1], "given - smoother")[0]
     gap = run.ekf.estimate.pose_covariance - run.smoothed.pose_covariance
     sure = np.isfinite(east.bands[0].high)
     assert np.count_nonzero(sure) > 90
@@ -130,14 +130,14 @@ def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: GivenE
     ],
 )
 def test_no_band_is_drawn_where_none_is_justified(
-    run: Comparison, filtered: GivenEstimate, given: dict[str, Any], reason: str
+    run: Comparison, filtered: ExternalEstimate, given: dict[str, Any], reason: str
 ) -> None:
     """One that says nothing is taken for what a reference is that it is like, if any."""
     moved = replace(
         filtered, information=given["information"], pose=filtered.pose + given.get("pose", 0.0)
     )
     found = check(run.log, moved)
-    reported, panels = given_panels(found)
+    reported, panels = external_panels(found)
     bands = [panel.bands for panel in named(panels, "given - smoother")]
     assert len(bands) == (3 if reason else 4)
     assert not any(bands) if reason else all(bands)
@@ -147,11 +147,11 @@ def test_no_band_is_drawn_where_none_is_justified(
 
 
 def test_no_band_is_drawn_where_the_filter_is_surer(
-    run: Comparison, filtered: GivenEstimate
+    run: Comparison, filtered: ExternalEstimate
 ) -> None:
     found = check(run.log, surer(filtered))
     assert found.consistency.smoothed is not None
-    reported, panels = given_panels(found)
+    reported, panels = external_panels(found)
     high = named(panels, "given - smoother")[0].bands[0].high
     half = len(high) // 2
     assert np.isfinite(high[:half]).all()
@@ -164,7 +164,7 @@ def test_no_band_is_drawn_where_the_filter_is_surer(
     assert (np.isfinite(squared.bands[0].high) == clear).all()
 
 
-def test_without_labels_there_is_no_band(run: Comparison, filtered: GivenEstimate) -> None:
+def test_without_labels_there_is_no_band(run: Comparison, filtered: ExternalEstimate) -> None:
     found = check(run.log, filtered, CheckConfig(association="own"))
     assert "different associations" in found.consistency.unjudged
     text = html(found)
@@ -173,7 +173,7 @@ def test_without_labels_there_is_no_band(run: Comparison, filtered: GivenEstimat
 
 
 def test_what_was_not_handed_in_is_left_out_with_a_word(
-    run: Comparison, filtered: GivenEstimate, tmp_path: Path
+    run: Comparison, filtered: ExternalEstimate, tmp_path: Path
 ) -> None:
     found = check(run.log, bare(filtered))
     result = build_check_result(found)
@@ -193,7 +193,7 @@ def test_what_was_not_handed_in_is_left_out_with_a_word(
 
 
 def test_without_truth_there_are_no_errors_against_it(
-    run: Comparison, filtered: GivenEstimate
+    run: Comparison, filtered: ExternalEstimate
 ) -> None:
     from comparisons.logs.log import Truth
 
@@ -205,7 +205,7 @@ def test_without_truth_there_are_no_errors_against_it(
 
 
 def test_landmarks_without_covariances_or_counterparts_are_drawn(
-    run: Comparison, filtered: GivenEstimate
+    run: Comparison, filtered: ExternalEstimate
 ) -> None:
     assert filtered.landmark is not None
     assert filtered.landmark_id is not None
@@ -226,7 +226,7 @@ def test_landmarks_without_covariances_or_counterparts_are_drawn(
     assert "not in the estimate" in text
 
 
-def test_one_far_away_does_not_hide_the_map(run: Comparison, filtered: GivenEstimate) -> None:
+def test_one_far_away_does_not_hide_the_map(run: Comparison, filtered: ExternalEstimate) -> None:
     found = check(run.log, bare(filtered))
     far = check(run.log, replace(bare(filtered), pose=filtered.pose + (5e5, 4e6, 0.0)))
     metres = [re.search(r'data-metres="([^"]*)"', html(one)) for one in (found, far)]
@@ -237,7 +237,9 @@ def test_one_far_away_does_not_hide_the_map(run: Comparison, filtered: GivenEsti
     assert "leaves the map" not in html(found)
 
 
-def test_what_log_and_estimate_are_called_is_text(run: Comparison, filtered: GivenEstimate) -> None:
+def test_what_log_and_estimate_are_called_is_text(
+    run: Comparison, filtered: ExternalEstimate
+) -> None:
     result = build_check_result(check(run.log, filtered))
     hostile = result.model_copy(
         update={
@@ -252,7 +254,7 @@ def test_what_log_and_estimate_are_called_is_text(run: Comparison, filtered: Giv
 
 
 def test_a_long_estimate_leaves_a_page_of_less_than_5_mb(
-    run: Comparison, filtered: GivenEstimate
+    run: Comparison, filtered: ExternalEstimate
 ) -> None:
     """Of 60,000 poses, which the curves and the map thin out."""
     found, poses = check(run.log, filtered), 60_000
@@ -281,13 +283,13 @@ def test_a_long_estimate_leaves_a_page_of_less_than_5_mb(
 
 
 def test_the_files_that_were_judged_are_named_by_their_hashes(
-    run: Comparison, filtered: GivenEstimate, tmp_path: Path
+    run: Comparison, filtered: ExternalEstimate, tmp_path: Path
 ) -> None:
     folder = tmp_path / "ekf"
     folder.mkdir()
     write_estimate(run.ekf.estimate, folder)
     (folder / "notes.txt").write_text("not read")
-    given = read_given(folder)
+    given = read_external(folder)
     assert sorted(given.sha256) == [
         "covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum",
     ]  # fmt: skip
@@ -296,14 +298,14 @@ def test_the_files_that_were_judged_are_named_by_their_hashes(
     assert build_check_result(check(run.log, given)).estimate_sha256 == given.sha256
     assert build_check_result(check(run.log, filtered)).estimate_sha256 == {}
     write_trajectory(Trajectory(given.time_s, given.pose), tmp_path / "a.txt", "kitti")
-    assert sorted(read_given(tmp_path / "a.txt").sha256) == ["a.txt", "times.txt"]
+    assert sorted(read_external(tmp_path / "a.txt").sha256) == ["a.txt", "times.txt"]
 
 
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize(("made", "figures"), [(bare, 7), (surer, 9)])
 def test_a_browser_shows_it(
-    run: Comparison, filtered: GivenEstimate, tmp_path: Path, made: Any, figures: int
+    run: Comparison, filtered: ExternalEstimate, tmp_path: Path, made: Any, figures: int
 ) -> None:
     """Where a band has a gap it is drawn in pieces, none of which spans the gap."""
     path = tmp_path / "report.html"

@@ -11,12 +11,12 @@ import pytest
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
 from comparisons.config import CheckConfig, SolveConfig
-from comparisons.estimates.external import read_given
+from comparisons.estimates.external import read_external
 from comparisons.estimates.stored_precision import SINGLE, restored, stored_rounding
 from comparisons.experiments.defects.logs import open_case
 from comparisons.experiments.foreign.faults import FAULTS, Fault
 from comparisons.experiments.foreign.filter import Foreign, in_single
-from comparisons.pipeline.given_trace import TraceCheck, check_trace
+from comparisons.pipeline.external_trace import TraceCheck, check_trace
 from comparisons.pipeline.prepare import Prepared, prepare
 from graphslam.smoother import SmootherOptions
 from tests.helpers import Array
@@ -38,7 +38,7 @@ def checked(one: Foreign, ready: Ready, folder: Path, *, stored: bool = False) -
     one.run(folder)
     if stored:
         in_single(folder)
-    return check_trace(read_given(folder), ready[0], SmootherOptions())
+    return check_trace(read_external(folder), ready[0], SmootherOptions())
 
 
 def said(check: TraceCheck) -> list[str]:

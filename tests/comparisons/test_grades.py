@@ -23,12 +23,12 @@ from comparisons.checks.diagnosis.covariance_signatures import fit
 from comparisons.checks.grade import Part, eigenvalues
 from comparisons.choices import RequiredGrade
 from comparisons.config import EkfConfig
-from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.experiments.defects.exports import EXPORTS, FEEDS
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.check import GivenCheck, judge_given
+from comparisons.pipeline.check import ExternalCheck, check_external
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from tests.comparisons.test_cli import slamcheck
@@ -39,14 +39,14 @@ def solution() -> Solution:
     return solve(simulate(np.random.default_rng(0), Drive(noise_scale=0.3, loop_s=15.0)))
 
 
-def filtered(log: Log, solution: Solution, kind: type[Ekf] = Ekf) -> GivenEstimate:
+def filtered(log: Log, solution: Solution, kind: type[Ekf] = Ekf) -> ExternalEstimate:
     """What a filter that was fed a log knew at the solution's instants."""
     run = run_reference(log, build_timeline(log), settle(EkfConfig(), log), kind=kind)
     assert run is not None
     time_s = solution.estimate.time_s
     pose, covariance = run.at(time_s)
     joint = run.map.joint_covariance
-    return GivenEstimate(
+    return ExternalEstimate(
         time_s=time_s,
         pose=pose,
         landmark_id=run.map.landmark_id,
@@ -61,16 +61,16 @@ def filtered(log: Log, solution: Solution, kind: type[Ekf] = Ekf) -> GivenEstima
 
 
 @pytest.fixture(scope="module")
-def right(solution: Solution) -> GivenEstimate:
+def right(solution: Solution) -> ExternalEstimate:
     return filtered(solution.log, solution)
 
 
-def nearest(found: GivenCheck) -> str:
+def nearest(found: ExternalCheck) -> str:
     assert found.grade.by is not None
     return found.grade.by.reference.name
 
 
-def evidence(found: GivenCheck) -> str:
+def evidence(found: ExternalCheck) -> str:
     return " ".join([*(one.evidence for one in found.causes), *found.remarks])
 
 
@@ -87,7 +87,7 @@ def evidence(found: GivenCheck) -> str:
 def test_a_sound_filter_is_equal_to_its_own_kind(
     solution: Solution, kind: type[Ekf], name: str
 ) -> None:
-    found = judge_given(filtered(solution.log, solution, kind), solution, "equal")
+    found = check_external(filtered(solution.log, solution, kind), solution, "equal")
     assert (found.grade.value, nearest(found), found.outcome) == ("equal", name, "agree")
     assert not found.causes
 
@@ -96,7 +96,7 @@ class Once(IteratedEkf):
     most_iterations = 1
 
 
-def test_one_iteration_is_the_ekf(solution: Solution, right: GivenEstimate) -> None:
+def test_one_iteration_is_the_ekf(solution: Solution, right: ExternalEstimate) -> None:
     once = filtered(solution.log, solution, Once)
     assert np.allclose(once.pose, right.pose, rtol=0.0, atol=1e-10)
     assert not np.allclose(filtered(solution.log, solution, IteratedEkf).pose, right.pose)
@@ -169,9 +169,9 @@ NAMED = {
 
 @pytest.mark.parametrize("name", NAMED)
 def test_a_fault_is_not_like_a_filter_and_is_named(
-    solution: Solution, right: GivenEstimate, name: str
+    solution: Solution, right: ExternalEstimate, name: str
 ) -> None:
-    found = judge_given(EXPORTS[name](right), solution, "like")
+    found = check_external(EXPORTS[name](right), solution, "like")
     assert found.grade.value in ("plausible", "wrong")
     assert found.outcome == "disagree"
     assert NAMED[name] in evidence(found)
@@ -181,7 +181,7 @@ def test_a_fault_is_not_like_a_filter_and_is_named(
 def test_a_filter_that_was_fed_something_else_is_not_like_one(
     solution: Solution, name: str
 ) -> None:
-    found = judge_given(filtered(FEEDS[name](solution.log), solution), solution, "like")
+    found = check_external(filtered(FEEDS[name](solution.log), solution), solution, "like")
     assert found.outcome == "disagree"
 
 
@@ -198,21 +198,21 @@ def test_a_filter_that_was_fed_something_else_is_not_like_one(
     ],
 )
 def test_the_required_grade_decides(
-    solution: Solution, right: GivenEstimate, factor: float, require: RequiredGrade, outcome: str
+    solution: Solution, right: ExternalEstimate, factor: float, require: RequiredGrade, outcome: str
 ) -> None:
     assert right.pose_covariance is not None
     other = replace(right, pose_covariance=factor * right.pose_covariance)
-    found = judge_given(other, solution, require)
+    found = check_external(other, solution, require)
     assert found.outcome == outcome
     assert bool(found.causes) == (outcome == "disagree")
 
 
 def test_what_calls_itself_an_ekf_has_to_be_like_one(
-    solution: Solution, right: GivenEstimate
+    solution: Solution, right: ExternalEstimate
 ) -> None:
     half_right = EXPORTS["all covariances 1.5 times"](right)
-    assert judge_given(half_right, solution).outcome == "agree"
-    claimed = judge_given(replace(half_right, estimator="ekf"), solution)
+    assert check_external(half_right, solution).outcome == "agree"
+    claimed = check_external(replace(half_right, estimator="ekf"), solution)
     assert (claimed.grade.required, claimed.outcome) == ("like", "disagree")
 
 
@@ -228,41 +228,41 @@ def unverified(solution: Solution) -> Solution:
 
 
 def test_an_optimum_that_is_not_verified_leaves_open_what_needs_it(
-    unverified: Solution, right: GivenEstimate
+    unverified: Solution, right: ExternalEstimate
 ) -> None:
-    assert judge_given(right, unverified, "like").outcome == "agree"
-    assert judge_given(EXPORTS["all covariances 1.5 times"](right), unverified).outcome == (
+    assert check_external(right, unverified, "like").outcome == "agree"
+    assert check_external(EXPORTS["all covariances 1.5 times"](right), unverified).outcome == (
         "unverified"
     )
-    three_times = judge_given(EXPORTS["all covariances 3 times"](right), unverified, "like")
+    three_times = check_external(EXPORTS["all covariances 3 times"](right), unverified, "like")
     assert (three_times.grade.value, three_times.outcome) == (None, "disagree")
-    smoothed = judge_given(GivenEstimate.of(unverified.estimate), unverified)
+    smoothed = check_external(ExternalEstimate.of(unverified.estimate), unverified)
     assert smoothed.outcome == "unverified"
 
 
 def test_a_smoother_is_compared_with_the_smoother(solution: Solution) -> None:
-    found = judge_given(GivenEstimate.of(solution.estimate), solution, "equal")
+    found = check_external(ExternalEstimate.of(solution.estimate), solution, "equal")
     assert (found.outcome, nearest(found)) == ("agree", "the smoother")
-    as_filter = judge_given(
-        replace(GivenEstimate.of(solution.estimate), information="filtered"), solution, "like"
+    as_filter = check_external(
+        replace(ExternalEstimate.of(solution.estimate), information="filtered"), solution, "like"
     )
     assert as_filter.outcome == "disagree"
     assert "have seen the future" in evidence(as_filter)
-    bare = GivenEstimate(time_s=solution.estimate.time_s, pose=solution.estimate.pose)
-    assert judge_given(bare, solution, "like").outcome == "agree"
-    tripled = EXPORTS["all covariances 3 times"](GivenEstimate.of(solution.estimate))
-    assert "3.0 times that of the smoother" in evidence(judge_given(tripled, solution, "like"))
+    bare = ExternalEstimate(time_s=solution.estimate.time_s, pose=solution.estimate.pose)
+    assert check_external(bare, solution, "like").outcome == "agree"
+    tripled = EXPORTS["all covariances 3 times"](ExternalEstimate.of(solution.estimate))
+    assert "3.0 times that of the smoother" in evidence(check_external(tripled, solution, "like"))
 
 
-def test_single_precision_is_allowed_for(solution: Solution, right: GivenEstimate) -> None:
+def test_single_precision_is_allowed_for(solution: Solution, right: ExternalEstimate) -> None:
     names = ("pose", "landmark", "pose_covariance", "landmark_covariance", "joint_covariance")
     stored = {name: getattr(right, name).astype(np.float32).astype(float) for name in names}
-    found = judge_given(replace(right, **stored), solution, "equal")
+    found = check_external(replace(right, **stored), solution, "equal")
     assert found.outcome == "agree"
     assert "single precision" in evidence(found)
     assert right.pose_covariance is not None
     nudged = replace(right, pose_covariance=right.pose_covariance * (1.0 + 1e-5))
-    assert judge_given(nudged, solution, "equal").outcome == "disagree"
+    assert check_external(nudged, solution, "equal").outcome == "disagree"
 
 
 def test_eigenvalues_are_those_of_the_pair() -> None:
@@ -314,6 +314,6 @@ def test_the_command_takes_what_is_required(tmp_path: Path, solution: Solution) 
     assert "your covariance is 1.5 times that of the reference EKF" in strict.stdout
     meta = tmp_path / "mine" / "estimate.toml"
     meta.write_text('estimator = "ekf"\n' + meta.read_text())
-    assert read_given(tmp_path / "mine").estimator == "ekf"
+    assert read_external(tmp_path / "mine").estimator == "ekf"
     assert slamcheck(*arguments, "c", cwd=tmp_path).returncode == 1
     assert slamcheck(*arguments, "d", "--require", "some", cwd=tmp_path).returncode == 2

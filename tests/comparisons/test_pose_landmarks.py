@@ -13,7 +13,7 @@ from comparisons.checks.agreement import Gaussian, compare
 from comparisons.checks.diagnosis.algebra_differences import WatchedState
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import read_given
+from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import read_estimate, write_estimate
 from ekf_reference.core.state import KalmanState
 from tests.comparisons.test_pose_landmark_chain import Conditioned, NoCross
@@ -53,7 +53,7 @@ def test_an_estimate_survives_its_folder(tmp_path: Path) -> None:
         assert np.array_equal(getattr(after, name), getattr(before, name)), name
     assert len(before.joint_mean) == len(before.joint_covariance)
     assert np.array_equal(after.landmark_covariances()[1], before.joint_covariance[5:7, 5:7])
-    given = read_given(tmp_path)
+    given = read_external(tmp_path)
     assert given.joint_covariance is not None
     assert np.array_equal(given.joint_covariance, before.joint_covariance[:7, :7])
 
@@ -77,7 +77,7 @@ def test_a_file_without_its_covariance_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"shapes .*\(13, 13\), expected .*\(7, 7\)"):
         read_estimate(tmp_path)
     with pytest.raises(InputError, match=r"expected \(7, 7\)"):
-        read_given(tmp_path)
+        read_external(tmp_path)
 
 
 def test_landmarks_with_a_direction_are_blocks_of_three() -> None:

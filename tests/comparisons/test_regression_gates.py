@@ -14,7 +14,7 @@ import pytest
 from comparisons.baseline import build_baseline, write_baseline
 from comparisons.config import CheckConfig
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
@@ -99,7 +99,7 @@ def project(folder: Path, log: Log, right: Estimate) -> None:
     (folder / "mine").mkdir()
     write_estimate(right, folder / "mine")
     (folder / "late.tum").write_text(late(right))
-    result = build_check_result(check(log, GivenEstimate.of(right)))
+    result = build_check_result(check(log, ExternalEstimate.of(right)))
     write_baseline(build_baseline([result], CheckConfig()), folder / "mine.json")
 
 

@@ -21,7 +21,7 @@ from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.readers import read_log
 from comparisons.pipeline.solve import solve
-from tests.comparisons.test_given_trace import checked, filtered, hand_in
+from tests.comparisons.test_external_trace import checked, filtered, hand_in
 from tests.golden.run import SHARED
 from tests.helpers import compared, first_seconds, simulated
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.estimates.external import read_given
+from comparisons.estimates.external import read_external
 from comparisons.estimates.trajectory_files import (
     FORMATS,
     Trajectory,
@@ -84,7 +84,7 @@ def test_damage_is_named(tmp_path: Path, name: str) -> None:
     if times is not None:
         (tmp_path / "times.txt").write_text(times)
     with pytest.raises(InputError) as caught:
-        read_given(tmp_path / "a")
+        read_external(tmp_path / "a")
     assert message in str(caught.value)
 
 

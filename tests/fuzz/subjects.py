@@ -16,7 +16,7 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.baseline import build_baseline, read_baseline, write_baseline
 from comparisons.config import EkfConfig, RunConfig
-from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE, write_trace
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
@@ -140,7 +140,7 @@ def named(name: str, format_name: str) -> Callable[[Path], object]:
     return lambda folder: check_log(read_log(folder / name, format_name))
 
 
-def check_given(given: GivenEstimate) -> None:
+def check_external_estimate(given: ExternalEstimate) -> None:
     for value in (given.time_s, given.pose, given.landmark, given.pose_covariance,
                   given.landmark_covariance, given.joint_covariance):  # fmt: skip
         assert value is None or np.isfinite(value**2).all()
@@ -162,7 +162,7 @@ def trajectory_file(format_name: str) -> Subject:
         trajectory = Trajectory(found.time_s, found.pose, found.pose_covariance)
         write_trajectory(trajectory, folder / "poses", format_name)
 
-    return Subject(make, lambda folder: check_given(read_given(folder / "poses")))
+    return Subject(make, lambda folder: check_external_estimate(read_external(folder / "poses")))
 
 
 @functools.cache
@@ -272,7 +272,9 @@ SUBJECTS: dict[str, Subject] = {
     "TUM trajectory": trajectory_file("tum"),
     "KITTI trajectory": trajectory_file("kitti"),
     "CSV trajectory": trajectory_file("csv"),
-    "estimate folder": Subject(estimate_files, lambda folder: check_given(read_given(folder))),
+    "estimate folder": Subject(
+        estimate_files, lambda folder: check_external_estimate(read_external(folder))
+    ),
     "baseline": Subject(baseline_file, lambda folder: read_baseline(folder / "kept.json")),
     "configuration": Subject(config_file, read_toml),
     "scenario": Subject(

@@ -22,7 +22,7 @@ from ekf_reference.core.geometry import wrap_angle
 
 if TYPE_CHECKING:
     from comparisons.checks.grade import Reference
-    from comparisons.estimates.external import GivenEstimate
+    from comparisons.estimates.external import ExternalEstimate
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def check_consistency(
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenConsistency:
+class ExternalConsistency:
     """How an external estimate errs, and whether it is as sure as it may be.
 
     time_s: (K,) its poses in the log's time; difference: (K, 3) of these from the smoother's.
@@ -135,8 +135,8 @@ class GivenConsistency:
     unjudged: str
 
 
-def given_consistency(
-    given: GivenEstimate,
+def external_consistency(
+    given: ExternalEstimate,
     optimum: Reference,
     smoothed: Estimate,
     log: Log,
@@ -144,7 +144,7 @@ def given_consistency(
     *,
     labelled: bool,
     robust: str,
-) -> GivenConsistency:
+) -> ExternalConsistency:
     """Everything the log and the estimate allow.
 
     given: its poses in the log's time. optimum: the smoother's at these. information: what its
@@ -169,7 +169,7 @@ def given_consistency(
         )
     difference = given.pose - optimum.pose
     difference[:, 2] = wrap_angle(difference[:, 2])
-    return GivenConsistency(
+    return ExternalConsistency(
         time_s=given.time_s,
         difference=difference,
         truth=against_truth(estimate, log, labelled=labelled),
@@ -179,7 +179,7 @@ def given_consistency(
     )
 
 
-def _unjudged(given: GivenEstimate, optimum: Reference, information: str | None) -> str:
+def _unjudged(given: ExternalEstimate, optimum: Reference, information: str | None) -> str:
     """Why the identity of a filter and a smoother on the same data says nothing here."""
     if given.pose_covariance is None:
         return "no pose covariances were handed in"

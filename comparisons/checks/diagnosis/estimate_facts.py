@@ -22,7 +22,7 @@ from comparisons.checks.grade import (
     joint_pair,
     pose_difference,
 )
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 
 _MAP_HINT = "hand in the whole map, by the ids of the log's measurements"
 _SWAPPED = 3.0
@@ -45,7 +45,7 @@ class Clues:
     filtered: Callable[[], tuple[Array, Array] | None]
 
 
-def facts(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+def facts(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     """Name all that keeps an estimate from being like a reference; none where it is.
 
     given: its poses at the reference's times, and no others.
@@ -61,7 +61,7 @@ def facts(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     return causes
 
 
-def _map_hint(given: GivenEstimate, found: Likeness) -> str:
+def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
     """Hand it in, or under the log's ids where it lies at landmarks of others."""
     others = np.setdiff1d(np.arange(len(found.reference.landmark)), found.theirs)
     if given.landmark is None or given.landmark_id is None or not len(others):
@@ -78,7 +78,7 @@ def _map_hint(given: GivenEstimate, found: Likeness) -> str:
     return f"use the log's ids: {len(pairs)} lie where another id is, {', '.join(pairs[:4])}"
 
 
-def _means(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+def _means(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     poses, landmarks = found.parts[0], _part(found, "landmarks")
     far_poses = poses.sigma > LIKE_SIGMA + poses.rounding[0]
     far = np.zeros(0, dtype=bool)
@@ -107,7 +107,7 @@ def _means(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     return causes
 
 
-def _known_path(given: GivenEstimate, found: Likeness, clues: Clues) -> Cause | None:
+def _known_path(given: ExternalEstimate, found: Likeness, clues: Clues) -> Cause | None:
     """Other poses of the same estimators."""
     if clues.before is not None and _fits(given, found, clues.before):
         return Cause(
@@ -131,7 +131,7 @@ def _known_path(given: GivenEstimate, found: Likeness, clues: Clues) -> Cause | 
     return None
 
 
-def _fits(given: GivenEstimate, found: Likeness, other: tuple[Array, Array]) -> bool:
+def _fits(given: ExternalEstimate, found: Likeness, other: tuple[Array, Array]) -> bool:
     at = found.reference.known & np.isfinite(other[1]).all(axis=(1, 2))
     if 2 * at.sum() < len(at):
         return False
@@ -140,7 +140,7 @@ def _fits(given: GivenEstimate, found: Likeness, other: tuple[Array, Array]) -> 
 
 
 def _apart(
-    given: GivenEstimate, found: Likeness, poses: NDArray[np.bool_], landmarks: NDArray[np.bool_]
+    given: ExternalEstimate, found: Likeness, poses: NDArray[np.bool_], landmarks: NDArray[np.bool_]
 ) -> Cause:
     reference, limit, parts = found.reference, f"{100 * LIKE_SIGMA:.0f} % of sigma", []
     if poses.any():
@@ -169,7 +169,7 @@ def _apart(
     )
 
 
-def _covariances(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     """One sentence for each part that is off, or one for all where one factor explains them."""
     reference, name = found.reference, found.reference.name
     off = {p.name for p in found.parts if not p.within(np.inf, LIKE_VARIANCE)}
@@ -201,7 +201,7 @@ def _covariances(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Ca
     return [Cause("covariance", "; ".join(said), hint)]
 
 
-def _pairs(given: GivenEstimate, found: Likeness) -> dict[str, tuple[Array, Array]]:
+def _pairs(given: ExternalEstimate, found: Likeness) -> dict[str, tuple[Array, Array]]:
     """Covariances (N, n, n) of the parts that were handed in, and the reference's."""
     reference, pairs = found.reference, {}
     at = reference.known
@@ -220,7 +220,7 @@ def _part(found: Likeness, name: str) -> Part | None:
     return next((part for part in found.parts if part.name == name), None)
 
 
-def _swapped(given: GivenEstimate, found: Likeness) -> Cause | None:
+def _swapped(given: ExternalEstimate, found: Likeness) -> Cause | None:
     """Landmarks that lie where another one's name belongs."""
     ours, theirs, reference = found.ours, found.theirs, found.reference
     if given.landmark is None or len(ours) < 2:

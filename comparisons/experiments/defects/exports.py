@@ -12,28 +12,28 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks.grade import joint_rows
 from comparisons.estimates.estimate import landmark_blocks
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 
-Export = Callable[[GivenEstimate], GivenEstimate]
+Export = Callable[[ExternalEstimate], ExternalEstimate]
 Feed = Callable[[Log], Log]
 
 
-def _held(given: GivenEstimate) -> tuple[Array, Array]:
+def _held(given: ExternalEstimate) -> tuple[Array, Array]:
     """The covariances of an estimate that has them all."""
     if given.pose_covariance is None or given.joint_covariance is None:
         raise ValueError("the estimate has no covariances")
     return given.pose_covariance, given.joint_covariance
 
 
-def _map(given: GivenEstimate) -> Array:
+def _map(given: ExternalEstimate) -> Array:
     if given.landmark is None:
         raise ValueError("the estimate has no map")
     return given.landmark
 
 
-def with_joint(given: GivenEstimate, joint: Array) -> GivenEstimate:
+def with_joint(given: ExternalEstimate, joint: Array) -> ExternalEstimate:
     """The same with another joint covariance, and the landmarks' own from it."""
     return replace(given, joint_covariance=joint, landmark_covariance=landmark_blocks(joint))
 
@@ -41,7 +41,7 @@ def with_joint(given: GivenEstimate, joint: Array) -> GivenEstimate:
 def scaled(factor: float) -> Export:
     """All covariances times a factor."""
 
-    def change(given: GivenEstimate) -> GivenEstimate:
+    def change(given: ExternalEstimate) -> ExternalEstimate:
         poses, joint = _held(given)
         return replace(with_joint(given, factor * joint), pose_covariance=factor * poses)
 
@@ -71,7 +71,7 @@ def of_map(change: Callable[[Array], Array]) -> Export:
 def cut(rows: Callable[[int], slice]) -> Export:
     """Some of the poses only."""
 
-    def change(given: GivenEstimate) -> GivenEstimate:
+    def change(given: ExternalEstimate) -> ExternalEstimate:
         part = rows(len(given.time_s))
         poses = _held(given)[0][part]
         return replace(
@@ -89,7 +89,7 @@ def late(delay_s: float) -> Export:
 def turned(angle: float, shift_m: float) -> Export:
     """Path and map in another frame."""
 
-    def change(given: GivenEstimate) -> GivenEstimate:
+    def change(given: ExternalEstimate) -> ExternalEstimate:
         cos, sin = np.cos(angle), np.sin(angle)
         rotation = np.array(((cos, sin), (-sin, cos)))
         start = given.pose[0, :2]
@@ -104,7 +104,7 @@ def turned(angle: float, shift_m: float) -> Export:
 def grown(factor: float) -> Export:
     """Path and map too large, about the start."""
 
-    def change(given: GivenEstimate) -> GivenEstimate:
+    def change(given: ExternalEstimate) -> ExternalEstimate:
         start = given.pose[0, :2]
         pose, landmark = given.pose.copy(), _map(given)
         pose[:, :2] = start + factor * (pose[:, :2] - start)
@@ -113,7 +113,7 @@ def grown(factor: float) -> Export:
     return change
 
 
-def body_frame(given: GivenEstimate) -> GivenEstimate:
+def body_frame(given: ExternalEstimate) -> ExternalEstimate:
     """Pose covariances in the body's frame, as gtsam's marginals are."""
     poses = _held(given)[0]
     turn = np.tile(np.eye(3), (len(poses), 1, 1))
@@ -122,7 +122,7 @@ def body_frame(given: GivenEstimate) -> GivenEstimate:
     return replace(given, pose_covariance=turn.transpose(0, 2, 1) @ poses @ turn)
 
 
-def fewer_landmarks(given: GivenEstimate) -> GivenEstimate:
+def fewer_landmarks(given: ExternalEstimate) -> ExternalEstimate:
     """The last third of the map is missing."""
     count = 2 * len(_map(given)) // 3
     rows = joint_rows(np.arange(count))

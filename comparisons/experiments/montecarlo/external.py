@@ -23,7 +23,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.errors import InputError, printable
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.experiments.montecarlo.config import FILTER_NAMES
 from comparisons.experiments.montecarlo.runs import Records, planar_nees, recorded_steps
 from comparisons.experiments.scenarios.world import World, log_of_run
@@ -31,7 +31,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from ekf_reference.core.geometry import wrap_angle
 
-Estimator = Callable[[Log], Estimate | GivenEstimate]
+Estimator = Callable[[Log], Estimate | ExternalEstimate]
 TIMEOUT_S = 600.0
 _NAMED = re.compile(r"([a-z][a-z0-9_-]{0,19})=(.*)", re.DOTALL)
 _LEAST_SHARE = 0.95
@@ -93,7 +93,7 @@ class Command:
                 found.update(hashlib.sha256(path.read_bytes()).digest())
         return found.hexdigest()
 
-    def __call__(self, log: Log) -> GivenEstimate:
+    def __call__(self, log: Log) -> ExternalEstimate:
         """Run it in the current folder. Raises EstimatorError."""
         with tempfile.TemporaryDirectory(prefix="slamcheck-run-") as name:
             place = Path(name)
@@ -101,7 +101,7 @@ class Command:
             write_log_folder(log, given)
             self._run(place, {"{log}": str(given), "{out}": str(out)})
             try:
-                return read_given(out)
+                return read_external(out)
             except InputError as error:
                 reported = str(error).replace(f"{place}{os.sep}", "")
                 raise EstimatorError(reported) from None
@@ -177,10 +177,10 @@ def run_external(estimator: Estimator, world: World, run: int, name: str) -> Rec
     """Return one run's records (1, T), or why there are none. name: of the log."""
     try:
         found = estimator(log_of_run(world, run, name))
-        given = GivenEstimate.of(found) if isinstance(found, Estimate) else found
-        if not isinstance(given, GivenEstimate):
+        given = ExternalEstimate.of(found) if isinstance(found, Estimate) else found
+        if not isinstance(given, ExternalEstimate):
             raise EstimatorError(
-                f"returned {type(given).__name__}, expected an Estimate or a GivenEstimate"
+                f"returned {type(given).__name__}, expected an Estimate or a ExternalEstimate"
             )
         return errors_of(given, world)
     except EstimatorError as error:
@@ -192,7 +192,7 @@ def run_external(estimator: Estimator, world: World, run: int, name: str) -> Rec
         return Failure(run, reported, traceback.format_exc()[-_TAIL_BYTES:])
 
 
-def errors_of(given: GivenEstimate, world: World) -> Records:
+def errors_of(given: ExternalEstimate, world: World) -> Records:
     """Records (1, T) of one estimate, NaN at recorded steps without a pose.
 
     Of landmarks there is the final map alone, at the last step. Raises EstimatorError.
@@ -249,7 +249,7 @@ def _rows(time_s: Array, world: World) -> np.ndarray[tuple[int], np.dtype[np.int
     return np.where(near, row, -1)
 
 
-def _check_finite(given: GivenEstimate) -> None:
+def _check_finite(given: ExternalEstimate) -> None:
     """What a folder's reader checks, of what a callable returns. Raises EstimatorError."""
     if not len(given.time_s) or not (np.diff(given.time_s) > 0.0).all():
         raise EstimatorError("times: expected some, each after the one before")

@@ -132,7 +132,7 @@ def montecarlo(
         runs: how many; a run's number is its seed.
         filters: variants of our EKF to compare with.
         estimators: by name; each is given a `Log` without truth and returns an `Estimate` or a
-            `GivenEstimate`. What it raises is counted as a failure of that run.
+            `ExternalEstimate`. What it raises is counted as a failure of that run.
         folder: where finished chunks stay, and logs of runs that failed; none is kept if absent.
         workers: processes; more than one needs estimators that can be pickled.
 

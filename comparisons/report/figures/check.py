@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from comparisons.pipeline.check import GivenCheck
+from comparisons.pipeline.check import ExternalCheck
 from comparisons.report.figures.style import (
     EKF_COLOUR,
     draw_landmarks,
@@ -15,7 +15,7 @@ from comparisons.report.figures.style import (
 )
 
 
-def check_figure(check: GivenCheck) -> Figure:
+def check_figure(check: ExternalCheck) -> Figure:
     """An estimate from elsewhere on top of the smoother's."""
     solution, given = check.solution, check.given
     title = f"{solution.log.name}: {check.outcome}, {check.grade.value or 'no grade'}"

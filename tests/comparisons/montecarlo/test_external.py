@@ -19,7 +19,7 @@ from scipy import stats
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.experiments.montecarlo.config import MonteCarloConfig
 from comparisons.experiments.montecarlo.external import Command, EstimatorError, errors_of
 from comparisons.experiments.montecarlo.external import parse_commands as parse
@@ -283,8 +283,8 @@ def test_a_configuration_runs_no_command(
         assert (out / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
-def given_of(estimate: Estimate) -> GivenEstimate:
-    return GivenEstimate.of(estimate)
+def given_of(estimate: Estimate) -> ExternalEstimate:
+    return ExternalEstimate.of(estimate)
 
 
 def rows(estimate: Estimate, which: slice) -> Estimate:
@@ -320,7 +320,7 @@ BROKEN: dict[str, tuple[Callable[[Estimate], object], str]] = {
         lambda e: rows(e, slice(None, None, -1)),
         "times: expected some, each after the one before",
     ),
-    "nothing": (lambda e: None, "returned NoneType, expected an Estimate or a GivenEstimate"),
+    "nothing": (lambda e: None, "returned NoneType, expected an Estimate or a ExternalEstimate"),
     "an exception": (lambda e: 1 / 0, "ZeroDivisionError: division by zero"),
 }  # fmt: skip
 
@@ -366,7 +366,7 @@ def test_poses_are_found_by_their_times() -> None:
     assert np.array_equal(errors_of(between, world).position_square, exact.position_square)
 
 
-def rows_twice(given: GivenEstimate) -> GivenEstimate:
+def rows_twice(given: ExternalEstimate) -> ExternalEstimate:
     """With a wrong pose between every two."""
     assert given.pose_covariance is not None
     order = np.arange(2 * len(given.time_s) - 1) / 2

@@ -31,7 +31,7 @@ from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
 from comparisons.logs.log import Log, Positions
@@ -64,7 +64,7 @@ class TraceCheck:
 
 
 def check_trace(
-    given: GivenEstimate, prepared: Prepared[SolveConfig], options: SmootherOptions
+    given: ExternalEstimate, prepared: Prepared[SolveConfig], options: SmootherOptions
 ) -> TraceCheck:
     """Compute the gaps as for the reference EKF, and judge them.
 
@@ -174,7 +174,7 @@ def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]
     return found
 
 
-def _last(given: GivenEstimate) -> Estimate:
+def _last(given: ExternalEstimate) -> Estimate:
     """What was handed in of the end; a covariance that was not is NaN, and used nowhere."""
     if given.landmark is None or given.landmark_id is None:
         raise ValueError("an estimate without landmarks")
@@ -234,7 +234,7 @@ def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Time
 
 
 def _as_run(
-    given: GivenEstimate, file: TraceFile, timeline: Timeline, positions: Positions | None
+    given: ExternalEstimate, file: TraceFile, timeline: Timeline, positions: Positions | None
 ) -> EkfRun:
     """What was handed in, as a run of the reference EKF would be."""
     last = _last(given)
@@ -277,7 +277,7 @@ def _as_run(
     )
 
 
-def _covariances(given: GivenEstimate, time_s: Array) -> Array:
+def _covariances(given: ExternalEstimate, time_s: Array) -> Array:
     """(K, 3, 3) the covariances handed in of poses at times (K,), NaN where there is none."""
     found = np.full((len(time_s), 3, 3), np.nan)
     if given.pose_covariance is not None:

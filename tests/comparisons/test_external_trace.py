@@ -16,14 +16,14 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.agreement import Gap
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
-from comparisons.estimates.external import read_given
+from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE, read_trace, write_trace
 from comparisons.experiments.defects.catalogue import CATALOGUE
 from comparisons.experiments.defects.defect import Defect
 from comparisons.experiments.defects.logs import open_case
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import GivenCheck, check
+from comparisons.pipeline.check import ExternalCheck, check
 from comparisons.pipeline.compare import Comparison
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
@@ -59,8 +59,8 @@ def change(folder: Path, edit: Callable[[Arrays], object]) -> None:
     np.savez(folder / TRACE, **arrays)
 
 
-def checked(folder: Path, log: Log, choices: EkfConfig) -> GivenCheck:
-    return check(log, read_given(folder), CheckConfig(gps=choices.gps))
+def checked(folder: Path, log: Log, choices: EkfConfig) -> ExternalCheck:
+    return check(log, read_external(folder), CheckConfig(gps=choices.gps))
 
 
 @pytest.fixture(scope="module", params=["loop", "positions"])
@@ -76,7 +76,7 @@ def assert_same(found: Gap | None, expected: Gap, rel: float = 1e-6) -> None:
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=rel, abs=1e-9)
 
 
-def assert_as_from_within(check: GivenCheck, comparison: Comparison) -> None:
+def assert_as_from_within(check: ExternalCheck, comparison: Comparison) -> None:
     assert check.trace is not None
     assert_same(check.trace.algebra, comparison.agreement.algebra)
     assert_same(check.trace.agreement.model, comparison.agreement.model)
@@ -100,7 +100,7 @@ def test_a_right_trace_does_not_stand_for_a_path(
     """Of a path of one pose, the last."""
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
-    given = read_given(tmp_path)
+    given = read_external(tmp_path)
     assert given.pose_covariance is not None
     one = replace(
         given,
@@ -301,7 +301,7 @@ def test_a_trace_needs_landmarks(tmp_path: Path, plain: tuple[Log, EkfConfig, Ek
     (tmp_path / "landmarks.csv").unlink()
     (tmp_path / "covariances.npz").unlink()
     with pytest.raises(InputError, match=r"trace\.npz: needs landmarks\.csv beside it"):
-        read_given(tmp_path)
+        read_external(tmp_path)
 
 
 @pytest.mark.slow

@@ -19,15 +19,15 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.diagnosis.diagnosis import Paths, diagnose
-from comparisons.checks.given_agreement import coverage
+from comparisons.checks.external_agreement import coverage
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import check, judge_given
+from comparisons.pipeline.check import check, check_external
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.report.check import CheckResult
 from tests.comparisons.test_cli import slamcheck
@@ -50,15 +50,15 @@ def right(log: Log) -> Estimate:
 
 
 @pytest.fixture(scope="module")
-def whole(right: Estimate) -> GivenEstimate:
-    return replace(GivenEstimate.of(right), information=None)
+def whole(right: Estimate) -> ExternalEstimate:
+    return replace(ExternalEstimate.of(right), information=None)
 
 
-def bare(given: GivenEstimate) -> GivenEstimate:
-    return GivenEstimate(time_s=given.time_s, pose=given.pose)
+def bare(given: ExternalEstimate) -> ExternalEstimate:
+    return ExternalEstimate(time_s=given.time_s, pose=given.pose)
 
 
-def turned(given: GivenEstimate, angle: float, shift: tuple[float, float]) -> GivenEstimate:
+def turned(given: ExternalEstimate, angle: float, shift: tuple[float, float]) -> ExternalEstimate:
     """The same in another frame, landmarks and all."""
     cos, sin = np.cos(angle), np.sin(angle)
     rotation = np.array(((cos, sin), (-sin, cos)))
@@ -67,7 +67,7 @@ def turned(given: GivenEstimate, angle: float, shift: tuple[float, float]) -> Gi
     return replace(given, pose=pose, landmark=given.landmark @ rotation + shift)
 
 
-def test_a_right_estimate_agrees(log: Log, whole: GivenEstimate) -> None:
+def test_a_right_estimate_agrees(log: Log, whole: ExternalEstimate) -> None:
     found = check(log, whole)
     assert found.outcome == "agree"
     assert not found.causes
@@ -75,14 +75,14 @@ def test_a_right_estimate_agrees(log: Log, whole: GivenEstimate) -> None:
     assert found.agreement.outside == 0.0
 
 
-def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: GivenEstimate) -> None:
+def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: ExternalEstimate) -> None:
     found = check(log, bare(whole))
     assert found.outcome == "agree"
     assert "not handed in: landmarks, pose covariances" in found.remarks[0]
     assert "judged: the last pose" in found.remarks[0]
 
 
-def mirrored(given: GivenEstimate) -> GivenEstimate:
+def mirrored(given: ExternalEstimate) -> ExternalEstimate:
     assert given.landmark is not None
     flip = np.array((1.0, -1.0))
     return replace(
@@ -92,27 +92,27 @@ def mirrored(given: GivenEstimate) -> GivenEstimate:
     )
 
 
-def late(given: GivenEstimate) -> GivenEstimate:
+def late(given: ExternalEstimate) -> ExternalEstimate:
     return replace(given, time_s=given.time_s + 0.15)
 
 
-def large(given: GivenEstimate) -> GivenEstimate:
+def large(given: ExternalEstimate) -> ExternalEstimate:
     pose = given.pose * (1.05, 1.05, 1.0)
     return replace(given, pose=pose)
 
 
-def north_is_zero(given: GivenEstimate) -> GivenEstimate:
+def north_is_zero(given: ExternalEstimate) -> ExternalEstimate:
     return replace(given, pose=given.pose + (0.0, 0.0, np.pi / 2))
 
 
-def exchanged(given: GivenEstimate) -> GivenEstimate:
+def exchanged(given: ExternalEstimate) -> ExternalEstimate:
     assert given.landmark is not None
     places = given.landmark.copy()
     places[[3, 20]] = places[[20, 3]]
     return replace(given, landmark=places)
 
 
-def sure(given: GivenEstimate) -> GivenEstimate:
+def sure(given: ExternalEstimate) -> ExternalEstimate:
     assert given.landmark_covariance is not None
     assert given.joint_covariance is not None
     assert given.pose_covariance is not None
@@ -137,7 +137,7 @@ DEFECTS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DEFECTS)
-def test_a_wrong_estimate_is_told_why(log: Log, whole: GivenEstimate, name: str) -> None:
+def test_a_wrong_estimate_is_told_why(log: Log, whole: ExternalEstimate, name: str) -> None:
     found = check(log, DEFECTS[name](whole))
     assert found.outcome == "disagree"
     assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
@@ -145,7 +145,7 @@ def test_a_wrong_estimate_is_told_why(log: Log, whole: GivenEstimate, name: str)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["frame", "mirrored", "time", "scale", "heading"])
-def test_a_bare_trajectory_is_enough(log: Log, whole: GivenEstimate, name: str) -> None:
+def test_a_bare_trajectory_is_enough(log: Log, whole: ExternalEstimate, name: str) -> None:
     found = check(log, bare(DEFECTS[name](whole)))
     assert found.outcome == "disagree"
     assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
@@ -219,16 +219,16 @@ def test_the_simplest_motion_is_named(
 def test_a_shift_is_no_turn(solution: Solution) -> None:
     """Of a smoothed path that does not say what it is; beside the EKF's alone it was a turn."""
     smoothed = solution.estimate
-    moved = GivenEstimate(time_s=smoothed.time_s, pose=smoothed.pose + (5.0, -3.0, 0.0))
-    found = judge_given(moved, solution)
+    moved = ExternalEstimate(time_s=smoothed.time_s, pose=smoothed.pose + (5.0, -3.0, 0.0))
+    found = check_external(moved, solution)
     assert [one.gap for one in found.causes] == ["frame", "optimum"]
     assert found.causes[0].evidence.startswith(
         "shifted by (5.000, -3.000) m: without that the path fits the smoother's to 0.000 m"
     )
 
 
-def chosen(given: GivenEstimate, rows: NDArray[np.bool_]) -> GivenEstimate:
-    return GivenEstimate(time_s=given.time_s[rows], pose=given.pose[rows])
+def chosen(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:
+    return ExternalEstimate(time_s=given.time_s[rows], pose=given.pose[rows])
 
 
 INCOMPLETE: dict[str, tuple[Callable[[Array], NDArray[np.bool_]], str]] = {
@@ -251,54 +251,56 @@ INCOMPLETE: dict[str, tuple[Callable[[Array], NDArray[np.bool_]], str]] = {
 
 
 @pytest.mark.parametrize("name", INCOMPLETE)
-def test_an_incomplete_path_disagrees(solution: Solution, whole: GivenEstimate, name: str) -> None:
+def test_an_incomplete_path_disagrees(
+    solution: Solution, whole: ExternalEstimate, name: str
+) -> None:
     """Each is right as far as it goes."""
     choose, said = INCOMPLETE[name]
     part = chosen(whole, choose(whole.time_s))
-    found = judge_given(part, solution)
+    found = check_external(part, solution)
     assert (found.grade.enough, found.outcome) == (True, "disagree")
     assert [one.gap for one in found.causes] == ["coverage"]
     assert said in found.causes[0].evidence
-    assert judge_given(part, solution, min_coverage=0.0).outcome == "agree"
+    assert check_external(part, solution, min_coverage=0.0).outcome == "agree"
 
 
 @pytest.mark.parametrize("every", [1, 5, 25])
 def test_a_regular_path_covers_the_log_at_any_rate(
-    solution: Solution, whole: GivenEstimate, every: int
+    solution: Solution, whole: ExternalEstimate, every: int
 ) -> None:
     """5 Hz, 1 Hz, and a pose each 5 s; twice the last is a hole in between."""
-    found = judge_given(chosen(whole, np.arange(len(whole.time_s)) % every == 0), solution)
+    found = check_external(chosen(whole, np.arange(len(whole.time_s)) % every == 0), solution)
     assert found.outcome == "agree"
     assert found.coverage.share == pytest.approx(1.0)
 
 
-def test_a_map_that_was_lost_is_told(solution: Solution, whole: GivenEstimate) -> None:
+def test_a_map_that_was_lost_is_told(solution: Solution, whole: ExternalEstimate) -> None:
     assert whole.landmark_id is not None
     assert whole.landmark is not None
     one = replace(bare(whole), landmark_id=whole.landmark_id[:1], landmark=whole.landmark[:1])
-    found = judge_given(one, solution)
+    found = check_external(one, solution)
     assert found.outcome == "agree"
     assert any("59 of 60 landmarks are not in the map" in text for text in found.remarks)
-    claimed = judge_given(replace(one, estimator="ekf"), solution)
+    claimed = check_external(replace(one, estimator="ekf"), solution)
     assert claimed.outcome == "disagree"
     (hint,) = [cause.hint for cause in claimed.causes if cause.gap == "map"]
     assert hint.endswith("by the ids of the log's measurements")
 
 
-def test_a_map_of_other_ids_is_wrong(solution: Solution, whole: GivenEstimate) -> None:
+def test_a_map_of_other_ids_is_wrong(solution: Solution, whole: ExternalEstimate) -> None:
     """Were it not, none of its landmarks would be judged, and the verdict be `agree`."""
     assert whole.landmark_id is not None
-    found = judge_given(replace(whole, landmark_id=whole.landmark_id + 100), solution)
+    found = check_external(replace(whole, landmark_id=whole.landmark_id + 100), solution)
     assert (found.grade.value, found.outcome) == ("wrong", "disagree")
     assert found.causes[0].gap == "map"
     assert "60 lie where another id is, 101 at 1" in found.causes[0].hint
 
 
 def test_a_filter_that_repeats_its_pose_has_stopped(
-    solution: Solution, whole: GivenEstimate
+    solution: Solution, whole: ExternalEstimate
 ) -> None:
     stuck = np.where(whole.time_s[:, None] > 30.0, whole.pose[whole.time_s <= 30.0][-1], whole.pose)
-    found = judge_given(replace(bare(whole), pose=stuck), solution)
+    found = check_external(replace(bare(whole), pose=stuck), solution)
     assert found.outcome == "disagree"
     assert found.causes[0].gap == "coverage"
     assert "its pose stays the same from 30.0 s on" in found.causes[0].evidence
@@ -325,7 +327,7 @@ def test_where_the_smoother_has_no_pose_there_is_no_hole() -> None:
     assert coverage(epochs, heard).share == pytest.approx(1.0 - 30.1 / 80.0)
 
 
-def test_a_lost_filter_has_no_simple_cause(log: Log, whole: GivenEstimate) -> None:
+def test_a_lost_filter_has_no_simple_cause(log: Log, whole: ExternalEstimate) -> None:
     rng = np.random.default_rng(0)
     wander = np.cumsum(rng.normal(0.0, 0.15, whole.pose.shape), axis=0) * (1.0, 1.0, 0.01)
     found = check(log, replace(bare(whole), pose=whole.pose + wander))
@@ -334,7 +336,7 @@ def test_a_lost_filter_has_no_simple_cause(log: Log, whole: GivenEstimate) -> No
     assert "RMS" in found.causes[0].evidence
 
 
-def test_a_covariance_that_is_none_is_found(log: Log, whole: GivenEstimate) -> None:
+def test_a_covariance_that_is_none_is_found(log: Log, whole: ExternalEstimate) -> None:
     """Not positive definite: no pose lies within such a region."""
     assert whole.pose_covariance is not None
     negative = -whole.pose_covariance
@@ -345,7 +347,7 @@ def test_a_covariance_that_is_none_is_found(log: Log, whole: GivenEstimate) -> N
 
 def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Estimate) -> None:
     write_estimate(right, tmp_path)
-    given = read_given(tmp_path)
+    given = read_external(tmp_path)
     assert given.absent == []
     assert given.information == "filtered"
     for name, absent in (
@@ -354,8 +356,8 @@ def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Est
         ("landmarks.csv", 4),
     ):
         (tmp_path / name).unlink()
-        assert len(read_given(tmp_path).absent) == absent
-    assert np.allclose(read_given(tmp_path / "trajectory.tum").pose, right.pose)
+        assert len(read_external(tmp_path).absent) == absent
+    assert np.allclose(read_external(tmp_path / "trajectory.tum").pose, right.pose)
 
 
 @pytest.mark.parametrize(
@@ -386,10 +388,10 @@ def test_damaged_estimates_are_named(
     assert callable(change)
     change(tmp_path)
     with pytest.raises(InputError, match=fault):
-        read_given(tmp_path)
+        read_external(tmp_path)
 
 
-def test_another_clock_is_told(log: Log, whole: GivenEstimate) -> None:
+def test_another_clock_is_told(log: Log, whole: ExternalEstimate) -> None:
     with pytest.raises(InputError, match="expected the log's own clock"):
         check(log, replace(whole, time_s=whole.time_s + 1.6e9))
 
@@ -403,9 +405,9 @@ def test_another_clock_is_told(log: Log, whole: GivenEstimate) -> None:
     ],
 )
 def test_a_clock_that_is_off_is_the_first_cause(
-    solution: Solution, whole: GivenEstimate, change: Callable[[Array], Array], said: str
+    solution: Solution, whole: ExternalEstimate, change: Callable[[Array], Array], said: str
 ) -> None:
-    found = judge_given(replace(whole, time_s=change(whole.time_s)), solution)
+    found = check_external(replace(whole, time_s=change(whole.time_s)), solution)
     assert found.outcome == "disagree"
     assert said in found.causes[0].evidence
     assert "clock" in found.causes[0].hint
@@ -425,19 +427,21 @@ HEADINGS: dict[str, tuple[Callable[[Array], Array], str]] = {
 
 @pytest.mark.parametrize("name", HEADINGS)
 def test_headings_that_are_none_are_the_first_cause(
-    solution: Solution, whole: GivenEstimate, name: str
+    solution: Solution, whole: ExternalEstimate, name: str
 ) -> None:
     """Right positions: nothing is 0.000 m off by 1e5 sigma."""
     change, said = HEADINGS[name]
     pose = np.column_stack((whole.pose[:, :2], change(whole.pose[:, 2])))
-    found = judge_given(replace(bare(whole), pose=pose), solution)
+    found = check_external(replace(bare(whole), pose=pose), solution)
     assert found.outcome == "disagree"
     assert found.causes[0].gap == "heading"
     assert said in found.causes[0].evidence
 
 
-def test_a_filter_that_is_called_smoothed_is_told(solution: Solution, whole: GivenEstimate) -> None:
-    found = judge_given(replace(whole, information="smoothed"), solution)
+def test_a_filter_that_is_called_smoothed_is_told(
+    solution: Solution, whole: ExternalEstimate
+) -> None:
+    found = check_external(replace(whole, information="smoothed"), solution)
     assert found.outcome == "disagree"
     assert found.causes[0].gap == "information"
     assert "have not seen the future" in found.causes[0].evidence

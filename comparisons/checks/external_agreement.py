@@ -29,7 +29,7 @@ from comparisons.checks.grade import (
 )
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.external import ExternalEstimate
 
 _SURE = 0.999
 _MOST_OUTSIDE = 0.01
@@ -186,7 +186,7 @@ def _stands(start: float, stop: float, time_s: Array, epoch_s: Array, smoothed: 
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenAgreement:
+class ExternalAgreement:
     """All that could be compared with the smoother.
 
     time_s: (K,) the given poses inside the log's time. rms_m, rms_heading_rad: of their differences
@@ -212,7 +212,7 @@ class GivenAgreement:
         return block.near and self.band.holds(block.least, block.largest)
 
 
-def within_log(given: GivenEstimate, smoothed: Estimate) -> NDArray[np.bool_]:
+def within_log(given: ExternalEstimate, smoothed: Estimate) -> NDArray[np.bool_]:
     """Return which poses (K,) lie in the log's time. Raises InputError where none does."""
     first, last = smoothed.time_s[0], smoothed.time_s[-1]
     inside: NDArray[np.bool_] = (given.time_s >= first - 1e-4) & (given.time_s <= last + 1e-4)
@@ -238,9 +238,9 @@ def clock_words(time_s: Array, span_s: tuple[float, float]) -> str:
     return ""
 
 
-def compare_given(
-    given: GivenEstimate, smoothed: Reference, peers: Sequence[Reference], *, labelled: bool
-) -> GivenAgreement:
+def compare_external(
+    given: ExternalEstimate, smoothed: Reference, peers: Sequence[Reference], *, labelled: bool
+) -> ExternalAgreement:
     """Compare all that is there.
 
     given: its poses at the references' times, and no others. smoothed: the smoother's optimum.
@@ -259,7 +259,7 @@ def compare_given(
         whole = _whole(peer, smoothed, labelled=labelled)
         trusted[peer.name] = whole.near and Band().holds(whole.least, whole.largest)
         band = _widened(band, whole)
-    found = GivenAgreement(
+    found = ExternalAgreement(
         time_s=given.time_s,
         rms_m=rms(difference[:, :2]),
         rms_heading_rad=float(np.sqrt(np.square(difference[:, 2]).mean())),
@@ -308,7 +308,10 @@ def _widened(band: Band, peer: Block) -> Band:
 
 
 def _map_faults(
-    given: GivenEstimate, smoothed: Reference, rows: tuple[Index, Index], found: GivenAgreement
+    given: ExternalEstimate,
+    smoothed: Reference,
+    rows: tuple[Index, Index],
+    found: ExternalAgreement,
 ) -> list[str]:
     """What is not plausible of the last pose and the map."""
     parts, blocks = [], found.landmarks
@@ -346,7 +349,7 @@ def _map_faults(
     return parts
 
 
-def _path_by_peer(given: GivenEstimate, peer: Reference, band: Band) -> list[str]:
+def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[str]:
     """What is not plausible of a path beside that of a right estimate of its kind."""
     at, parts = peer.known, []
     own = peer.pose_covariance[at]
@@ -371,7 +374,7 @@ def _path_by_peer(given: GivenEstimate, peer: Reference, band: Band) -> list[str
     return parts
 
 
-def _path_alone(found: GivenAgreement, peer_rms_m: float) -> list[str]:
+def _path_alone(found: ExternalAgreement, peer_rms_m: float) -> list[str]:
     """What is not plausible of a path where no right estimate of its kind is a measure."""
     if found.outside is not None:
         if found.outside <= _MOST_OUTSIDE:
@@ -387,7 +390,7 @@ def _path_alone(found: GivenAgreement, peer_rms_m: float) -> list[str]:
 
 
 def _landmark_blocks(
-    given: GivenEstimate, smoothed: Reference, rows: tuple[Index, Index]
+    given: ExternalEstimate, smoothed: Reference, rows: tuple[Index, Index]
 ) -> Iterator[Block]:
     if given.landmark is None:
         return
