@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import beta
 
 from comparisons.experiments.bands.coverage import figures_of
-from comparisons.experiments.defects.catalogue import CATALOGUE, named_first, run_defect
+from comparisons.experiments.defects.registry import REGISTRY, named_first, run_defect
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.compare import compare
 
@@ -50,7 +50,7 @@ def defects(seed: int, only: str, *, table: bool) -> None:
         print("| defect | shows in | what the report says |\n|---|---|---|")
     else:
         print(f"{'defect':<42} {'verdict':<9} {'first':<8} named  evidence")
-    chosen = [defect for defect in CATALOGUE if only in defect.name]
+    chosen = [defect for defect in REGISTRY if only in defect.name]
     for defect in chosen:
         verdict = run_defect(defect, seed).verdict
         reported = named_first(defect, verdict)

@@ -188,7 +188,7 @@ def is_near(found: Array, truth: Array) -> bool:
 
 
 @dataclass
-class Basin:
+class ConvergenceBasin:
     """success: share by [turn, shift]. false: share of all matches. milliseconds: of each.
 
     nees: of each success.
@@ -207,10 +207,10 @@ class Basin:
         return float(np.median(self.nees)) / MEDIAN_NEES if self.nees else np.nan
 
 
-def basin(matcher: Matcher, pairs: list[Pair]) -> Basin:
+def basin(matcher: Matcher, pairs: list[Pair]) -> ConvergenceBasin:
     """Match every pair from every error, the same ones for every matcher."""
     rng = np.random.default_rng(1)
-    result = Basin()
+    result = ConvergenceBasin()
     tries = len(pairs) * result.success.size
     for source, target, truth in pairs:
         for row, turn in enumerate(TURNS_DEG):
@@ -233,7 +233,7 @@ def basin(matcher: Matcher, pairs: list[Pair]) -> Basin:
     return result
 
 
-def plot(results: dict[str, dict[str, Basin]], to: Path) -> None:
+def plot(results: dict[str, dict[str, ConvergenceBasin]], to: Path) -> None:
     """A map of successes per matcher and kind of pair."""
     figure = Figure(figsize=(2.5 * len(COMPARED) + 0.8, 2.7 * len(results) + 0.4))
     FigureCanvasAgg(figure)
@@ -252,7 +252,7 @@ def plot(results: dict[str, dict[str, Basin]], to: Path) -> None:
     figure.savefig(to, dpi=130, metadata={"Software": None})
 
 
-def table(results: dict[str, dict[str, Basin]]) -> Iterable[str]:
+def table(results: dict[str, dict[str, ConvergenceBasin]]) -> Iterable[str]:
     """Shares in percent: over all errors, and along each alone."""
     shifts, turns = SHIFTS_M[1:], TURNS_DEG[1:]
     yield (

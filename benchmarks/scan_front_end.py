@@ -133,7 +133,7 @@ def front_end(log: Log) -> None:
     """Figures of the whole front end on a log."""
     f = run_front_end(log)
     spent_s = f.prepared.clock.seconds["loops"]
-    print(f"{log.name}: {len(f.closed.closures.first)} loops closed in {spent_s:.1f} s")
+    print(f"{log.name}: {len(f.closed.loop_closures.first)} loops closed in {spent_s:.1f} s")
     for name, accuracy in (
         ("wheels", f.accuracy_wheels),
         ("scan odometry", f.accuracy_odometry),

@@ -74,7 +74,7 @@ def _bands(quick: bool) -> Iterator[Row]:
 def _alarms(quick: bool) -> Iterator[Row]:
     seeds, seconds = (20, 15.0) if quick else (200, 30.0)
     for first, scale in enumerate(SCALES):
-        outcomes, outside, nis, surer = Counter[str](), 0, 0, 0
+        outcomes, outside, nis, overconfident = Counter[str](), 0, 0, 0
         for seed in range(first * seeds, (first + 1) * seeds):
             log = simulate(np.random.default_rng(seed), Drive(noise_scale=scale, loop_s=seconds))
             c = compare(log)
@@ -82,15 +82,18 @@ def _alarms(quick: bool) -> Iterator[Row]:
             readings = [one.reading for sensor in c.consistency.sensors for one in sensor.nis]
             outside += len(readings) - readings.count("plausible")
             nis += len(readings)
-            surer += c.consistency.smoothed is not None and len(c.consistency.smoothed.surer) > 0
+            overconfident += (
+                c.consistency.smoothed is not None and len(c.consistency.smoothed.overconfident) > 0
+            )
         share = outside / nis
         yield Row(
             f"a sound filter is not blamed, true and stated noise {scale:g} times the document's",
             f"disagree 0 of {seeds}, surer than the smoother 0, NIS outside its band 5 %",
-            f"disagree {outcomes['disagree']}, unverified {outcomes['unverified']}, surer {surer}, "
+            f"disagree {outcomes['disagree']}, unverified {outcomes['unverified']}, surer "
+            f"{overconfident}, "
             f"NIS outside {100.0 * share:.1f} %",
             outcomes["agree"] == seeds
-            and not surer
+            and not overconfident
             and abs(share - 0.05) < 3.0 * _deviation(seeds),
         )
 

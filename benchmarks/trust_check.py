@@ -41,9 +41,9 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
-from comparisons.experiments.defects.catalogue import CATALOGUE
 from comparisons.experiments.defects.defect import with_state
 from comparisons.experiments.defects.exports import EXPORTS, FEEDS, with_joint
+from comparisons.experiments.defects.registry import REGISTRY
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -195,7 +195,7 @@ class Cases:
             yield Case(f"export: {name}", False, partial(export, right))
         for name, feed in FEEDS.items():
             yield Case(f"fed: {name}", False, partial(self._fed, feed))
-        for defect in CATALOGUE:
+        for defect in REGISTRY:
             if defect.log in self.shown:
                 plant = defect.plant
                 yield Case(f"defect: {defect.name}", False, partial(self._filtered, plant))

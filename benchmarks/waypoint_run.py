@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.experiments.reproduction.contract import Sources
+from comparisons.experiments.reproduction.interface import Sources
 from comparisons.experiments.reproduction.misono import (
     DRAWN,
     ESTIMATORS,

@@ -83,7 +83,7 @@ SIDES: Mapping[str, Judged] = {
         name: Judged("count", "other data were used, for better or worse")
         for name in (
             *("landmarks", "landmarks.count", "landmarks_true", "poses", "dof"),
-            *("rejected", "ambiguous", "candidate", "dynamic", "retired", "cut_off"),
+            *("rejected", "ambiguous", "candidate", "dynamic", "deactivated", "cut_off"),
             *("fixes_fused", "fixes_rejected", "fixes_in_streaks", "longest_streak"),
             *("fixes_rejected_by_smoother", "global_updates"),
             *("rejected_measurements", "rejected_positions", "hops", "random_starts"),

@@ -216,7 +216,7 @@ class ExtensionConfig(Section):
         """Raise ValueError where this does not go with the other settings."""
 
     def build(self, config: Configured) -> Any:
-        """Return the extension (see extensions.contract). Heavy imports belong here."""
+        """Return the extension (see extensions.interface). Heavy imports belong here."""
         raise NotImplementedError
 
 

@@ -126,8 +126,8 @@ def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:
                 problem.measurement_pose[views[problem.measurement_landmark] > 1],
                 problem.position_pose,
                 problem.pose_landmarks.pose,
-                problem.closures.first,
-                problem.closures.second,
+                problem.loop_closures.first,
+                problem.loop_closures.second,
             )
         )
     )

@@ -30,7 +30,7 @@ from graphslam.graph_builder import (
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
-from graphslam.recognition import PENDING, UNSEEN, Options, extent, recognise
+from graphslam.relocalisation import PENDING, UNSEEN, Options, extent, recognise
 
 
 @dataclass(frozen=True)

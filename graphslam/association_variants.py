@@ -13,7 +13,7 @@ import numpy as np
 from graphslam.arrays import Array
 from graphslam.association import AssociationResult, associate
 from graphslam.problem import SlamProblem
-from graphslam.recognition import Options
+from graphslam.relocalisation import Options
 from graphslam.reversal import reversed_problem
 
 

@@ -25,7 +25,7 @@ from graphslam.arrays import Array, Index
 from graphslam.graph_builder import to_tangent
 from graphslam.increments import dead_reckoned
 from graphslam.marginals import SingularProblemError
-from graphslam.problem import Closures, SlamProblem
+from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.scan import planar
 
 _FREE_PRIOR = 1e-12
@@ -110,7 +110,7 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
     turn = to_tangent(problem.prior_pose[2:3])[0]
     covariance = turn @ problem.prior_covariance @ turn.T
     prior = problem.prior_covariance
-    start, steps, closed = problem.prior_pose[None], problem.steps, problem.closures
+    start, steps, closed = problem.prior_pose[None], problem.steps, problem.loop_closures
     lines += _edges("EDGE_PRIOR_SE2", [(0,)], start, covariance[None], prior[None])
     chain, spread = list(zip(steps, steps + 1, strict=True)), problem.increment_covariance[steps]
     lines += _edges("EDGE_SE2", chain, problem.increment[steps], spread, spread)
@@ -238,7 +238,7 @@ def read_g2o(path: Path) -> G2oContents:
         position_covariance=_covariances(path, fixes, _behind(fixes, 2), 2),
         surveyed=np.array([r.numbers[:2] for r in survey]).reshape(-1, 2),
         surveyed_covariance=_covariances(path, survey, _behind(survey, 2), 2),
-        closures=Closures(first[closed], second[closed], motion[closed], spread[closed]),
+        loop_closures=LoopClosures(first[closed], second[closed], motion[closed], spread[closed]),
     )
     poses = np.array([nodes.values[key] for key in nodes.ids]) if nodes.values else None
     places = np.array([marks.values.get(key, (np.nan, np.nan)) for key in marks.ids])

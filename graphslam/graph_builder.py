@@ -136,7 +136,7 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
         graph.push_back(
             gtsam.PriorFactorPoint2(LANDMARK_KEY + landmark_index, place, gaussian(covariance))
         )
-    seen, closed = problem.pose_landmarks, problem.closures
+    seen, closed = problem.pose_landmarks, problem.loop_closures
     poses_seen, places_seen = POSE_KEY + seen.pose, POSE_LANDMARK_KEY + seen.landmark
     for factor in (
         *_between(
@@ -171,7 +171,7 @@ def last_poses(problem: SlamProblem) -> Index:
             problem.position_pose,
             np.zeros(len(problem.surveyed), dtype=np.intp),
             problem.pose_landmarks.pose,
-            problem.closures.last,
+            problem.loop_closures.last,
             problem.pose_landmarks.merges.pose,
         )
     )

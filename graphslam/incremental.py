@@ -110,7 +110,7 @@ def _pieces(
             (
                 problem.measurement_pose,
                 problem.position_pose,
-                problem.closures.last,
+                problem.loop_closures.last,
                 stops,
                 [problem.pose_count - 1],
             )

@@ -59,7 +59,7 @@ class PoseLandmarkMeasurements:
 
 
 @dataclass(frozen=True)
-class Closures:
+class LoopClosures:
     """N measured motions between poses that do not follow each other, such as closed loops.
 
     first, second: (N,) indices of poses. motion: (N, 3) of the second in the first's frame.
@@ -78,10 +78,10 @@ class Closures:
         """(N,) the later pose of each."""
         return np.maximum(self.first, self.second)
 
-    def before(self, pose_count: int) -> Closures:
+    def before(self, pose_count: int) -> LoopClosures:
         """Those among the first `pose_count` poses."""
         rows = self.last < pose_count
-        return Closures(**_of(self, rows), kernel=self.kernel)
+        return LoopClosures(**_of(self, rows), kernel=self.kernel)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ class SlamProblem:
     and bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
     surveyed: (S, 2) positions of the first S landmarks, known beforehand with
     surveyed_covariance: (S, 2, 2). pose_landmarks: measurements of pose landmarks, too.
-    closures: motions between poses that do not follow each other.
+    loop_closures: motions between poses that do not follow each other.
     """
 
     prior_pose: Array
@@ -120,7 +120,7 @@ class SlamProblem:
     surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
     own_axes: bool = False
     pose_landmarks: PoseLandmarkMeasurements = field(default_factory=PoseLandmarkMeasurements)
-    closures: Closures = field(default_factory=Closures)
+    loop_closures: LoopClosures = field(default_factory=LoopClosures)
 
     @property
     def pose_count(self) -> int:
@@ -142,7 +142,7 @@ class SlamProblem:
         """Scalar measurements, the prior's three included."""
         pairs = len(self.z) + len(self.position) + len(self.surveyed)
         seen = self.pose_landmarks
-        triples = 1 + len(self.steps) + len(self.closures.motion)
+        triples = 1 + len(self.steps) + len(self.loop_closures.motion)
         triples += len(seen.measured) + len(seen.merges.measured)
         return 3 * triples + 2 * pairs
 
@@ -158,7 +158,7 @@ class SlamProblem:
             increment=self.increment[: pose_count - 1],
             increment_covariance=self.increment_covariance[: pose_count - 1],
             pose_landmarks=self.pose_landmarks.before(pose_count),
-            closures=self.closures.before(pose_count),
+            loop_closures=self.loop_closures.before(pose_count),
         )
 
     def keep(self, measurements: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:

@@ -103,7 +103,7 @@ def _relative(equations: _Equations, problem: SlamProblem, turned: Complex | Non
     Unknowns: headings of poses and pose landmarks, unless they are given as `turned` (K + Q,)
     complex; then their places; then landmarks.
     """
-    k, seen, closed = problem.pose_count, problem.pose_landmarks, problem.closures
+    k, seen, closed = problem.pose_count, problem.pose_landmarks, problem.loop_closures
     merged = seen.merges
     step = problem.steps
     first = np.concatenate((step, closed.first, seen.pose, k + merged.first))

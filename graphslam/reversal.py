@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from graphslam.arrays import Array
-from graphslam.problem import Closures, PoseLandmarkMeasurements, SlamProblem
+from graphslam.problem import LoopClosures, PoseLandmarkMeasurements, SlamProblem
 
 
 def reversed_problem(problem: SlamProblem, last: Array, covariance: Array) -> SlamProblem:
@@ -37,5 +37,5 @@ def reversed_problem(problem: SlamProblem, last: Array, covariance: Array) -> Sl
         measurement_pose=end - problem.measurement_pose,
         position_pose=end - problem.position_pose,
         pose_landmarks=PoseLandmarkMeasurements(),
-        closures=Closures(),
+        loop_closures=LoopClosures(),
     )

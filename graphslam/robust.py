@@ -30,7 +30,7 @@ class Rejected:
 NOTHING_REJECTED = Rejected(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
 
 
-def reject_wild(
+def reject_outliers(
     problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> tuple[SlamProblem, Rejected]:
     """The problem without wild observations (Yang et al. 2020, by gtsam).

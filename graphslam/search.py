@@ -220,7 +220,7 @@ class MinimumSearch:
         Only of problems of more than LOCAL_POSES: in them a hop over everything takes too long.
         """
         moved = np.flatnonzero(np.abs(other.landmarks - landmarks).max(axis=1) > 0.0)
-        beyond = len(self._problem.closures.first) + self._problem.pose_landmarks.count
+        beyond = len(self._problem.loop_closures.first) + self._problem.pose_landmarks.count
         if self._problem.pose_count <= LOCAL_POSES or len(moved) > 1 or beyond:
             return False
         from graphslam.surroundings import Surroundings
@@ -330,7 +330,7 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
         drawn: Array = np.einsum("...ij,...j->...i", vectors, scaled)
         return drawn
 
-    seen, closed = problem.pose_landmarks, problem.closures
+    seen, closed = problem.pose_landmarks, problem.loop_closures
     merged = seen.merges
     z = problem.z + problem.sigma * rng.standard_normal(problem.z.shape)
     return replace(
@@ -345,5 +345,5 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
             measured=seen.measured + noise(seen.covariance),
             merges=replace(merged, measured=merged.measured + noise(merged.covariance)),
         ),
-        closures=replace(closed, motion=closed.motion + noise(closed.covariance)),
+        loop_closures=replace(closed, motion=closed.motion + noise(closed.covariance)),
     )

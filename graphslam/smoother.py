@@ -29,12 +29,12 @@ from graphslam.marginals import (
     to_global,
     turned,
 )
+from graphslam.observability import explain_singularity
 from graphslam.optimisers import OPTIMISERS
 from graphslam.optimum import Optimality, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
-from graphslam.robust import NOTHING_REJECTED, Rejected, reject_wild
+from graphslam.robust import NOTHING_REJECTED, Rejected, reject_outliers
 from graphslam.search import MinimumSearch
-from graphslam.singular import explain_singularity
 
 METHODS = ("batch", "isam2", "fixed-lag")
 ROBUST = (*KERNELS, "gnc")
@@ -45,7 +45,7 @@ class SmootherOptions:
     """What a user may choose.
 
     method: of METHODS. lag: poses that a fixed lag holds. optimiser: of the batch, one of
-    OPTIMISERS. robust: against wild measurements and positions, one of ROBUST; it changes
+    OPTIMISERS. robust: against outlier measurements and positions, one of ROBUST; it changes
     marginals.
     accept_misfit: a minimum may be verified although its chi-square is too high.
     """
@@ -181,10 +181,10 @@ def smooth(
     closures that reach beyond a fixed lag and, but in a batch, for poses that only later ones fix.
     """
     options = options or SmootherOptions()
-    reach = int(np.abs(problem.closures.first - problem.closures.second).max(initial=0))
+    reach = int(np.abs(problem.loop_closures.first - problem.loop_closures.second).max(initial=0))
     if options.method == "fixed-lag" and reach > options.lag:
         raise ValueError(f"lag is {options.lag}, expected {reach} at least: so far closures reach")
-    rejected, closed = NOTHING_REJECTED, problem.closures
+    rejected, closed = NOTHING_REJECTED, problem.loop_closures
     reached = np.union1d(problem.steps + 1, closed.last)
     alone = np.setdiff1d(np.arange(1, problem.pose_count), reached)
     if options.method != "batch" and len(alone):
@@ -199,7 +199,7 @@ def smooth(
     if options.robust == "gnc":
         progress("smoother, wild observations")
         graph = build_graph(problem)
-        problem, rejected = reject_wild(problem, graph, track(problem, graph)[0])
+        problem, rejected = reject_outliers(problem, graph, track(problem, graph)[0])
     graph = build_graph(problem, options.kernel)
     search = MinimumSearch(problem, graph, options.optimiser, progress)
     for name, guess in guesses.items():
@@ -288,7 +288,7 @@ def _follow(
 
 def _degrees_of_freedom(problem: SlamProblem, kernel: str) -> int:
     """0 where a kernel has changed the residuals, so that chi-square says nothing."""
-    closed = problem.closures
+    closed = problem.loop_closures
     if kernel != "none" or (len(closed.first) > 0 and closed.kernel != "none"):
         return 0
     return problem.residual_dimension - problem.state_dimension

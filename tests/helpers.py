@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkSource
 from comparisons.config import EkfConfig, RunConfig
-from comparisons.extensions.contract import Extension
+from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.time_window import cut_log

@@ -260,7 +260,7 @@ LAYERS = {
     "pipeline.dense_map": 7, "report.dense_map": 7, "report.figures.dense_map": 7,
     "pipeline.odometry": 7, "report.odometry": 7, "report.figures.odometry": 7,
     # The contract and the names are what all know of extensions.
-    "extensions.contract": 0, "extensions.registry": 0,
+    "extensions.interface": 0, "extensions.registry": 0,
 }  # fmt: skip
 """Parts of comparisons from the ground up: each stands on its own level and those below."""
 

@@ -152,7 +152,7 @@ def fused_positions(log: Log, choices: EkfConfig) -> Positions | None:
     return None if log.positions is None else _rows(log.positions, _fused(log, choices))
 
 
-def judging_positions(log: Log, choices: EkfConfig) -> Positions | None:
+def held_out_positions(log: Log, choices: EkfConfig) -> Positions | None:
     """The positions that accuracy is measured against: none that was given to the estimators."""
     if log.positions is None:
         return None

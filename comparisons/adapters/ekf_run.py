@@ -38,8 +38,8 @@ class EkfRun:
 
     timeline: what the filter was given; when it broke down, only up to there.
     positions: those that were given. fix_number: (G,) which of them were fused. rejected_fixes:
-    how many the gate rejected. retired: (R,) landmarks that were found to stand where things move;
-    they stay in the state, and nothing is matched with them any more.
+    how many the gate rejected. deactivated: (R,) landmarks that were found to stand where things
+    move; they stay in the state, and nothing is matched with them any more.
     landmark_index: (M,) landmark of each of the timeline's measurements, a negative code where
     unused (see ekf_reference.core.measurements).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
@@ -67,7 +67,7 @@ class EkfRun:
     spared: tuple[int, float] = (0, 0.0)
     breakdown: str | None = None
     pose_landmarks: PoseLandmarkMeasurements = field(default_factory=PoseLandmarkMeasurements)
-    retired: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    deactivated: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def pose_landmark_places(self) -> Array:
@@ -106,7 +106,7 @@ def run_ekf(
     beside = setup or FilterSetup()
     trace, recorder = RecordedTrace(), PoseLandmarkRecorder()
     ekf = build_ekf(log, config, trace, beside.layer)
-    retired = beside.apply(ekf)
+    deactivated = beside.apply(ekf)
     watching = beside.watcher()
     ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)
@@ -188,7 +188,7 @@ def run_ekf(
         spared=_spared(ekf),
         breakdown=breakdown,
         pose_landmarks=pose_landmarks,
-        retired=np.array(sorted(retired), dtype=np.intp),
+        deactivated=np.array(sorted(deactivated), dtype=np.intp),
     )
 
 

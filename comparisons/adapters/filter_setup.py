@@ -47,17 +47,17 @@ class FilterSetup:
         return next((one for one in self.offers if isinstance(one, kind)), None)
 
     def apply(self, ekf: Ekf) -> set[int]:
-        """Change the filter as asked. Return the set that will hold retired landmarks."""
+        """Change the filter as asked. Return the set that will hold deactivated landmarks."""
         for modify in self.modify:
             modify(ekf)
-        retired: set[int] = set()
+        deactivated: set[int] = set()
         if self.guard is not None:
             from ekf_reference.association.dynamic_rejection import DynamicRejection
 
-            ekf.association = DynamicRejection(ekf.association, self.guard, retired)
+            ekf.association = DynamicRejection(ekf.association, self.guard, deactivated)
             if isinstance(self.source, GuardedSource):
                 self.source.keep_from(self.guard)
-        return retired
+        return deactivated
 
     def watcher(self) -> Watchers:
         """All that observe, as one."""

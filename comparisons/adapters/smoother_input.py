@@ -22,7 +22,7 @@ from graphslam.graph_builder import POINT, POSE_LANDMARK
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, model_system, moved_to
-from graphslam.problem import Closures, SlamProblem
+from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 
@@ -78,18 +78,18 @@ def assemble(
         surveyed=surveyed_place,
         surveyed_covariance=surveyed_covariance,
         own_axes=own_axes,
-        closures=_closures(log, timeline),
+        loop_closures=_loop_closures(log, timeline),
     )
 
 
-def _closures(log: Log, timeline: Timeline) -> Closures:
+def _loop_closures(log: Log, timeline: Timeline) -> LoopClosures:
     """Those of the timeline's poses."""
-    c = log.closures
+    c = log.loop_closures
     if c is None:
-        return Closures()
+        return LoopClosures()
     rows = np.flatnonzero(c.time_s <= timeline.epoch_time_s[-1])
     first, second = (np.searchsorted(timeline.epoch_time_s, t[rows]) for t in (c.from_s, c.to_s))
-    return Closures(first, second, c.displacement[rows], c.covariance[rows])
+    return LoopClosures(first, second, c.displacement[rows], c.covariance[rows])
 
 
 def _positions(run: EkfRun) -> PositionRows:

@@ -92,7 +92,7 @@ def algebra(
 def model(
     gap: Gap,
     differences: Sequence[ModelDifference],
-    explanations: Sequence[str],
+    known_model_errors: Sequence[str],
     allowed: Allowed = EXACT,
 ) -> Cause:
     """F1 against F2. explanations: known mistakes that reproduce what was recorded."""
@@ -106,8 +106,8 @@ def model(
             f"complete {differences[0].quantity}: its columns are zero in the filter, and the "
             "observation does depend on it"
         )
-    if explanations:
-        hint = f"the records are as if: {'; '.join(explanations)}"
+    if known_model_errors:
+        hint = f"the records are as if: {'; '.join(known_model_errors)}"
     return Cause(
         "model",
         "the filter's and the smoother's equations, linearised at the same points, "

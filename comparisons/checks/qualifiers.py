@@ -190,9 +190,9 @@ def _against_smoother(smoothed: FilterAgainstSmoother) -> list[str]:
             f"filter against smoother {mean:.2g} per degree of freedom, band {band.low:.2g} to "
             f"{band.high:.2g}"
         )
-    if len(smoothed.surer) > _SURER * len(smoothed.time_s):
+    if len(smoothed.overconfident) > _SURER * len(smoothed.time_s):
         found.append(
-            f"filter surer than the smoother at {len(smoothed.surer)} of "
+            f"filter surer than the smoother at {len(smoothed.overconfident)} of "
             f"{len(smoothed.time_s)} epochs"
         )
     return found

@@ -11,7 +11,7 @@ from comparisons.checks import causes as cause
 from comparisons.checks.agreement import EXACT, ROUNDING, Agreement, Allowed, Gap, block_agrees
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
-from comparisons.checks.diagnosis.bookkeeping import Misuse
+from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.choices import FailOn
 from graphslam.optimum import Optimality
 from graphslam.smoother import SmootherResult
@@ -78,7 +78,7 @@ class Diagnosis:
 
     differences: Callable[[], Sequence[ModelDifference]] = tuple
     operations: Callable[[], Sequence[AlgebraDifference]] = tuple
-    explanations: Callable[[], Sequence[str]] = tuple
+    known_model_errors: Callable[[], Sequence[str]] = tuple
     growth: Callable[[], LinearisationGrowth | None] = lambda: None
     dropouts: Callable[[], Dropouts | None] = lambda: None
     consistency: Consistency | None = None
@@ -93,7 +93,7 @@ def judge(
     run: EkfRun,
     diagnosis: Diagnosis,
     *,
-    misuses: Sequence[Misuse] = (),
+    data_faults: Sequence[DataFault] = (),
     causes: Sequence[Cause] = (),
     conservative: bool = False,
 ) -> Verdict:
@@ -105,7 +105,7 @@ def judge(
     optimum that is not verified gives no verdict at all. causes: reasons of extensions to
     disagree, which count like the linearisation gap.
     """
-    found = _red(agreement, run, diagnosis, misuses, conservative=conservative)
+    found = _red(agreement, run, diagnosis, data_faults, conservative=conservative)
     outcome: Outcome = "disagree"
     if not found:
         outcome, found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
@@ -128,18 +128,18 @@ def _red(
     agreement: Agreement,
     run: EkfRun,
     diagnosis: Diagnosis,
-    misuses: Sequence[Misuse],
+    data_faults: Sequence[DataFault],
     *,
     conservative: bool,
 ) -> list[Cause]:
     """What is wrong with the filter whatever the smoother found."""
-    found = [Cause("data", misuse.evidence, misuse.hint) for misuse in misuses]
+    found = [Cause("data", data_fault.evidence, data_fault.hint) for data_fault in data_faults]
     algebra = agreement.algebra
     if not (_conservative(algebra) if conservative else algebra.explained_by(diagnosis.algebra)):
         known = diagnosis.operations()
         found.append(cause.algebra(algebra, known, diagnosis.algebra, diagnosis.single))
     if not agreement.model.explained_by(diagnosis.model):
-        differences, known_faults = diagnosis.differences(), diagnosis.explanations()
+        differences, known_faults = diagnosis.differences(), diagnosis.known_model_errors()
         found.append(cause.model(agreement.model, differences, known_faults, diagnosis.model))
     if run.breakdown and not found:
         found.append(
@@ -179,7 +179,7 @@ def _on_robust(robust: str) -> list[str]:
             "are the weighted problem's, and chi-square is not tested"
         ]
     if robust == "gnc":
-        return ["the smoother left out what it found wild; the filter did not"]
+        return ["the smoother left out what it found to be outliers; the filter did not"]
     return []
 
 
@@ -225,9 +225,9 @@ def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:
             f"joint compatibility was cut off at {JointCompatibility.most_nodes:,} nodes in "
             f"{run.cut_off:,} scans: there the best set so far was taken"
         )
-    if len(run.retired):
-        names = ", ".join(str(i) for i in run.estimate.landmark_id[run.retired].tolist())
-        if len(run.retired) == len(run.estimate.landmark):
+    if len(run.deactivated):
+        names = ", ".join(str(i) for i in run.estimate.landmark_id[run.deactivated].tolist())
+        if len(run.deactivated) == len(run.estimate.landmark):
             remarks.append(
                 "every landmark is in motion: in the end odometry alone moves the filter"
             )

@@ -48,13 +48,13 @@ def reproduce(
         import time
 
         from comparisons.atomic import check_replaceable
-        from comparisons.experiments.reproduction.contract import Sources
         from comparisons.experiments.reproduction.folder import (
             CONTENTS,
             build_result,
             print_claims,
             write_gallery,
         )
+        from comparisons.experiments.reproduction.interface import Sources
         from comparisons.experiments.reproduction.runner import reproduce as run
 
         check_replaceable(out, CONTENTS)
@@ -69,7 +69,7 @@ def reproduce(
 
 
 def _list() -> None:
-    from comparisons.experiments.reproduction.catalogue import FIGURES
+    from comparisons.experiments.reproduction.registry import FIGURES
 
     for figure in FIGURES:
         needs, library = figure.experiment.needs, figure.experiment.library

@@ -180,11 +180,11 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
 
 def _former(name: str) -> str:
     """Return what 0.1 called an array."""
-    return name.replace("initialise_", "begin_").replace("measurement", "measurement")
+    return name.replace("initialise_", "begin_").replace("measurement", "sighting")
 
 
 def _current(name: str) -> str:
-    return name.replace("begin_", "initialise_").replace("measurement", "measurement")
+    return name.replace("begin_", "initialise_").replace("sighting", "measurement")
 
 
 def _is_figure(name: str) -> bool:

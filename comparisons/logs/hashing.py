@@ -21,7 +21,7 @@ def log_hash(log: Log) -> str:
         log.known_measurements,
     )
     for record in records + tuple(
-        s for s in (log.scans, log.clouds, log.closures) if s is not None
+        s for s in (log.scans, log.clouds, log.loop_closures) if s is not None
     ):
         if record is None:
             digest.update(b"absent")

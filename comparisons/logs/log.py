@@ -129,7 +129,7 @@ class Positions:
 
 
 @dataclass(frozen=True)
-class Closures:
+class LoopClosures:
     """Measured motions between poses that do not follow each other, such as closed loops.
 
     from_s, to_s: (N,) times of the poses. displacement: (N, 3) dx, dy [m], dheading [rad] of the
@@ -143,12 +143,12 @@ class Closures:
 
     def __post_init__(self) -> None:
         """Check the table."""
-        check(self, "closures", rows="from_s", displacement=(3,), covariance=(3, 3))
-        positive_definite("closures", self.covariance)
+        check(self, "loop closures", rows="from_s", displacement=(3,), covariance=(3, 3))
+        positive_definite("loop closures", self.covariance)
         same = np.flatnonzero(self.from_s == self.to_s)
         if len(same):
             raise RecordError(
-                "closures", int(same[0]), f"from {self.from_s[same[0]]} s to the same pose"
+                "loop closures", int(same[0]), f"from {self.from_s[same[0]]} s to the same pose"
             )
 
     @property
@@ -246,8 +246,8 @@ class Log:
 
     format: the reader's name. provenance: free text by key, for reports. known_landmarks and
     known_measurements: landmarks surveyed beforehand, and the measurements that refer to their ids.
-    closures: of relative poses, some of which they may stand for. Odometry and measurements may be
-    empty only where there are scans, measurements where there are closures, too.
+    loop_closures: of relative poses, some of which they may stand for. Odometry and measurements
+    may be empty only where there are scans, measurements where there are closures, too.
     """
 
     name: str
@@ -256,7 +256,7 @@ class Log:
     odometry: Odometry
     measurements: LandmarkMeasurements
     positions: Positions | None = None
-    closures: Closures | None = None
+    loop_closures: LoopClosures | None = None
     known_landmarks: Landmarks | None = None
     known_measurements: LandmarkMeasurements | None = None
     scans: Scans | None = None
@@ -273,10 +273,10 @@ class Log:
             self.prior.time_s,
             any(s is not None and len(s.time_s) for s in (self.scans, self.clouds)),
         )
-        self._check_closures()
+        self._check_loop_closures()
         for stream, times, optional in (
             ("odometry", self.odometry.time_s, scanned),
-            ("measurements", self.measurements.time_s, scanned or self.closures is not None),
+            ("measurements", self.measurements.time_s, scanned or self.loop_closures is not None),
         ):
             if not len(times) and not optional:
                 raise InputError(f"{self.name}: no {stream}, expected at least one record")
@@ -343,23 +343,23 @@ class Log:
         counts = ", ".join(f"{count:,} {name}" for name, count in self.records.items())
         return f"<Log {self.name}: {counts}; {self.duration_s:.1f} s>"
 
-    def _check_closures(self) -> None:
+    def _check_loop_closures(self) -> None:
         """They are between poses of the odometry, and there where it lacks motions."""
         poses = np.zeros(0)
         if isinstance(self.odometry, RelativePoses):
             poses = np.concatenate(([self.prior.time_s], self.odometry.time_s))
             gaps = np.flatnonzero(np.isnan(self.odometry.covariance[:, 0, 0]))
-            if len(gaps) and self.closures is None:
+            if len(gaps) and self.loop_closures is None:
                 raise RecordError(
                     "relative poses", int(gaps[0]), "covariance is nan, and there are no closures"
                 )
-        if self.closures is not None:
-            ends = np.column_stack((self.closures.from_s, self.closures.to_s))
+        if self.loop_closures is not None:
+            ends = np.column_stack((self.loop_closures.from_s, self.loop_closures.to_s))
             stray = np.argwhere(~np.isin(ends, poses))
             if len(stray):
                 row, column = stray[0].tolist()
                 raise RecordError(
-                    "closures",
+                    "loop closures",
                     row,
                     f"time {ends[row, column]} s is no pose's, expected one of the relative poses'",
                 )
@@ -385,7 +385,7 @@ class Log:
             "odometry": self.odometry,
             "measurements": self.measurements,
             "positions": self.positions,
-            "closures": self.closures,
+            "loop closures": self.loop_closures,
             "known measurements": self.known_measurements,
             "scans": self.scans,
             "clouds": self.clouds,

@@ -16,10 +16,10 @@ from comparisons.arrays import Array
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
-    Closures,
     LandmarkMeasurements,
     Landmarks,
     Log,
+    LoopClosures,
     Poses,
     Positions,
     Prior,
@@ -113,7 +113,7 @@ def read_log_folder(folder: Path) -> Log:
             odometry=_read_odometry(folder / "odometry.csv", meta),
             measurements=measurements,
             positions=_read_positions(folder / "positions.csv", meta.positions.antenna_m),
-            closures=_read_closures(folder / "closures.csv"),
+            loop_closures=_read_loop_closures(folder / "closures.csv"),
             known_landmarks=_read_landmarks(folder / "known_landmarks.csv"),
             known_measurements=_read_measurements(_measurements_file(folder, "known_")),
             scans=_read_scans(folder / "scans.npz", meta.scans),
@@ -141,8 +141,8 @@ def write_log_folder(log: Log, folder: Path, remarks: Mapping[str, str] | None =
             _write_csv(
                 work / "positions.csv", _POSITIONS, p.time_s, p.position_m, _upper(p.covariance)
             )
-        if log.closures is not None:
-            c = log.closures
+        if log.loop_closures is not None:
+            c = log.loop_closures
             upper = c.covariance[:, *np.triu_indices(3)]
             _write_csv(work / "closures.csv", _CLOSURES, c.from_s, c.to_s, c.displacement, upper)
         for name, table in (
@@ -207,11 +207,11 @@ def _write_odometry(path: Path, odometry: Odometry) -> None:
 
 
 def _measurements_file(folder: Path, kind: str = "") -> Path:
-    """Return the file of measurements, which was called measurements.csv in version 0.1.
+    """Return the file of measurements, which was called sightings.csv in version 0.1.
 
     Raises InputError where both names are there.
     """
-    path, former = folder / f"{kind}measurements.csv", folder / f"{kind}measurements.csv"
+    path, former = folder / f"{kind}measurements.csv", folder / f"{kind}sightings.csv"
     if path.exists() and former.exists():
         raise InputError(f"{folder}: holds {path.name} and {former.name}, expected one of them")
     return former if former.exists() else path
@@ -253,13 +253,13 @@ def _read_positions(path: Path, antenna_m: tuple[float, float]) -> Positions | N
         return Positions(table["time_s"], table.data[:, 1:3], covariance, antenna_m)
 
 
-def _read_closures(path: Path) -> Closures | None:
+def _read_loop_closures(path: Path) -> LoopClosures | None:
     if not path.exists():
         return None
     table = Table(path, _CLOSURES, comma=True, header=True)
     with table.locating():
         covariance = _spatial(table.data[:, 5:])
-        return Closures(table["from_s"], table["to_s"], table.data[:, 2:5], covariance)
+        return LoopClosures(table["from_s"], table["to_s"], table.data[:, 2:5], covariance)
 
 
 def _read_landmarks(path: Path) -> Landmarks | None:

@@ -98,7 +98,7 @@ class LogModel(_Model):
     prior: _PriorModel
     odometry: Annotated[SteeringModel | VelocityModel | RelativeModel, Field(discriminator="kind")]
     measurements: MeasurementsModel = Field(
-        default=MeasurementsModel(), validation_alias=AliasChoices("measurements", "measurements")
+        default=MeasurementsModel(), validation_alias=AliasChoices("measurements", "sightings")
     )
     positions: PositionsModel = PositionsModel()
     scans: ScansModel = ScansModel()

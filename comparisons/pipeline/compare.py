@@ -13,13 +13,13 @@ from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import ROUNDING, Agreement
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
-from comparisons.checks.diagnosis.bookkeeping import misuses
+from comparisons.checks.diagnosis.data_usage import data_faults
 from comparisons.checks.qualifiers import TruthGap, measurement_scale, qualified, truth_gap
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.contract import Extension, Finding
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Compared, Gaps, compute_gaps
 from comparisons.pipeline.prepare import (
@@ -156,7 +156,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             gaps.result,
             run,
             _diagnosis(compared, consistency),
-            misuses=misuses(log, run, smoothed, labelled=labelled),
+            data_faults=data_faults(log, run, smoothed, labelled=labelled),
             causes=[cause for found in findings.values() for cause in found.causes],
             conservative=prepared.ekf.conservative,
         )
@@ -263,8 +263,8 @@ def _diagnosis(compared: Compared, consistency: Consistency) -> Diagnosis:
     """What is imported and done only where there is something to explain."""
     log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
 
-    def explanations() -> Sequence[str]:
-        from comparisons.checks.diagnosis.explanations import explain
+    def known_model_errors() -> Sequence[str]:
+        from comparisons.checks.diagnosis.known_model_errors import explain
 
         return explain(log, run)
 
@@ -276,7 +276,7 @@ def _diagnosis(compared: Compared, consistency: Consistency) -> Diagnosis:
     return Diagnosis(
         differences=gaps.model_differences,
         operations=lambda: _repeated(compared.prepared, run),
-        explanations=explanations,
+        known_model_errors=known_model_errors,
         growth=gaps.linearisation_growth,
         dropouts=dropouts,
         consistency=consistency,

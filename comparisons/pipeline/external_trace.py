@@ -16,8 +16,8 @@ from comparisons.adapters.smoother_input import (
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.checks.agreement import EXACT, Agreement, Gap, Gaussian
-from comparisons.checks.diagnosis.bookkeeping import Misuse, misuses
-from comparisons.checks.diagnosis.explanations import explain
+from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
+from comparisons.checks.diagnosis.known_model_errors import explain
 from comparisons.checks.diagnosis.model_differences import model_differences
 from comparisons.checks.diagnosis.single_precision import (
     FACTOR,
@@ -89,14 +89,14 @@ def check_trace(
             "add a little to step_q"
         ) from None
     labelled = prepared.labelled
-    misused = (*_untimely(log, file, run, positions),
-               *misuses(log, run, gaps.smoothed, labelled=labelled))  # fmt: skip
+    data_faulty = (*_untimely(log, file, run, positions),
+               *data_faults(log, run, gaps.smoothed, labelled=labelled))  # fmt: skip
     verdict = judge(
         gaps.agreement,
         gaps.result,
         run,
         diagnosis,
-        misuses=misused,
+        data_faults=data_faulty,
     )
     trace = run.trace
     return TraceCheck(
@@ -118,7 +118,7 @@ def _diagnosis(
     rounding: of the trace.
     """
 
-    def explanations() -> tuple[str, ...]:
+    def known_model_errors() -> tuple[str, ...]:
         return explain(log, run, rounding, same_steps=same_steps)
 
     ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
@@ -132,7 +132,9 @@ def _diagnosis(
         )
     if not rounding:
         return Diagnosis(
-            differences=gaps.model_differences, explanations=explanations, algebra=algebra
+            differences=gaps.model_differences,
+            known_model_errors=known_model_errors,
+            algebra=algebra,
         )
 
     def again(trace: TraceArrays) -> Gaussian:
@@ -156,7 +158,7 @@ def _diagnosis(
     model = model.plus(from_trace).plus(allowed_gap(model_again, run.trace, sigma))
     return Diagnosis(
         differences=lambda: gaps.model_differences(_stored_differences(run, gaps)),
-        explanations=explanations,
+        known_model_errors=known_model_errors,
         single=single,
         algebra=algebra,
         model=model.times(OPERATIONS) if single else model,
@@ -287,7 +289,9 @@ def _covariances(given: ExternalEstimate, time_s: Array) -> Array:
     return found
 
 
-def _untimely(log: Log, file: TraceFile, run: EkfRun, positions: Positions | None) -> list[Misuse]:
+def _untimely(
+    log: Log, file: TraceFile, run: EkfRun, positions: Positions | None
+) -> list[DataFault]:
     """Observations fused at another instant than their own, where no step ends there."""
     stands_s = np.concatenate(([run.timeline.epoch_time_s[0]], file.step_time_s))
     trace, found = run.trace, []
@@ -311,7 +315,7 @@ def _untimely(log: Log, file: TraceFile, run: EkfRun, positions: Positions | Non
         if off.any():
             middle = float(np.median(late_s[off]))
             found.append(
-                Misuse(
+                DataFault(
                     f"{np.count_nonzero(off)} of {len(off)} uses of {kind} come "
                     f"{'late' if middle > 0 else 'early'}, by {abs(middle):.4g} s (median)",
                     "look at the order of events: predict up to an observation's own time, then "

@@ -106,7 +106,7 @@ def run_front_end(
         closed = closer.close(problem, clouds)
     with clock.stage("graph"):
         progress("graph", 0, 0)
-        graph = smooth(replace(problem, closures=closed.closures), {})
+        graph = smooth(replace(problem, loop_closures=closed.loop_closures), {})
         estimate = smoothed_estimate(graph, timeline.epoch_time_s, ids, "the log's labels")
     odometry = dead_reckoned(problem.prior_pose, problem.increment)
     wheels = None

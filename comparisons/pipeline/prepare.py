@@ -10,14 +10,14 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from comparisons.adapters.ekf_factory import fused_positions, judging_positions, settle
+from comparisons.adapters.ekf_factory import fused_positions, held_out_positions, settle
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.motion import check_regular
 from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array
 from comparisons.config import Configured, EkfConfig, JobConfig
 from comparisons.errors import InputError
-from comparisons.extensions.contract import Extension
+from comparisons.extensions.interface import Extension
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log, Positions
@@ -118,7 +118,7 @@ class Prepared(Generic[C]):
     @cached_property
     def judged(self) -> Log:
         """The log with those positions only that no estimator was given."""
-        return replace(self.log, positions=judging_positions(self.log, self.ekf))
+        return replace(self.log, positions=held_out_positions(self.log, self.ekf))
 
     def beside_filter(self) -> FilterSetup:
         """What the extensions put beside a filter that is about to run, made anew."""
@@ -135,12 +135,12 @@ class Prepared(Generic[C]):
 class Required(NamedTuple):
     """What a job cannot do without, with a hint where the log lacks it; None to do without.
 
-    closures: the job takes motions between poses that do not follow each other.
+    loop_closures: the job takes motions between poses that do not follow each other.
     """
 
     measurements: str | None = None
     odometry: str | None = None
-    closures: bool = False
+    loop_closures: bool = False
 
 
 def prepare(
@@ -186,7 +186,7 @@ def check_memory(prepared: Prepared[Any]) -> None:
 
 def _check_streams(prepared: Prepared[Any], required: Required) -> None:
     log, extensions = prepared.log, prepared.extensions
-    if log.closures is not None and not required.closures:
+    if log.loop_closures is not None and not required.loop_closures:
         raise InputError(f"{log.name}: {_why_no_filter(log)}")
     landmarks = any(one.brings_landmarks for one in extensions)
     if required.measurements is not None and not landmarks and not len(log.measurements.time_s):
@@ -200,7 +200,7 @@ def _check_streams(prepared: Prepared[Any], required: Required) -> None:
 
 def _why_no_filter(log: Log) -> str:
     """Why a filter of landmarks cannot serve a log with closures."""
-    closures = f"holds {log.records['closures']:,} closures from pose to pose"
+    closures = f"holds {log.records['loop closures']:,} loop closures from pose to pose"
     takes = "slamcheck solve takes it, and no other job that estimates"
     if len(log.measurements.time_s):
         return (

@@ -18,7 +18,7 @@ from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import poses_apart
 from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
 from comparisons.errors import InputError
-from comparisons.extensions.contract import Finding
+from comparisons.extensions.interface import Finding
 from comparisons.logs.transforms.known_landmarks import indices_by_label
 from comparisons.pipeline.gaps import Compared
 from graphslam.graph_builder import build_graph, from_values
@@ -26,7 +26,7 @@ from graphslam.initialisation import track
 from graphslam.optimisers import optimise
 from graphslam.optimum import ChiSquareTest, chi_square_test
 from graphslam.problem import SlamProblem
-from graphslam.recognition import Options
+from graphslam.relocalisation import Options
 from graphslam.smoother import smooth
 
 NAME = "own_association"

@@ -87,11 +87,11 @@ def solve(
     known = (
         log.measurements.labelled if config.association is None else config.association == "known"
     )
-    if log.closures is not None and not known:
+    if log.loop_closures is not None and not known:
         raise InputError(f"{log.name}: holds closures, expected measurements associated by labels")
     ekf = EkfConfig(association="known" if known else "nn", gps=config.gps)
     other = "use slamcheck odometry for its scans"
-    required = Required(None if log.closures is not None else other, other, closures=True)
+    required = Required(None if log.loop_closures is not None else other, other, loop_closures=True)
     prepared = prepare(log, config, ekf, progress, required)
     check_memory(prepared)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
@@ -108,7 +108,7 @@ def solve(
             landmark_index, problem = own.landmark_index, own.problem
             ids = np.arange(problem.landmark_count)
             guesses["association"] = (own.poses, own.landmarks)
-    if not len(ids) and log.closures is None:
+    if not len(ids) and log.loop_closures is None:
         raise InputError(
             f"{log.name}: no measurement could be used, so there is no map to solve for"
         )

@@ -13,7 +13,7 @@ from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
 from comparisons.checks.external_agreement import Block, ExternalAgreement
 from comparisons.checks.grade import Likeness, match_map
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.external_trace import TraceCheck
 from comparisons.pipeline.prepare import Clock

@@ -112,8 +112,8 @@ def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | 
         inside=f.inside,
         least_ratio=None if worst is None else float(f.ratio[worst]),
         least_ratio_s=None if worst is None else float(f.time_s[worst]),
-        surer_epochs=len(f.surer),
-        surer_since_s=float(f.time_s[f.surer[0]]) if len(f.surer) else None,
+        overconfident_epochs=len(f.overconfident),
+        overconfident_since_s=float(f.time_s[f.overconfident[0]]) if len(f.overconfident) else None,
         unusable=dict(f.faults),
     )
 

@@ -11,7 +11,6 @@ import numpy as np
 from rich.console import Console
 
 from comparisons.checks.accuracy import assess
-from comparisons.extensions.contract import Row
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.result import (
     FirstConditionResult,
@@ -21,6 +20,7 @@ from comparisons.extensions.dense_maps.result import (
     surface_error_results,
     surface_error_rows,
 )
+from comparisons.extensions.interface import Row
 from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figure

@@ -25,9 +25,9 @@ class EkfResult(Model):
     """The filter.
 
     rejected, ambiguous, candidate: measurements that association did not use. dynamic: measurements
-    that were discarded since something moves there; retired: landmarks that are used no more, since
-    they stand in such a place. cut_off: scans in which joint compatibility visited its most nodes
-    and took the best set so far. global_updates: of a compressed filter, and the share of the
+    that were discarded since something moves there; deactivated: landmarks that are used no more,
+    since they stand in such a place. cut_off: scans in which joint compatibility visited its most
+    nodes and took the best set so far. global_updates: of a compressed filter, and the share of the
     passive covariance that they left alone (set I). attributes: whether diameters and intensities
     entered association. fixes_in_streaks: rejected positions that are one of five or more in a row;
     longest_streak: of rejected positions; fixes_rejected_by_smoother: of the rejected ones, those
@@ -41,7 +41,7 @@ class EkfResult(Model):
     ambiguous: int
     candidate: int
     dynamic: int = 0
-    retired: int = 0
+    deactivated: int = 0
     cut_off: int = 0
     attributes: str = "off"
     gps: str
@@ -81,7 +81,7 @@ class MinimumResult(Model):
 class SmootherResult(Model):
     """The smoother and the evidence for its optimum. See graphslam.optimum.
 
-    distance_sigma: of an incremental estimate from the optimum. rejected: wild measurements and
+    distance_sigma: of an incremental estimate from the optimum. rejected: outlier measurements and
     positions that were left out. rank: unknowns that the measurements determine. lacks: why the
     optimum is not verified; empty where it is. minima: the distinct ones found, lowest first.
     hops, random_starts: how many were tried. chance_missed: that the random starts miss a basin as
@@ -348,8 +348,8 @@ class FilterAgainstSmootherResult(Model):
 
     squared_per_dof: 1 is right; band: 95 % of it, for correlated epochs; inside: share of the
     epochs in their single 95 % band. least_ratio: smallest variance of the filter over the
-    smoother's, at least_ratio_s; surer_epochs: how many have one clearly below 1, from
-    surer_since_s on.
+    smoother's, at least_ratio_s; overconfident_epochs: how many have one clearly below 1, from
+    overconfident_since_s on.
     """
 
     epochs: int
@@ -358,8 +358,8 @@ class FilterAgainstSmootherResult(Model):
     inside: float | None
     least_ratio: float | None
     least_ratio_s: float | None
-    surer_epochs: int
-    surer_since_s: float | None
+    overconfident_epochs: int
+    overconfident_since_s: float | None
     unusable: dict[str, int]
 
 
@@ -439,7 +439,7 @@ class PoseGraphResult(Model):
     initial_chi2: where odometry alone leads, and guesses where there is none.
     """
 
-    closures: int
+    loop_closures: int
     unmeasured: int
     initial_chi2: float
 

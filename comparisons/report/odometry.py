@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from comparisons.estimates.folder import tum_text
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.extensions.scan_motion.result import (
     IncrementResult,
     ScanOdometryResult,
@@ -89,7 +89,7 @@ def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> Fr
         ),
         loops=LoopResult(
             tried=len(f.closed.attempts),
-            closed=len(f.closed.closures.first),
+            closed=len(f.closed.loop_closures.first),
             reasons=by_reason(a.outcome for a in f.closed.attempts if a.outcome != "accepted"),
         ),
         graph=smoother_result(f.graph, f.estimate),

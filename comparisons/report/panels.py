@@ -165,12 +165,14 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
             reported.append(f"Against the smoother there is no band: {c.unjudged}.")
     else:
         panels += _against_smoother(c.smoothed, "given")
-        surer = (
-            ", but where the given covariance is the smaller one" if len(c.smoothed.surer) else ""
+        overconfident = (
+            ", but where the given covariance is the smaller one"
+            if len(c.smoothed.overconfident)
+            else ""
         )
         reported.append(
             "Against the smoother: 3 sigma of P_given - P_smoother, the covariance of what a "
-            f"filter differs by from what knows the future{surer}."
+            f"filter differs by from what knows the future{overconfident}."
         )
     paths = [(r.name, REFERENCE_COLOUR, r.time_s, r.pose) for r in filters_compared(check)]
     if paths:

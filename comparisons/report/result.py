@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.consistency_result import consistency_result, consistency_rows

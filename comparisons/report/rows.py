@@ -11,7 +11,7 @@ from rich.table import Table
 
 from comparisons.checks.causes import GAPS
 from comparisons.checks.verdict import rounded
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.report.models import (
     AccuracyResult,
     AssociationCheckResult,
@@ -91,8 +91,8 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
             + ")",
         )
     ]
-    if ekf.dynamic or ekf.retired:
-        found = f"{ekf.dynamic} measurements discarded, {ekf.retired} landmarks retired"
+    if ekf.dynamic or ekf.deactivated:
+        found = f"{ekf.dynamic} measurements discarded, {ekf.deactivated} landmarks deactivated"
         rows.append(Row("dynamic", found))
     if ekf.global_updates:
         spared = f"sparing {100 * ekf.global_update_spared:.0f} % of the passive covariance"

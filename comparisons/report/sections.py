@@ -77,7 +77,7 @@ def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = Non
         attributes=config.attributes,
         landmarks=len(run.estimate.landmark),
         **run.unused,
-        retired=len(run.retired),
+        deactivated=len(run.deactivated),
         cut_off=run.cut_off,
         gps=config.gps,
         fixes_fused=len(run.fix_number),

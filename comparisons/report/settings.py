@@ -8,7 +8,7 @@ from typing import Any
 from comparisons.config import EkfConfig, JobConfig
 from comparisons.documented.preset import differing
 from comparisons.documented.row import Value, shown
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.report.model import Model
 
 _LISTED = 4

@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Console
 
 from comparisons.checks.verdict import misfit_remarks
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.solution import solution_figure
@@ -68,10 +68,10 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
 
 def _pose_graph(solution: Solution) -> PoseGraphResult | None:
     problem = solution.result.problem
-    if solution.log.closures is None:
+    if solution.log.loop_closures is None:
         return None
     return PoseGraphResult(
-        closures=len(problem.closures.first),
+        loop_closures=len(problem.loop_closures.first),
         unmeasured=problem.pose_count - 1 - len(problem.steps),
         initial_chi2=2.0 * solution.result.initial_error(),
     )
@@ -109,7 +109,7 @@ def _pose_graph_rows(result: SolutionResult) -> list[Row]:
     return [
         Row(
             "pose graph",
-            f"{result.smoother.poses:,} poses, {graph.closures:,} closures{gaps}; chi2 "
+            f"{result.smoother.poses:,} poses, {graph.loop_closures:,} closures{gaps}; chi2 "
             f"{graph.initial_chi2:.6g} dead reckoned, {result.smoother.chi2:.6g} at the optimum",
         )
     ]

@@ -30,7 +30,7 @@ class DynamicGuard(Protocol):
 class DynamicRejection:
     """Wraps an association rule: it sees neither dynamic measurements nor deactivated landmarks.
 
-    retired: landmark indices that are closed. What was fused before a region was found to be
+    deactivated: landmark indices that are closed. What was fused before a region was found to be
     dynamic stays fused. Only landmarks within reach of the measurements are asked about, so that a
     compressed filter, whose other landmarks are not up to date, deactivates the same ones at the
     same time.
@@ -38,7 +38,7 @@ class DynamicRejection:
 
     rule: Association
     guard: DynamicGuard
-    retired: set[int] = field(default_factory=set)
+    deactivated: set[int] = field(default_factory=set)
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign by the rule; DYNAMIC: in a dynamic region, or of a closed landmark index."""
@@ -46,8 +46,10 @@ class DynamicRejection:
         if not len(seen):
             return landmark_indices
         around = landmarks_around(state, model, seen)
-        self.retired.update(around.landmark_index[self.guard.is_dynamic(around.landmark)].tolist())
-        closed = tuple(sorted(self.retired))
+        self.deactivated.update(
+            around.landmark_index[self.guard.is_dynamic(around.landmark)].tolist()
+        )
+        closed = tuple(sorted(self.deactivated))
         still = np.flatnonzero(~self.guard.is_dynamic(model.invert(around.pose, seen.z).landmark))
         if len(still):
             rest = replace(seen.take(still), closed=closed)

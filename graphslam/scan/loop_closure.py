@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from graphslam.arrays import Array
-from graphslam.problem import Closures, SlamProblem
+from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.keyframes import KeyframeBelief, choose_keyframes
 from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
@@ -54,7 +54,7 @@ class Attempt:
 class Closed:
     """What was found, and all that was tried."""
 
-    closures: Closures = field(default_factory=Closures)
+    loop_closures: LoopClosures = field(default_factory=LoopClosures)
     attempts: tuple[Attempt, ...] = ()
 
 
@@ -116,7 +116,7 @@ class RegistrationLoopCloser:
         tried: dict[tuple[int, int], Array] = {}
         for _ in range(self.options.rounds):
             before = len(found)
-            result = smooth(replace(problem, closures=self._closures(found)), {})
+            result = smooth(replace(problem, loop_closures=self._loop_closures(found)), {})
             belief = KeyframeBelief(result, keyframes)
             for later in range(len(keyframes)):
                 self._progress(later, len(keyframes))
@@ -134,11 +134,11 @@ class RegistrationLoopCloser:
                         attempts[pair] = Attempt(*pair, "accepted")
             if len(found) == before:
                 break
-        return Closed(self._closures(found), tuple(attempts.values()))
+        return Closed(self._loop_closures(found), tuple(attempts.values()))
 
-    def _closures(self, found: dict[tuple[int, int], Registration]) -> Closures:
+    def _loop_closures(self, found: dict[tuple[int, int], Registration]) -> LoopClosures:
         pairs = sorted(found)
-        return Closures(
+        return LoopClosures(
             np.array([i for i, _ in pairs], dtype=np.intp),
             np.array([j for _, j in pairs], dtype=np.intp),
             np.array([found[p].motion for p in pairs]).reshape(-1, 3),

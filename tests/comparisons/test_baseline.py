@@ -110,11 +110,13 @@ def test_a_figure_that_is_gone_is_no_figure_that_holds(result: Result, kept: Bas
 
 def test_a_count_that_older_baselines_lack_may_be_zero(result: Result, kept: Baseline) -> None:
     older = kept.model_copy(
-        update={"metrics": {k: v for k, v in kept.metrics.items() if k != "ekf.retired"}}
+        update={"metrics": {k: v for k, v in kept.metrics.items() if k != "ekf.deactivated"}}
     )
     assert all(c.holds for c in compare_with(older, result))
-    retired = result.model_copy(update={"ekf": result.ekf.model_copy(update={"retired": 1})})
-    assert [c.name for c in compare_with(older, retired) if not c.holds] == ["ekf.retired"]
+    deactivated = result.model_copy(
+        update={"ekf": result.ekf.model_copy(update={"deactivated": 1})}
+    )
+    assert [c.name for c in compare_with(older, deactivated) if not c.holds] == ["ekf.deactivated"]
 
 
 def test_a_measure_that_older_baselines_lack_is_not_compared(
@@ -128,7 +130,7 @@ def test_a_measure_that_older_baselines_lack_is_not_compared(
 
 def test_results_of_older_runs_are_read(result: Result) -> None:
     data = result.model_dump()
-    for name in ("dynamic", "retired", "attributes"):
+    for name in ("dynamic", "deactivated", "attributes"):
         del data["ekf"][name]
     del data["schema"], data["config"]
     older = Result.model_validate(data | {"scan_slam": None, "dense": None})

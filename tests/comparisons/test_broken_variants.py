@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from comparisons.checks.agreement import ROUNDING
-from comparisons.experiments.defects.catalogue import CATALOGUE
+from comparisons.experiments.defects.registry import REGISTRY
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Modified
 from tests.helpers import compared, simulated
@@ -20,7 +20,7 @@ GAPS = {
     "steering sign": "model",
     "no heading column": "model",
 }
-PLANTS = {defect.name: defect.plant for defect in CATALOGUE}
+PLANTS = {defect.name: defect.plant for defect in REGISTRY}
 NAMED_FIRST = {
     "bearing Jacobian as printed": ("the innovation", "uses of measurements"),
     "innovation not wrapped": ("the innovation", "uses of measurements"),

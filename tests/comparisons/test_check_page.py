@@ -43,7 +43,7 @@ def bare(given: ExternalEstimate) -> ExternalEstimate:
     return ExternalEstimate(time_s=given.time_s, pose=given.pose)
 
 
-def surer(given: ExternalEstimate) -> ExternalEstimate:
+def overconfident(given: ExternalEstimate) -> ExternalEstimate:
     """From half of the way on its pose covariances are a hundredth of what they should be."""
     assert given.pose_covariance is not None
     late = given.time_s > given.time_s[len(given.time_s) // 2]
@@ -104,7 +104,7 @@ def test_consistency_is_judged_as_the_run_judges_its_own_filter(
     assert theirs is not None
     assert ours is not None
     assert theirs.squared_per_dof == pytest.approx(ours.squared_per_dof, rel=1e-6)
-    assert (theirs.epochs, theirs.surer_epochs) == (ours.epochs, ours.surer_epochs)
+    assert (theirs.epochs, theirs.overconfident_epochs) == (ours.epochs, ours.overconfident_epochs)
 
 
 def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: ExternalEstimate) -> None:
@@ -149,7 +149,7 @@ def test_no_band_is_drawn_where_none_is_justified(
 def test_no_band_is_drawn_where_the_filter_is_surer(
     run: Comparison, filtered: ExternalEstimate
 ) -> None:
-    found = check(run.log, surer(filtered))
+    found = check(run.log, overconfident(filtered))
     assert found.consistency.smoothed is not None
     reported, panels = external_panels(found)
     high = named(panels, "given - smoother")[0].bands[0].high
@@ -303,7 +303,7 @@ def test_the_files_that_were_judged_are_named_by_their_hashes(
 
 @pytest.mark.slow
 @pytest.mark.browser
-@pytest.mark.parametrize(("made", "figures"), [(bare, 7), (surer, 9)])
+@pytest.mark.parametrize(("made", "figures"), [(bare, 7), (overconfident, 9)])
 def test_a_browser_shows_it(
     run: Comparison, filtered: ExternalEstimate, tmp_path: Path, made: Any, figures: int
 ) -> None:
@@ -315,8 +315,8 @@ def test_a_browser_shows_it(
     assert dom.count("<figure>") == figures
     assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 3
     bands = re.findall(r'<path d="([^"]*)"[^>]* class="band"', dom)
-    assert bool(bands) == (made is surer)
-    if made is surer:
+    assert bool(bands) == (made is overconfident)
+    if made is overconfident:
         widths = [
             max(x) - min(x)
             for x in ([float(v) for v in re.findall(r"[ML]([\d.]+),", band)] for band in bands[4:7])

@@ -152,9 +152,9 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         assert done.returncode == 2, arguments
         assert done.stdout == ""
         assert message in flat(done.stderr)
-        misused = "\u2500 Error \u2500" in done.stderr
-        assert misused or done.stderr.startswith("slamcheck: ")
-        assert misused or done.stderr.count("\n") == 1
+        data_faulty = "\u2500 Error \u2500" in done.stderr
+        assert data_faulty or done.stderr.startswith("slamcheck: ")
+        assert data_faulty or done.stderr.count("\n") == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "file", "full"]
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["mine.txt"]
 

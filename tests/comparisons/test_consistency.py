@@ -128,7 +128,7 @@ def test_filter_against_smoother_over_all_seeds() -> None:
         middle = len(compared.time_s) // 2
         squared += float(compared.squared[middle])
         dof += int(compared.dof[middle])
-        assert len(compared.surer) < 0.05 * len(compared.time_s)
+        assert len(compared.overconfident) < 0.05 * len(compared.time_s)
     assert mean_band(1, dof).holds(squared)
 
 

@@ -260,7 +260,7 @@ def test_filter_minus_smoother_has_the_difference_of_their_covariances(turns: in
         assert dof >= 2
         assert mean_band(RUNS, dof).holds(float(np.mean([f.squared[k] for f in found])))
     assert found[0].dof[-1] == 0
-    assert len(found[0].surer) == 0
+    assert len(found[0].overconfident) == 0
 
 
 @pytest.mark.parametrize(("factor", "holds"), [(1.0, True), (0.2, False)])
@@ -295,11 +295,11 @@ def test_a_filter_surer_than_the_smoother_is_told_with_its_begin() -> None:
     runs = simulate(2)
     runs.covariance[20:] *= 0.2
     found = against_smoother(runs, 0)
-    assert found.surer[0] == 20
+    assert found.overconfident[0] == 20
     assert found.ratio[-1] == pytest.approx(0.2)
     relinearised = simulate(2)
     relinearised.covariance[20:] *= 0.92 / against_smoother(relinearised, 0).ratio[-1]
-    assert len(against_smoother(relinearised, 0).surer) == 0
+    assert len(against_smoother(relinearised, 0).overconfident) == 0
     covariance = runs.covariance[:, :3, :3].copy()
     covariance[5] = -np.eye(3)
     covariance[6, 0, 0] = np.nan

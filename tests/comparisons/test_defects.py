@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.experiments.defects.catalogue import CATALOGUE, named_first, run_defect
 from comparisons.experiments.defects.defect import Defect, Plant, with_observation, with_steps
 from comparisons.experiments.defects.logs import LOGS, open_case
+from comparisons.experiments.defects.registry import REGISTRY, named_first, run_defect
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import PredictedMeasurements
@@ -24,13 +24,13 @@ SEEDS = 12
 
 
 def test_the_catalogue_is_broad_and_without_copies() -> None:
-    assert len(CATALOGUE) >= 20
-    assert len({defect.name for defect in CATALOGUE}) == len(CATALOGUE)
-    assert {defect.log for defect in CATALOGUE} == set(LOGS)
+    assert len(REGISTRY) >= 20
+    assert len({defect.name for defect in REGISTRY}) == len(REGISTRY)
+    assert {defect.log for defect in REGISTRY} == set(LOGS)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("defect", CATALOGUE, ids=lambda defect: defect.name)
+@pytest.mark.parametrize("defect", REGISTRY, ids=lambda defect: defect.name)
 def test_a_defect_is_caught_and_named_first(defect: Defect) -> None:
     verdict = run_defect(defect).verdict
     assert verdict.outcome == "disagree"

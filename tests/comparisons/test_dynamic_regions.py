@@ -120,8 +120,8 @@ def test_a_landmark_on_a_vehicle_is_removed_and_the_error_is_smaller(carried: li
     for log in carried:
         moving = int(log.measurements.landmark.max())
         without, within = run(log, guarded=False), run(log, guarded=True)
-        assert moving in within.estimate.landmark_id[within.retired]
-        assert len(within.retired) <= 3
+        assert moving in within.estimate.landmark_id[within.deactivated]
+        assert len(within.deactivated) <= 3
         assert within.unused["dynamic"] > 20
         assert not without.unused["dynamic"]
         bad, good = (assess(r.estimate, log, labelled=True) for r in (without, within))
@@ -137,13 +137,13 @@ def test_a_landmark_that_was_taken_away_leaves_the_map(filter_name: str) -> None
     """Nieto 2005, Fig. 6.20, where it stood on a car that has left."""
     log = simulate(np.random.default_rng(0), dynamic_places(carried=True))
     done = run(log, filter_name, guarded=True)
-    assert done.estimate.landmark_id[done.retired].tolist() == [log.measurements.landmark.max()]
+    assert done.estimate.landmark_id[done.deactivated].tolist() == [log.measurements.landmark.max()]
 
 
 @pytest.mark.slow
 def test_full_and_compressed_retire_the_same(carried: list[Log]) -> None:
     full, compressed = (run(carried[0], f, guarded=True) for f in ("full", "compressed"))
-    assert np.array_equal(full.retired, compressed.retired)
+    assert np.array_equal(full.deactivated, compressed.deactivated)
     assert np.array_equal(full.landmark_index, compressed.landmark_index)
     assert np.allclose(full.departed, compressed.departed, rtol=0.0, atol=1e-9)
     assert np.allclose(
@@ -239,7 +239,7 @@ def test_the_commands_write_and_tell(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     ekf = json.loads((tmp_path / "run" / "result.json").read_text())["ekf"]
     assert ekf["dynamic"] > 100
-    assert ekf["retired"] >= 1
+    assert ekf["deactivated"] >= 1
 
 
 def test_a_log_without_scans_cannot_be_looked_at() -> None:

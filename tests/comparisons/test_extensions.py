@@ -96,7 +96,7 @@ def test_a_run_on_points_loads_no_extension(log: str, tmp_path: Path) -> None:
         "try:\n    main()\nexcept SystemExit as stop:\n    assert stop.code in (0, 1), stop.code\n"
         "house = ('comparisons', 'ekf_reference', 'graphslam')\n"
         "loaded = sorted(m for m in sys.modules if m.split('.')[0] in house)\n"
-        "kept = {'comparisons.extensions', 'comparisons.extensions.contract',\n"
+        "kept = {'comparisons.extensions', 'comparisons.extensions.interface',\n"
         "        'comparisons.extensions.registry'}\n"
         "extra = {m for m in loaded if m.startswith('comparisons.extensions')} - kept\n"
         "assert not extra, extra\n"

@@ -19,9 +19,9 @@ from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE, read_trace, write_trace
-from comparisons.experiments.defects.catalogue import CATALOGUE
 from comparisons.experiments.defects.defect import Defect
 from comparisons.experiments.defects.logs import open_case
+from comparisons.experiments.defects.registry import REGISTRY
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import ExternalCheck, check
 from comparisons.pipeline.compare import Comparison
@@ -168,16 +168,16 @@ def bare(arrays: Arrays) -> None:
 def test_former_names_of_arrays_are_read(
     tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]
 ) -> None:
-    """Version 0.1 wrote `begin_measurement` for `initialise_measurement`."""
+    """Version 0.1 wrote `begin_sighting` for `initialise_measurement`."""
     _, _, run = plain
     write_trace(run, tmp_path / TRACE)
     with np.load(tmp_path / TRACE) as stored:
         arrays = {
-            n.replace("initialise_", "begin_").replace("measurement", "measurement"): stored[n]
+            n.replace("initialise_", "begin_").replace("measurement", "sighting"): stored[n]
             for n in stored.files
         }
     np.savez(tmp_path / "former.npz", **arrays)
-    assert {"begin_measurement", "begin_jacobian_measurement"} <= set(arrays)
+    assert {"begin_sighting", "begin_jacobian_sighting"} <= set(arrays)
     ids = run.estimate.landmark_id
     now, former = (read_trace(tmp_path / name, ids).trace for name in (TRACE, "former.npz"))
     for kind in ("measurements", "initialisations"):
@@ -198,7 +198,7 @@ def test_other_habits_make_no_difference(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "defect",
-    [d for d in CATALOGUE if d.name not in UNSAID][::NEW_EVERY],
+    [d for d in REGISTRY if d.name not in UNSAID][::NEW_EVERY],
     ids=lambda defect: defect.name,
 )
 def test_a_planted_defect_has_its_cause(tmp_path: Path, defect: Defect) -> None:

@@ -20,7 +20,7 @@ from comparisons.extensions.scan_motion.result import (
     ScanOdometryResult,
     ThreeWayResult,
 )
-from comparisons.extensions.scan_motion.three_way import ThreeWay, find_culprit
+from comparisons.extensions.scan_motion.three_way import ThreeWay, find_inconsistent_source
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
@@ -89,7 +89,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert result.increments is not None
     assert 0.7 < result.increments.factor < 1.4
     graph = read_g2o(folder / "graph.g2o")
-    assert len(graph.problem.closures.first) == result.loops.closed
+    assert len(graph.problem.loop_closures.first) == result.loops.closed
     assert np.allclose(read_estimate(folder / "graph").pose[:, :2], graph.poses[:, :2])
 
 
@@ -135,7 +135,7 @@ def test_faults_are_one_line(arguments: tuple[str, ...], message: str, tmp_path:
 def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop: Log) -> None:
     none = run_front_end(scan_loop, OdometryConfig(front_end=FrontEndConfig(loop_closure=False)))
     assert not none.closed.attempts
-    assert not len(none.graph.problem.closures.first)
+    assert not len(none.graph.problem.loop_closures.first)
     blind = run_front_end(scan_loop, OdometryConfig(front_end=FrontEndConfig(guess="none")))
     assert blind.accuracy_graph is not None
     assert blind.accuracy_wheels is not None
@@ -198,7 +198,7 @@ def test_wrong_wheels_are_found_out(wrong_wheels: Comparison) -> None:
     assert c.agreement.algebra.sigma < 1e-6
     assert c.agreement.model.sigma < 1e-6
     assert not three_of(c).ekf.agrees
-    assert three_of(c).culprit == "wheels"
+    assert three_of(c).inconsistent_source == "wheels"
     assert c.verdict.outcome == "disagree"
     assert "motion" in {cause.gap for cause in c.verdict.causes}
 
@@ -234,7 +234,7 @@ def test_the_car_park(shared_data: Path) -> None:
 def test_the_car_park_on_wheels_and_on_scans(shared_data: Path) -> None:
     """At full lock the steering reading saturates, and the last seconds are wrong on wheels."""
     c = compared(read_log(shared_data / "acfr_car_park"), motion="both")
-    assert three_of(c).culprit == "wheels"
+    assert three_of(c).inconsistent_source == "wheels"
     assert c.verdict.outcome == "disagree"
     cause = next(cause for cause in c.verdict.causes if cause.gap == "motion")
     assert "gps_rms_aligned_m" in cause.evidence
@@ -265,4 +265,4 @@ def test_scans_alone_make_a_log(tmp_path: Path, scan_loop: Log) -> None:
 
 def test_a_culprit_needs_evidence(wrong_wheels: Comparison) -> None:
     optimality = wrong_wheels.smoother.optimality
-    assert find_culprit(optimality, optimality, None, None)[0] == ""
+    assert find_inconsistent_source(optimality, optimality, None, None)[0] == ""

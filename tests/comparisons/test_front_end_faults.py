@@ -180,7 +180,7 @@ def test_nobody_is_to_blame_while_maps_agree() -> None:
     three = three_of(compared(short(), motion="both"))
     assert three.ekf.agrees
     assert three.smoother.agrees
-    assert three.culprit == ""
+    assert three.inconsistent_source == ""
 
 
 @pytest.mark.slow
@@ -221,7 +221,7 @@ def test_a_landmark_without_numbers_lies_outside() -> None:
 
 def test_chi_square_is_tested_where_no_loop_was_closed() -> None:
     front_end = run_front_end(short())
-    assert not len(front_end.closed.closures.first)
+    assert not len(front_end.closed.loop_closures.first)
     problem = front_end.graph.problem
     test = front_end.graph.optimality.chi_square
     assert test.dof == problem.residual_dimension - problem.state_dimension > 0

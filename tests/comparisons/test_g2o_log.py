@@ -12,7 +12,7 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
-from comparisons.logs.log import Closures
+from comparisons.logs.log import LoopClosures
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.solve import solve
@@ -65,20 +65,23 @@ def pose_graph(path: Path, text: str = CLOSED_ELSEWHERE) -> Path:
 
 def test_closures_are_a_stream_of_the_log(tmp_path: Path) -> None:
     log = open_log(str(pose_graph(tmp_path / "closed.g2o")))
-    assert log.records == {"odometry": 2, "measurements": 0, "closures": 2}
-    assert log.closures is not None
-    assert log.closures.from_s.tolist() == [2.0, 0.0]
-    without = replace(log, closures=None, measurements=simulated(3, loop_s=30.0).measurements)
+    assert log.records == {"odometry": 2, "measurements": 0, "loop closures": 2}
+    assert log.loop_closures is not None
+    assert log.loop_closures.from_s.tolist() == [2.0, 0.0]
+    without = replace(log, loop_closures=None, measurements=simulated(3, loop_s=30.0).measurements)
     assert log_hash(log) != log_hash(without)
 
 
 @pytest.mark.parametrize(
     ("more", "why"),
     [
-        ("", "2 closures from pose to pose and no landmarks; .* a landmark EKF has nothing to obs"),
+        (
+            "",
+            "2 loop closures from pose to pose and no landmarks; .* a landmark EKF has nothing to obs",
+        ),
         (
             LANDMARK,
-            "2 closures from pose to pose beside its measurements; .* a landmark EKF cannot",
+            "2 loop closures from pose to pose beside its measurements; .* a landmark EKF cannot",
         ),
     ],
 )
@@ -89,7 +92,7 @@ def test_a_filter_of_landmarks_has_no_use_for_closures(tmp_path: Path, more: str
     assert "slamcheck solve takes it" in str(caught.value)
     assert "\n" not in str(caught.value)
     solution = solve(log)
-    assert len(solution.result.problem.closures.first) == 2
+    assert len(solution.result.problem.loop_closures.first) == 2
     assert len(solution.estimate.landmark) == (1 if more else 0)
 
 
@@ -99,7 +102,7 @@ def test_a_solution_is_solved_again_to_the_bit(tmp_path: Path) -> None:
     first = solve(open_log(str(pose_graph(tmp_path / "closed.g2o", text + LANDMARK))))
     result = build_solution_result(first)
     assert result.pose_graph is not None
-    assert (result.pose_graph.closures, result.pose_graph.unmeasured) == (3, 1)
+    assert (result.pose_graph.loop_closures, result.pose_graph.unmeasured) == (3, 1)
     assert result.pose_graph.initial_chi2 > result.smoother.chi2
     write_job_folder(solution_folder(first, result), tmp_path / "solved")
     write_log_folder(first.log, tmp_path / "log")
@@ -122,11 +125,11 @@ def test_only_closures_stand_for_odometry() -> None:
     with pytest.raises(InputError, match="covariance is nan in part"):
         RelativePoses(start + np.array((1.0, 2.0)), moves, spread)
     ends = np.array([start]), np.array([start + 1.5])
-    closures = Closures(*ends, np.zeros((1, 3)), np.eye(3)[None])
+    loop_closures = LoopClosures(*ends, np.zeros((1, 3)), np.eye(3)[None])
     with pytest.raises(InputError, match=r"closures.*is no pose's"):
-        replace(log, odometry=odometry, closures=closures)
+        replace(log, odometry=odometry, loop_closures=loop_closures)
     with pytest.raises(InputError, match="to the same pose"):
-        Closures(ends[0], ends[0], np.zeros((1, 3)), np.eye(3)[None])
+        LoopClosures(ends[0], ends[0], np.zeros((1, 3)), np.eye(3)[None])
 
 
 @pytest.mark.parametrize("name", ["Klaus3.g2o", "sphere2500.txt", "pose3example.txt"])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.contract import Finding
+from comparisons.extensions.interface import Finding
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html import map as map_page

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import fused_positions, judging_positions, settle
+from comparisons.adapters.ekf_factory import fused_positions, held_out_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
@@ -149,7 +149,7 @@ def test_no_position_judges_what_it_was_given_to() -> None:
     every = log.positions.time_s.tolist()
     for gps, fused_count in (("off", 0), ("half", (len(every) + 1) // 2), ("on", len(every))):
         choices = EkfConfig(association="known", gps=gps)
-        fused, judging = fused_positions(log, choices), judging_positions(log, choices)
+        fused, judging = fused_positions(log, choices), held_out_positions(log, choices)
         given = [] if fused is None else fused.time_s.tolist()
         judges = [] if judging is None else judging.time_s.tolist()
         assert len(given) == fused_count

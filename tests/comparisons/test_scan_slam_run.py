@@ -18,7 +18,7 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.trace_file import write_trace
-from comparisons.extensions.contract import Extension
+from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.extensions.scan_landmarks.figure import template_points

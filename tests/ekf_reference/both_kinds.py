@@ -28,7 +28,7 @@ POINTS = np.column_stack(((RADIUS_M + 4.0) * np.cos(_ANGLE), (RADIUS_M - 3.0) * 
 FRAMES = np.column_stack(
     ((RADIUS_M - 5.0) * np.cos(_ANGLE + 0.3), (RADIUS_M + 3.0) * np.sin(_ANGLE + 0.3), 2.5 * _ANGLE)
 )
-TWINS = (1, 2)
+DUPLICATES = (1, 2)
 """Of the frames, two that will turn out to lie on one thing."""
 
 
@@ -152,12 +152,12 @@ class _Tour:
         self.made.seen += [(k, s, at, c) for s, at, c in zip(found, z, r, strict=True)]
 
     def fuse(self, k: int) -> None:
-        first, second = (self.made.known[i] for i in TWINS)
+        first, second = (self.made.known[i] for i in DUPLICATES)
         r = covariance_of(self.rng)
-        z = relative(FRAMES[TWINS[0]], FRAMES[TWINS[1]]) + self.draw(r)
+        z = relative(FRAMES[DUPLICATES[0]], FRAMES[DUPLICATES[1]]) + self.draw(r)
         self.made.fused.append((k, first, second, z, r))
         merge_landmarks(self.ekf, first, second, z, r)
-        self.gone.add(TWINS[1])
+        self.gone.add(DUPLICATES[1])
 
     def remove(self) -> None:
         self.gone.add(0)

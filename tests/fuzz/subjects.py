@@ -114,8 +114,8 @@ def log_files(log: Log) -> Callable[[Path], None]:
 def check_log(log: Log) -> None:
     """What every log promises, whoever wrote it: finite numbers, gaps where there may be some."""
     gaps = ["diameter_m", "intensity", "range_m"]
-    if log.closures is not None:
-        assert np.isfinite(log.closures.covariance).all()
+    if log.loop_closures is not None:
+        assert np.isfinite(log.loop_closures.covariance).all()
         gaps.append("covariance")
     for stream in (
         log.odometry,

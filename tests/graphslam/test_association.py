@@ -11,7 +11,7 @@ from graphslam.association import associate
 from graphslam.belief import Belief, wrapped
 from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
-from graphslam.recognition import PENDING, UNSEEN, Options, recognise
+from graphslam.relocalisation import PENDING, UNSEEN, Options, recognise
 from tests.graphslam import worlds
 from tests.graphslam.numerics import (
     Array,

@@ -14,7 +14,7 @@ from graphslam.graph_builder import build_graph, last_poses, to_tangent
 from graphslam.increments import dead_reckoned
 from graphslam.marginals import pose_covariances
 from graphslam.optimisers import OPTIMISERS
-from graphslam.problem import Closures, SlamProblem
+from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.smoother import SmootherOptions, smooth
 from tests.graphslam.g2o_files import CLOSED_ELSEWHERE
 from tests.graphslam.numerics import Array, random_covariance, relative_error
@@ -22,7 +22,7 @@ from tests.graphslam.numerics import Array, random_covariance, relative_error
 NOWHERE = np.zeros(0, dtype=np.intp)
 
 
-def circle(closures: Closures, seed: int = 0) -> SlamProblem:
+def circle(loop_closures: LoopClosures, seed: int = 0) -> SlamProblem:
     """Twelve noisy increments round a circle."""
     rng = np.random.default_rng(seed)
     spread = np.array([1e-3 * random_covariance(rng, 3) for _ in range(12)])
@@ -38,11 +38,11 @@ def circle(closures: Closures, seed: int = 0) -> SlamProblem:
         z=np.zeros((0, 2)),
         sigma=np.zeros((0, 2)),
         landmark_count=0,
-        closures=closures,
+        loop_closures=loop_closures,
     )
 
 
-def closures(kernel: str = "none") -> Closures:
+def loop_closures(kernel: str = "none") -> LoopClosures:
     """Back to the start, one the other way round in time, and one beside an increment."""
     rng = np.random.default_rng(7)
     step = (1.0, 0.2, 2.0 * np.pi / 12)
@@ -53,7 +53,7 @@ def closures(kernel: str = "none") -> Closures:
         local = to_tangent(even[i, 2:])[0] @ (even[j] - even[i])
         motion.append(local + 0.02 * rng.standard_normal(3))
     spread = np.array([4e-4 * random_covariance(rng, 3) for _ in range(3)])
-    return Closures(first, second, np.array(motion), spread, kernel)
+    return LoopClosures(first, second, np.array(motion), spread, kernel)
 
 
 def whitened(start: Array, end: Array, motion: Array, covariance: Array) -> Array:
@@ -71,7 +71,7 @@ def whitened(start: Array, end: Array, motion: Array, covariance: Array) -> Arra
 def oracle(problem: SlamProblem) -> tuple[Array, Array, float]:
     """Poses, covariances (K, 3, 3) and error of the optimum, by dense least squares."""
     turn = to_tangent(problem.prior_pose[2:])[0]
-    closed = problem.closures
+    closed = problem.loop_closures
     own = range(len(problem.increment))
 
     def residuals(state: Array) -> Array:
@@ -93,7 +93,7 @@ def oracle(problem: SlamProblem) -> tuple[Array, Array, float]:
 
 
 def test_dimensions_count_closures() -> None:
-    without, with_them = circle(Closures()), circle(closures())
+    without, with_them = circle(LoopClosures()), circle(loop_closures())
     assert without.residual_dimension == 3 * 13
     assert with_them.residual_dimension == 3 * 16
     assert without.state_dimension == with_them.state_dimension == 3 * 13
@@ -104,21 +104,21 @@ def test_dimensions_count_closures() -> None:
 @pytest.mark.parametrize(("poses", "left"), [(13, [0, 1, 2]), (12, [1, 2]), (10, [1, 2]), (9, [2]),
                                              (6, [2]), (5, []), (1, [])])  # fmt: skip
 def test_a_prefix_keeps_what_its_poses_close(poses: int, left: list[int]) -> None:
-    whole = circle(closures("cauchy"))
+    whole = circle(loop_closures("cauchy"))
     part = whole.prefix(poses)
     assert part.pose_count == poses
-    assert part.closures.kernel == "cauchy"
+    assert part.loop_closures.kernel == "cauchy"
     for name in ("first", "second", "motion", "covariance"):
-        kept = getattr(whole.closures, name)[left]
-        assert np.array_equal(getattr(part.closures, name), kept)
-    assert part.closures.last.max(initial=0) < poses
+        kept = getattr(whole.loop_closures, name)[left]
+        assert np.array_equal(getattr(part.loop_closures, name), kept)
+    assert part.loop_closures.last.max(initial=0) < poses
     assert build_graph(part).size() == poses + len(left)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("optimiser", OPTIMISERS)
 def test_the_optimum_is_that_of_dense_least_squares(optimiser: str) -> None:
-    problem = circle(closures())
+    problem = circle(loop_closures())
     result = smooth(problem, {}, options=SmootherOptions(optimiser=optimiser))
     poses, covariance, error = oracle(problem)
     assert relative_error(result.poses, poses) < 1e-6
@@ -126,20 +126,20 @@ def test_the_optimum_is_that_of_dense_least_squares(optimiser: str) -> None:
     assert result.optimality.verified
     assert relative_error(result.pose_covariances(), covariance) < 1e-5
     # Taken the wrong way round, with the covariance's frame along, it is another problem.
-    one = problem.closures
+    one = problem.loop_closures
     turned = replace(one, first=one.second, second=one.first)
-    other = smooth(replace(problem, closures=turned), {})
+    other = smooth(replace(problem, loop_closures=turned), {})
     assert np.abs(other.poses - poses).max() > 0.1
 
 
 def test_incremental_smoothing_takes_closures_in() -> None:
-    problem = circle(closures())
+    problem = circle(loop_closures())
     batch, steps = smooth(problem, {}), smooth(problem, {}, options=SmootherOptions("isam2"))
     assert relative_error(steps.poses, batch.poses) < 1e-6
 
 
 def test_closures_must_lie_within_a_fixed_lag() -> None:
-    problem = circle(closures())
+    problem = circle(loop_closures())
     held = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=12))
     assert held.optimality.distance_sigma is not None
     assert held.optimality.distance_sigma < 0.1
@@ -149,9 +149,9 @@ def test_closures_must_lie_within_a_fixed_lag() -> None:
 
 def test_closures_make_every_pose_surer() -> None:
     """Linearised at the same place."""
-    problem = circle(closures())
+    problem = circle(loop_closures())
     result = smooth(problem, {})
-    opened = build_graph(replace(problem, closures=Closures()))
+    opened = build_graph(replace(problem, loop_closures=LoopClosures()))
     before = pose_covariances(opened, result.values, result.poses[:, 2])
     after = result.pose_covariances()
     least = np.linalg.eigvalsh(before - after)[:, 0]
@@ -160,7 +160,7 @@ def test_closures_make_every_pose_surer() -> None:
 
 
 def test_a_wild_closure_under_a_kernel_does_little_harm() -> None:
-    sound = closures()
+    sound = loop_closures()
     wild = replace(
         sound,
         first=np.append(sound.first, 1),
@@ -178,7 +178,7 @@ def test_a_wild_closure_under_a_kernel_does_little_harm() -> None:
 
 
 def test_a_kernel_says_nothing_against_sound_closures() -> None:
-    plain, robust = (smooth(circle(closures(kernel)), {}) for kernel in ("none", "cauchy"))
+    plain, robust = (smooth(circle(loop_closures(kernel)), {}) for kernel in ("none", "cauchy"))
     off = (robust.poses - plain.poses) / np.sqrt(np.einsum("kii->ki", plain.pose_covariances()))
     assert np.abs(off).max() < 1.0
     assert plain.optimality.chi_square.dof == 9
@@ -191,14 +191,14 @@ def solved(problem: SlamProblem) -> G2oContents:
 
 def test_closures_survive_g2o_bit_for_bit(tmp_path: Path) -> None:
     path = tmp_path / "closed.g2o"
-    contents = solved(circle(closures()))
+    contents = solved(circle(loop_closures()))
     write_g2o(path, contents)
     again = read_g2o(path)
     assert np.array_equal(again.poses, contents.poses)
     for name in ("increment", "increment_covariance", "prior_pose", "prior_covariance"):
         assert np.array_equal(getattr(again.problem, name), getattr(contents.problem, name))
-    for field in fields(Closures):
-        before, after = (getattr(c.problem.closures, field.name) for c in (contents, again))
+    for field in fields(LoopClosures):
+        before, after = (getattr(c.problem.loop_closures, field.name) for c in (contents, again))
         assert np.array_equal(before, after), field.name
 
 
@@ -206,7 +206,7 @@ def test_closures_of_another_program_are_read(tmp_path: Path) -> None:
     path = tmp_path / "other.g2o"
     path.write_text(CLOSED_ELSEWHERE)
     problem = read_g2o(path).problem
-    closed = problem.closures
+    closed = problem.loop_closures
     assert problem.pose_count == 3
     assert np.array_equal(problem.increment, ((1.0, 0.0, 1.5), (1.0, 0.0, 1.5)))
     assert closed.first.tolist() == [2, 0]
@@ -227,7 +227,7 @@ def test_wrong_closures_are_refused(
     tmp_path: Path, change: tuple[str, str], complaint: str
 ) -> None:
     path = tmp_path / "closed.g2o"
-    write_g2o(path, solved(circle(closures())))
+    write_g2o(path, solved(circle(loop_closures())))
     text = path.read_text()
     assert change[0] in text
     path.write_text(text.replace(*change))

@@ -31,7 +31,7 @@ def test_round_trip_is_exact(contents: G2oContents, tmp_path: Path) -> None:
     assert np.array_equal(again.poses, contents.poses)
     assert np.array_equal(again.landmarks, contents.landmarks)
     for field in fields(SlamProblem):
-        if field.name in ("pose_landmarks", "closures"):  # none in g2o, and in test_closures
+        if field.name in ("pose_landmarks", "loop_closures"):  # none in g2o, and in test_closures
             continue
         before, after = (getattr(c.problem, field.name) for c in (contents, again))
         assert np.array_equal(before, after), field.name
@@ -192,7 +192,9 @@ def as_g2o(text: str) -> str:
 def test_toro_has_its_own_order(tmp_path: Path) -> None:
     toro = square(tmp_path / "a.graph", TORO)
     rows = square(tmp_path / "b.g2o", ROWS, as_g2o)
-    assert np.array_equal(toro.problem.closures.covariance, rows.problem.closures.covariance)
+    assert np.array_equal(
+        toro.problem.loop_closures.covariance, rows.problem.loop_closures.covariance
+    )
     assert "TORO" in toro.notes["edges"]
     assert not rows.notes
     theirs = optimum_of_gtsam(str(tmp_path / "a.graph"), "TORO")
@@ -205,7 +207,7 @@ def test_isam_has_square_roots(tmp_path: Path) -> None:
     """Its upper triangles would be singular in TORO's order."""
     contents = square(tmp_path / "a.txt", "2 0.5 0 3 0 5")
     root = np.array(((2.0, 0.5, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 5.0)))
-    information = np.linalg.inv(contents.problem.closures.covariance[0])
+    information = np.linalg.inv(contents.problem.loop_closures.covariance[0])
     assert relative_error(information, root.T @ root) < 1e-12
     assert "iSAM" in contents.notes["edges"]
 
@@ -216,20 +218,22 @@ def test_poses_in_a_row_need_no_edge(tmp_path: Path) -> None:
     assert problem.steps.tolist() == [2]
     assert np.array_equal(problem.increment[2], (1.1, 0.1, 1.2))
     assert np.isnan(problem.increment_covariance[:2]).all()
-    assert problem.closures.first.tolist() == [1, 2, 0]
-    assert problem.closures.second.tolist() == [0, 1, 3]
+    assert problem.loop_closures.first.tolist() == [1, 2, 0]
+    assert problem.loop_closures.second.tolist() == [0, 1, 3]
     assert problem.residual_dimension == 3 * 5
     result = smooth(problem, {})
     assert result.optimality.chi_square.dof == 3
     write_g2o(tmp_path / "b.g2o", G2oContents(problem, result.poses, np.zeros((0, 2))))
     again = read_g2o(tmp_path / "b.g2o").problem
     for name in ("motion", "covariance", "first", "second"):
-        assert np.array_equal(getattr(again.closures, name), getattr(problem.closures, name))
+        assert np.array_equal(
+            getattr(again.loop_closures, name), getattr(problem.loop_closures, name)
+        )
     assert smooth(again, {}).error == result.error
-    late = replace(problem.closures, first=np.array([3, 2, 0]), second=np.array([1, 0, 3]))
+    late = replace(problem.loop_closures, first=np.array([3, 2, 0]), second=np.array([1, 0, 3]))
     isam2 = SmootherOptions(method="isam2")
     with pytest.raises(ValueError, match="expected batch: nothing connects pose 1 "):
-        smooth(replace(problem, closures=late), {}, options=isam2)
+        smooth(replace(problem, loop_closures=late), {}, options=isam2)
 
 
 def test_gnc_does_not_pass_over_closures(tmp_path: Path) -> None:

@@ -13,9 +13,9 @@ from graphslam.graph_builder import build_graph, last_poses
 from graphslam.incremental import run_fixed_lag, run_isam2
 from graphslam.initialisation import extension
 from graphslam.marginals import SingularProblemError
+from graphslam.observability import explain_singularity
 from graphslam.optimisers import OPTIMISERS
 from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
-from graphslam.singular import explain_singularity
 from graphslam.smoother import SmootherOptions, smooth
 from tests.graphslam import worlds
 from tests.graphslam.numerics import angle, relative_error

@@ -11,7 +11,7 @@ from graphslam import search, surroundings
 from graphslam.ambiguity import alternatives, landmark_modes, loose, mirrors, windings
 from graphslam.graph_builder import POSE_KEY, build_graph, to_values
 from graphslam.optimisers import optimise, polish
-from graphslam.problem import Closures, SlamProblem
+from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.relaxation import relax
 from graphslam.search import MinimumSearch, draw, relaxed_values
 from graphslam.smoother import smooth
@@ -340,7 +340,7 @@ def test_a_step_that_nothing_measured_is_no_blind_stretch() -> None:
         z=np.zeros((0, 2)),
         sigma=np.zeros((0, 2)),
         landmark_count=0,
-        closures=Closures(
+        loop_closures=LoopClosures(
             np.array([0, 3]),
             np.array([3, 7]),
             np.array([[3.0, 0.0, 0.0], [4.0, 0.0, 0.0]]),

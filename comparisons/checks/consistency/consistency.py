@@ -64,11 +64,12 @@ class Consistency:
             for sensor in self.sensors
             if sensor.unusable
         ]
-        if self.smoothed is not None and len(surer := self.smoothed.surer):
+        if self.smoothed is not None and len(overconfident := self.smoothed.overconfident):
             worst = int(np.argmin(self.smoothed.ratio))
             reported.append(
-                f"at {len(surer)} of {len(self.smoothed.time_s)} epochs, first at "
-                f"{self.smoothed.time_s[surer[0]]:.1f} s, the filter is surer of its pose than the "
+                f"at {len(overconfident)} of {len(self.smoothed.time_s)} epochs, first at "
+                f"{self.smoothed.time_s[overconfident[0]]:.1f} s, the filter is surer of its pose "
+                "than the "
                 f"smoother, who knows the future as well: by {self.smoothed.ratio[worst]:.2g} in "
                 f"variance at {self.smoothed.time_s[worst]:.1f} s"
             )

@@ -69,7 +69,7 @@ class FilterAgainstSmoother:
         return float(np.mean((squared >= low) & (squared <= high)))
 
     @property
-    def surer(self) -> Index:
+    def overconfident(self) -> Index:
         """Epochs at which the filter is clearly surer than the smoother."""
         return np.flatnonzero(self.ratio < LEAST_RATIO)
 

@@ -49,7 +49,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Basin:
+class ConvergenceBasin:
     """Shares by initial error (E,) [m]; columns are the template alone and with its surroundings.
 
     converged: (E, 2) from one start. right, wrong: (E, 2) with a prior of that sigma to search; the
@@ -83,7 +83,7 @@ def offsets(rng: np.random.Generator, error_m: float, draws: int) -> Array:
 
 def basin(
     cases: Sequence[Seen], errors: Sequence[float], draws: int, rng: np.random.Generator
-) -> Basin:
+) -> ConvergenceBasin:
     """All cases from `draws` starts per initial error [m]."""
     count = np.zeros((3, len(errors), 2))
     for row, error in enumerate(errors):
@@ -99,7 +99,7 @@ def basin(
                         close = _is_close(what.alignment.pose, case.true, SAME_MAXIMUM)
                         count[1 if close else 2, row, column] += 1
     converged, right, wrong = count / max(draws * len(cases), 1)
-    return Basin(np.array(errors, dtype=float), converged, right, wrong, len(cases))
+    return ConvergenceBasin(np.array(errors, dtype=float), converged, right, wrong, len(cases))
 
 
 def _searched(case: Seen, off: Array, error_m: float) -> tuple[Observation, Observation]:

@@ -8,15 +8,15 @@ from pathlib import Path
 from rich.console import Console
 
 from comparisons.atomic import fresh_folder
-from comparisons.experiments.reproduction.catalogue import FIGURES
-from comparisons.experiments.reproduction.contract import Claim, Reproduced, Skipped
 from comparisons.experiments.reproduction.gallery import gallery, reported
+from comparisons.experiments.reproduction.interface import Claim, Reproduced, Skipped
 from comparisons.experiments.reproduction.models import (
     ClaimResult,
     FigureResult,
     ReproductionResult,
     SkippedResult,
 )
+from comparisons.experiments.reproduction.registry import FIGURES
 from comparisons.report.model import finite
 from comparisons.report.sections import package_versions
 

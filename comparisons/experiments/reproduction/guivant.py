@@ -20,7 +20,7 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.contract import Experiment, Sources
+from comparisons.experiments.reproduction.interface import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions

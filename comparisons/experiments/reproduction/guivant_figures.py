@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, chart, mark, plan
+from comparisons.experiments.reproduction.guivant import AIDED, COVERED, NEAR_M, Aided, Covered
+from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
     Figure,
     at_least,
     at_most,
 )
-from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, chart, mark, plan
-from comparisons.experiments.reproduction.guivant import AIDED, COVERED, NEAR_M, Aided, Covered
 from comparisons.experiments.reproduction.update_split import SPLIT, claims, draw
 from comparisons.report.figures.style import (
     EKF_COLOUR,

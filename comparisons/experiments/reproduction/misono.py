@@ -18,7 +18,8 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
+from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
     Experiment,
@@ -27,7 +28,6 @@ from comparisons.experiments.reproduction.contract import (
     at_least,
     at_most,
 )
-from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
 from comparisons.experiments.reproduction.navigator import direction_cosine_navigator
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log

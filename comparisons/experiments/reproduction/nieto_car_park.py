@@ -19,7 +19,7 @@ from comparisons.checks.accuracy import match_by_distance
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.interface import (
     SHARE_WITHIN_3_SIGMA,
     THREE_SIGMA_SQUARED,
     Claim,

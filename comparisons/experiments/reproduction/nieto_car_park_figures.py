@@ -11,8 +11,8 @@ from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction import nieto_car_park as claim
-from comparisons.experiments.reproduction.contract import AnyFigure, Claim, Figure
 from comparisons.experiments.reproduction.drawing import SIGMAS, plan
+from comparisons.experiments.reproduction.interface import AnyFigure, Claim, Figure
 from comparisons.experiments.reproduction.nieto_car_park import CAR_PARK, COARSE_M, CarPark
 from comparisons.extensions.dense_maps.figure import draw_cloud, draw_occupied, draw_regions
 from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR

@@ -18,7 +18,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.interface import (
     SHARE_WITHIN_3_SIGMA,
     Claim,
     Experiment,

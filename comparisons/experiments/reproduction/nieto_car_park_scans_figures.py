@@ -10,8 +10,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.experiments.reproduction import nieto_car_park_scans as claim
-from comparisons.experiments.reproduction.contract import AnyFigure, Claim, Figure
 from comparisons.experiments.reproduction.drawing import plan
+from comparisons.experiments.reproduction.interface import AnyFigure, Claim, Figure
 from comparisons.experiments.reproduction.nieto_car_park_scans import (
     EXPERIMENT,
     CarParkRun,

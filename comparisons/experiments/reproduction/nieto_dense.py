@@ -19,7 +19,7 @@ from comparisons.arrays import Array
 from comparisons.choices import Layer, Preset
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.contract import Experiment, Sources
+from comparisons.experiments.reproduction.interface import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
 from comparisons.extensions.dense_maps.config import DenseMapsConfig

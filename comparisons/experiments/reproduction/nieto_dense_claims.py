@@ -16,7 +16,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.checks.consistency.nees import map_errors
 from comparisons.checks.consistency.normalised import mean_band
-from comparisons.experiments.reproduction.contract import Claim, at_least, at_most
+from comparisons.experiments.reproduction.interface import Claim, at_least, at_most
 from comparisons.experiments.reproduction.nieto_dense import Coarsened, Maps, Rounds
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import (

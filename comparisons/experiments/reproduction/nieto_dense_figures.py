@@ -13,8 +13,8 @@ from matplotlib.figure import Figure as Canvas
 from comparisons.arrays import Array
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction import nieto_dense_claims as claim
-from comparisons.experiments.reproduction.contract import AnyFigure, Claim, Experiment, Figure
 from comparisons.experiments.reproduction.drawing import draw_slam, plan
+from comparisons.experiments.reproduction.interface import AnyFigure, Claim, Experiment, Figure
 from comparisons.experiments.reproduction.nieto_dense import (
     COARSENED,
     LAYERED,

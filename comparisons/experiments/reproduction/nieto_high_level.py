@@ -16,7 +16,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.interface import (
     Claim,
     Experiment,
     Sources,

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction import nieto_high_level as claim
-from comparisons.experiments.reproduction.contract import AnyFigure, Figure
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
+from comparisons.experiments.reproduction.interface import AnyFigure, Figure
 from comparisons.experiments.reproduction.nieto_high_level import (
     CORNER_PAIRS,
     HIGH_LEVEL,

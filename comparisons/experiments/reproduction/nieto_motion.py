@@ -10,7 +10,9 @@ from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
 from comparisons.config import MapConfig
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.drawing import plan
+from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore, score_dynamic
+from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
     Experiment,
@@ -19,8 +21,6 @@ from comparisons.experiments.reproduction.contract import (
     at_least,
     at_most,
 )
-from comparisons.experiments.reproduction.drawing import plan
-from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore, score_dynamic
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_occupied, draw_regions, draw_surfaces
 from comparisons.extensions.dynamic.config import DynamicConfig

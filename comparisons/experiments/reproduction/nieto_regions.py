@@ -8,7 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.decorrelation_example import (
+    DecorrelationExample,
+    decorrelation_example,
+)
+from comparisons.experiments.reproduction.dense_figures import draw_example_3_1, draw_example_3_2
+from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
     Experiment,
@@ -17,11 +22,6 @@ from comparisons.experiments.reproduction.contract import (
     at_least,
     at_most,
 )
-from comparisons.experiments.reproduction.decorrelation_example import (
-    DecorrelationExample,
-    decorrelation_example,
-)
-from comparisons.experiments.reproduction.dense_figures import draw_example_3_1, draw_example_3_2
 from comparisons.experiments.reproduction.nieto_slam import closing_s
 from comparisons.logs.simulate.drive import Drive, simulate
 

@@ -10,8 +10,8 @@ from comparisons.arrays import Array
 from comparisons.choices import Layer
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.basin import Basin, Seen, basin
-from comparisons.experiments.reproduction.contract import Experiment, Sources
+from comparisons.experiments.reproduction.basin import ConvergenceBasin, Seen, basin
+from comparisons.experiments.reproduction.interface import Experiment, Sources
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, near_share, surface_error
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import BeforeClosing
@@ -80,7 +80,7 @@ class ScanMaps:
 
     log: str
     each: tuple[ScanMap, ...]
-    basin: Basin
+    basin: ConvergenceBasin
     shown: Surrounded
 
 

@@ -8,14 +8,14 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Polygon
 
 from comparisons.arrays import Array
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.drawing import SIGMAS, TRUE_PATH_COLOUR, chart, plan
+from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
     Figure,
     at_least,
     at_most,
 )
-from comparisons.experiments.reproduction.drawing import SIGMAS, TRUE_PATH_COLOUR, chart, plan
 from comparisons.experiments.reproduction.nieto_scan_maps import (
     LAYERS,
     SCAN_MAPS,

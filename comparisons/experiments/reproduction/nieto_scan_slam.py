@@ -18,7 +18,7 @@ from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import RunConfig
 from comparisons.documented.preset import published
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.interface import (
     SHARE_WITHIN_3_SIGMA,
     THREE_SIGMA_SQUARED,
     Claim,
@@ -27,8 +27,8 @@ from comparisons.experiments.reproduction.contract import (
     at_least,
     at_most,
 )
-from comparisons.extensions.contract import Extension
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
+from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction import nieto_scan_slam as claim
-from comparisons.experiments.reproduction.contract import AnyFigure, Figure
 from comparisons.experiments.reproduction.drawing import SIGMAS, plan
+from comparisons.experiments.reproduction.interface import AnyFigure, Figure
 from comparisons.experiments.reproduction.nieto_scan_slam import (
     CORNER_M,
     EXPERIMENT,

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
 from comparisons.checks.consistency.normalised import mean_band
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
     Experiment,

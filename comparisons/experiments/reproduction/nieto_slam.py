@@ -13,7 +13,7 @@ from comparisons.arrays import Array
 from comparisons.checks.consistency.nees import PoseErrors, pose_errors
 from comparisons.checks.consistency.normalised import normalise
 from comparisons.estimates.estimate import landmark_blocks
-from comparisons.experiments.reproduction.contract import Experiment, Sources
+from comparisons.experiments.reproduction.interface import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions

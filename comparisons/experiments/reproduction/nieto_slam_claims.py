@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.checks.consistency.normalised import mean_band
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.interface import (
     SHARE_WITHIN_3_SIGMA,
     THREE_SIGMA_SQUARED,
     Claim,

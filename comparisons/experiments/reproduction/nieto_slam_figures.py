@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.experiments.reproduction import nieto_slam_claims as claim
-from comparisons.experiments.reproduction.contract import AnyFigure, Claim, Figure
 from comparisons.experiments.reproduction.drawing import chart, draw_error, draw_slam, mark, plan
+from comparisons.experiments.reproduction.interface import AnyFigure, Claim, Figure
 from comparisons.experiments.reproduction.nieto_slam import (
     FIXED_EXPERIMENT,
     LOOP_EXPERIMENT,

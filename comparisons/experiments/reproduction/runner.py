@@ -8,8 +8,8 @@ from typing import Any
 
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.workers import check_workers, spread
-from comparisons.experiments.reproduction.catalogue import chosen
-from comparisons.experiments.reproduction.contract import AnyFigure, Reproduced, Skipped, Sources
+from comparisons.experiments.reproduction.interface import AnyFigure, Reproduced, Skipped, Sources
+from comparisons.experiments.reproduction.registry import chosen
 from comparisons.report.picture import blank, encoded
 from ekf_reference.core.state import FilterDivergedError
 from graphslam.scan.libraries import MissingLibraryError, require

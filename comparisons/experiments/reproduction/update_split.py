@@ -14,14 +14,14 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.config import EkfConfig, RunConfig
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.drawing import chart
+from comparisons.experiments.reproduction.interface import (
     Claim,
     Experiment,
     Sources,
     at_least,
     at_most,
 )
-from comparisons.experiments.reproduction.drawing import chart
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import compare

@@ -8,12 +8,12 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.extensions.contract import Extension, Finding, Row
 from comparisons.extensions.dense_maps.check import DenseAgreement, compare_dense, dense_cause
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.memory import Demand
 from comparisons.extensions.dense_maps.result import dense_result, dense_rows
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
+from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from comparisons.extensions.contract import Row
 from comparisons.extensions.dense_maps.accuracy import SurfaceError
 from comparisons.extensions.dense_maps.check import DenseAgreement
 from comparisons.extensions.dense_maps.source import DenseRun
+from comparisons.extensions.interface import Row
 from comparisons.report.model import Model, finite
 
 _LISTED = 20

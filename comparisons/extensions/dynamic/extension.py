@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.extensions.contract import Extension, Finding
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.dynamic.config import DynamicConfig
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from ekf_reference.dense.dynamic import Differencing, places

@@ -8,7 +8,6 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.extensions.contract import Extension, Finding, Row
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
@@ -19,6 +18,7 @@ from comparisons.extensions.high_level.source import (
     HighLevelRun,
     HighLevelSource,
 )
+from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing

@@ -14,7 +14,7 @@ from comparisons.checks.agreement import block_agrees
 from comparisons.checks.association import score_association
 from comparisons.choices import When
 from comparisons.errors import InputError
-from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.extensions.own_association.check import (
     OwnAssociationCheck,
     association_cause,

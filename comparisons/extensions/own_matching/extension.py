@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from comparisons.adapters.smoother_input import smoothed_estimate
 from comparisons.checks.accuracy import assess
-from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.extensions.own_matching.check import (
     OwnMatchingCheck,
     check_own_matching,

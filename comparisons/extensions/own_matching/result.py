@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.extensions.own_matching.check import LandmarkMatching, OwnMatchingCheck
 from comparisons.report.model import Model, finite
 from comparisons.report.models import AccuracyResult, MapPairResult

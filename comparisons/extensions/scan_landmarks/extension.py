@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.errors import InputError
-from comparisons.extensions.contract import Extension, Finding, Row
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
     ScanLandmarkResult,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_slam_options
 from comparisons.pipeline.gaps import Gaps

@@ -176,7 +176,7 @@ class ScanSlamSource:
         self._slam = ScanSlam(
             scans.sensor, scans.view, scans.mount, options, observer=self._observer
         )
-        self._twins = None if fusing is None else DuplicateMerging(self._slam, fusing)
+        self._duplicates = None if fusing is None else DuplicateMerging(self._slam, fusing)
         self.map_of = map_of
         self._guard: DynamicGuard | None = None
         self.closing: Closing | None = None
@@ -194,7 +194,7 @@ class ScanSlamSource:
     @property
     def merged(self) -> int:
         """Landmarks that were found to be others."""
-        return 0 if self._twins is None else self._twins.merged
+        return 0 if self._duplicates is None else self._duplicates.merged
 
     @property
     def enriched(self) -> int:
@@ -243,8 +243,8 @@ class ScanSlamSource:
             before = ekf.state.places(POSE).copy()
             telling = _Telling(recorder, ekf, epoch)
             self._slam.step(ekf, self._scan(ekf), telling)
-            if self._twins is not None:
-                self._twins.step(ekf, telling)
+            if self._duplicates is not None:
+                self._duplicates.step(ekf, telling)
             self._note(time_s, before, ekf.state.places(POSE)[: len(before)].copy())
             self._next += 1
 

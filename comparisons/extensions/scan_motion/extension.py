@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.checks.accuracy import assess
 from comparisons.checks.map_agreement import compare_maps
-from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.extensions.scan_motion.increments import check_increments
 from comparisons.extensions.scan_motion.result import (
     increment_remarks,
@@ -25,7 +25,7 @@ from comparisons.extensions.scan_motion.result import (
 from comparisons.extensions.scan_motion.smoother import smooth_on_scans
 from comparisons.extensions.scan_motion.three_way import (
     ThreeWay,
-    find_culprit,
+    find_inconsistent_source,
     motion_cause,
     readable,
 )
@@ -118,9 +118,9 @@ def solve_on_scans(compared: Compared, motion: ScanMotion) -> ThreeWay:
     accuracy = assess(scans.estimate, prepared.judged, labelled=False)
     ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, gaps.smoothed))
     optimality = readable(scans.result)
-    culprit, evidence = "", "the maps agree"
+    inconsistent_source, evidence = "", "the maps agree"
     if not (ekf.agrees and smoother.agrees):
-        culprit, evidence = find_culprit(
+        inconsistent_source, evidence = find_inconsistent_source(
             readable(gaps.result),
             optimality,
             assess(gaps.smoothed, prepared.judged, labelled=False),
@@ -134,6 +134,6 @@ def solve_on_scans(compared: Compared, motion: ScanMotion) -> ThreeWay:
         ekf=ekf,
         smoother=smoother,
         loops=scans.loops,
-        culprit=culprit,
+        inconsistent_source=inconsistent_source,
         evidence=evidence,
     )

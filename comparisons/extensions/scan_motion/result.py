@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from comparisons.adapters.scan_odometry import ScanMotion
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.report.model import Model
@@ -80,7 +80,7 @@ def three_way_result(three: ThreeWay) -> ThreeWayResult:
         chi2=three.chi_square.chi2,
         dof=three.chi_square.dof,
         accuracy=accuracy_result(three.accuracy),
-        culprit=three.culprit,
+        inconsistent_source=three.inconsistent_source,
         evidence=three.evidence,
     )
 
@@ -129,7 +129,7 @@ class ThreeWayResult(Model):
     chi2: float
     dof: int
     accuracy: AccuracyResult | None
-    culprit: str
+    inconsistent_source: str
     evidence: str
 
 

@@ -55,10 +55,10 @@ def smooth_on_scans(
     rows = position_rows(timeline, positions)
     problem = assemble(scanned, timeline, landmark_index, len(used), rows)
     closed = closer.close(problem, motion.clouds(timeline.epoch_time_s))
-    result = smooth(replace(problem, closures=closed.closures), {}, options=options)
+    result = smooth(replace(problem, loop_closures=closed.loop_closures), {}, options=options)
     ids = run.estimate.landmark_id[used]
     estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, "the EKF's")
-    return ScanSmoother(result, estimate, len(closed.closures.first))
+    return ScanSmoother(result, estimate, len(closed.loop_closures.first))
 
 
 def _fused(run: EkfRun) -> Positions | None:

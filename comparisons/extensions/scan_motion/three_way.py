@@ -25,8 +25,8 @@ class ThreeWay:
     """The smoother on scans beside the two estimates on wheels.
 
     estimate, optimality, accuracy: of the smoother on scans. chi_square: see readable. ekf,
-    smoother: each of the two on wheels against it. loops: closures in its graph. culprit: `wheels`,
-    `scans`, or neither where nothing tells or all agree; evidence: why.
+    smoother: each of the two on wheels against it. loops: closures in its graph. inconsistent
+    source: `wheels`, `scans`, or neither where nothing tells or all agree; evidence: why.
     """
 
     estimate: Estimate
@@ -36,7 +36,7 @@ class ThreeWay:
     ekf: Pair
     smoother: Pair
     loops: int
-    culprit: str
+    inconsistent_source: str
     evidence: str
 
     @property
@@ -66,7 +66,7 @@ def readable(result: SmootherResult) -> Optimality:
     return replace(result.optimality, chi_square=chi_square_test(result.error, dof))
 
 
-def find_culprit(
+def find_inconsistent_source(
     wheels: Optimality,
     scans: Optimality,
     accuracy_wheels: Accuracy | None,
@@ -100,7 +100,7 @@ def motion_cause(three_way: ThreeWay) -> Cause:
         "wheels": "look at the odometry: its sigmas, the wheelbase, the scale of speed and turn",
         "scans": "look at the scan odometry: increments' factor, open directions, failures",
         "": "compare both with GPS or truth, or look at both motions' sigmas",
-    }[three_way.culprit]
+    }[three_way.inconsistent_source]
     return Cause(
         "motion",
         f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "

@@ -11,7 +11,7 @@ import numpy as np
 
 from comparisons.errors import InputError
 from comparisons.files import check_regular
-from comparisons.logs.log import Closures, LandmarkMeasurements, Log, Positions, Prior
+from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
 from graphslam.g2o import read_g2o
 from graphslam.g2o import recognises as knows
@@ -37,7 +37,7 @@ def read(path: Path) -> Log:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (ValueError, ArithmeticError) as error:
         raise InputError(str(error)) from None
-    closed = problem.closures
+    closed = problem.loop_closures
     if not len(problem.increment) or not (len(problem.z) or len(closed.first)):
         raise InputError(
             f"{path}: expected EDGE_SE2 lines, and EDGE_SE2_XY lines or EDGE_SE2 lines that close "
@@ -70,7 +70,7 @@ def read(path: Path) -> Log:
         )
         if len(fixes)
         else None,
-        closures=Closures(
+        loop_closures=LoopClosures(
             closed.first.astype(float),
             closed.second.astype(float),
             closed.motion,

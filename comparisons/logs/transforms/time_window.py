@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.motion import motion_between
 from comparisons.errors import InputError
-from comparisons.logs.log import Closures, LandmarkMeasurements, Log, Poses, Positions, Prior
+from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Poses, Positions, Prior
 from comparisons.logs.odometry import Odometry, RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from graphslam.scan.planar import compose, rotation
@@ -57,7 +57,7 @@ def _part(log: Log, first_s: float, last_s: float, *, cut_s: float) -> Log:
         positions=log.positions and _chosen(log.positions, cut_s, last_s),
         known_measurements=log.known_measurements
         and _chosen(log.known_measurements, cut_s, last_s),
-        closures=log.closures and _closures(log.closures, cut_s, last_s),
+        loop_closures=log.loop_closures and _loop_closures(log.loop_closures, cut_s, last_s),
         scans=log.scans and _chosen(log.scans, cut_s, last_s),
         clouds=log.clouds and _clouds(log.clouds, cut_s, last_s),
         truth=replace(log.truth, poses=log.truth.poses and _around(log.truth.poses, cut_s, last_s)),
@@ -114,14 +114,21 @@ def _rows(stream: S, rows: Rows) -> S:
     return found
 
 
-def _closures(closures: Closures, first_s: float, last_s: float) -> Closures | None:
+def _loop_closures(
+    loop_closures: LoopClosures, first_s: float, last_s: float
+) -> LoopClosures | None:
     """Those both of whose poses are left."""
-    ends = np.column_stack((closures.from_s, closures.to_s))
+    ends = np.column_stack((loop_closures.from_s, loop_closures.to_s))
     kept = ((ends >= first_s) & (ends < last_s)).all(axis=1)
     if not kept.any():
         return None
-    columns = (closures.from_s, closures.to_s, closures.displacement, closures.covariance)
-    return Closures(*(column[kept] for column in columns))
+    columns = (
+        loop_closures.from_s,
+        loop_closures.to_s,
+        loop_closures.displacement,
+        loop_closures.covariance,
+    )
+    return LoopClosures(*(column[kept] for column in columns))
 
 
 def _clouds(clouds: Clouds, first_s: float, last_s: float) -> Clouds:

@@ -30,15 +30,16 @@ def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
         draw_reference(axis, f.log.positions.position_m, ".", "GPS")
     draw_trajectory(axis, f.odometry, EKF_COLOUR, "scan odometry", "--")
     draw_trajectory(axis, f.estimate.pose, SMOOTHER_COLOUR, "scan graph")
-    for first, second in zip(f.graph.problem.closures.first, f.graph.problem.closures.second,
-                             strict=True):  # fmt: skip
+    closed = f.graph.problem.loop_closures
+    for first, second in zip(closed.first, closed.second, strict=True):
         ends = f.estimate.pose[[first, second]]
         axis.plot(ends[:, 0], ends[:, 1], color=SCANS_COLOUR, linewidth=0.7, zorder=3)
     axis.set_aspect("equal", adjustable="datalim")
     if f.wheels is not None:
         draw_aside(axis, f.wheels, "wheels")
     title = (
-        f"{f.log.name}: {len(f.motion.row)} scans, {len(f.graph.problem.closures.first)} loops "
+        f"{f.log.name}: {len(f.motion.row)} scans, {len(f.graph.problem.loop_closures.first)} "
+        "loops "
         "closed (yellow)"
     )
     entitle(axis, title)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from comparisons.extensions.contract import Row
+from comparisons.extensions.interface import Row
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.look import script
 from comparisons.report.html.map import RATIO_LAYER, MapContent, draw_map, ratio_legend

@@ -86,16 +86,16 @@ def test_round_trip_is_exact(kind: str, tmp_path: Path) -> None:
 
 
 def test_former_names_of_measurements_are_read(tmp_path: Path) -> None:
-    """Version 0.1 wrote measurements.csv and [measurements]; both names together are refused."""
+    """Version 0.1 wrote sightings.csv and [sightings]; both names together are refused."""
     log, folder = full_log(), tmp_path / "log"
     write_log_folder(log, folder)
     for kind in ("", "known_"):
-        (folder / f"{kind}measurements.csv").rename(folder / f"{kind}measurements.csv")
+        (folder / f"{kind}measurements.csv").rename(folder / f"{kind}sightings.csv")
     meta = folder / "log.toml"
-    meta.write_text(meta.read_text("utf-8").replace("[measurements]", "[measurements]"), "utf-8")
+    meta.write_text(meta.read_text("utf-8").replace("[measurements]", "[sightings]"), "utf-8")
     assert_same(log, read_log_folder(folder))
     (folder / "measurements.csv").write_text("")
-    with pytest.raises(InputError, match=r"measurements\.csv and measurements\.csv"):
+    with pytest.raises(InputError, match=r"measurements\.csv and sightings\.csv"):
         read_log_folder(folder)
 
 

@@ -11,7 +11,7 @@ import pytest
 from comparisons.config import LogSection
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Closures, Log, Positions, Truth
+from comparisons.logs.log import Log, LoopClosures, Positions, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.read import load_log
@@ -86,16 +86,16 @@ def test_dead_reckoning_by_hand() -> None:
     moved = {"time_s": [1.0, 2.0], "dx_m": 1.0, "dy_m": 0.0, "dheading_rad": 0.0}
     fixes = {"time_s": [0.0], "x_m": 0.0, "y_m": 0.0, "sigma_m": 1.0}
     log = replace(Log.from_arrays(moved, seen, positions=fixes), odometry=odometry)
-    closures = Closures(np.array([0.0, 1.0]), np.array([2.0, 2.0]), np.ones((2, 3)),
+    loop_closures = LoopClosures(np.array([0.0, 1.0]), np.array([2.0, 2.0]), np.ones((2, 3)),
                         np.array([np.eye(3)] * 2))  # fmt: skip
-    part = cut_log(replace(log, closures=closures), 0.5)
+    part = cut_log(replace(log, loop_closures=loop_closures), 0.5)
     assert part.prior.time_s == 1.0
     assert np.allclose(part.prior.pose, (1.0, 0.0, np.pi / 2))
     expected = np.diag((0.04, 0.01, 0.09)) + 1e-6 * np.array(((1, 0, 0), (0, 2, 1), (0, 1, 1)))
     assert np.allclose(part.prior.covariance, expected, atol=1e-12)
     assert part.odometry.time_s.tolist() == [2.0]
-    assert part.closures is not None
-    assert part.closures.from_s.tolist() == [1.0]
+    assert part.loop_closures is not None
+    assert part.loop_closures.from_s.tolist() == [1.0]
 
 
 def test_scans_are_cut_too() -> None:

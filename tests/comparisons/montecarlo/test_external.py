@@ -94,7 +94,7 @@ def test_our_filter_handed_in_has_our_figures(name: str) -> None:
     What is left is the log's stabilisation noise at the first steps, whose covariance is tiny.
     """
     scenario = short(name, 100)
-    external = External({"mine": ekf, "sure": lambda log: surer(ekf(log))})
+    external = External({"mine": ekf, "sure": lambda log: overconfident(ekf(log))})
     with tempfile.TemporaryDirectory() as folder:
         outcome = run_study(study_of(scenario, 4, "ekf"), Path(folder), external=external)
     ours, mine, sure = outcome.figures.values()
@@ -108,7 +108,7 @@ def test_our_filter_handed_in_has_our_figures(name: str) -> None:
     assert sure.consistency["pose"].place == "above"
 
 
-def surer(estimate: Estimate) -> Estimate:
+def overconfident(estimate: Estimate) -> Estimate:
     """A broken variant: a third of the sigmas."""
     return replace(
         estimate,
@@ -386,7 +386,7 @@ def test_the_page_shows_every_filter_and_every_two(scenario: Path, tmp_path: Pat
     def mine(log: Log) -> Estimate:
         if log.name == "short-2":
             raise RuntimeError("<b>no</b>")
-        return surer(ekf(log))
+        return overconfident(ekf(log))
 
     outcome = run_study(study, tmp_path, external=External({"mine": mine}))
     write_montecarlo(outcome, build_montecarlo_result(outcome), tmp_path)

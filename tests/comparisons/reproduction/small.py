@@ -26,8 +26,8 @@ from comparisons.experiments.reproduction import (
     nieto_slam,
     update_split,
 )
-from comparisons.experiments.reproduction.contract import Sources
 from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore
+from comparisons.experiments.reproduction.interface import Sources
 from comparisons.extensions.dense_maps.accuracy import surface_error
 from comparisons.logs.bundled import SimulationChoices, open_log
 from ekf_reference.dense.layers.layer import Samples

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.experiments.reproduction.catalogue import FIGURES
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction.interface import (
     DATA_FOLDERS,
     AnyFigure,
     Claim,
@@ -18,6 +17,7 @@ from comparisons.experiments.reproduction.contract import (
     at_most,
 )
 from comparisons.experiments.reproduction.nieto_dense_claims import LITERALLY
+from comparisons.experiments.reproduction.registry import FIGURES
 from comparisons.report.picture import blank
 from tests.comparisons.reproduction.small import data, round_of, samples
 

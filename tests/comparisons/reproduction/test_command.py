@@ -12,8 +12,9 @@ import pytest
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.errors import InputError, RecordError
-from comparisons.experiments.reproduction import catalogue, folder, runner
-from comparisons.experiments.reproduction.contract import (
+from comparisons.experiments.reproduction import folder, registry, runner
+from comparisons.experiments.reproduction.folder import build_result, write_gallery
+from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
     Experiment,
@@ -24,7 +25,6 @@ from comparisons.experiments.reproduction.contract import (
     at_least,
     at_most,
 )
-from comparisons.experiments.reproduction.folder import build_result, write_gallery
 from comparisons.experiments.reproduction.models import ReproductionResult
 from comparisons.experiments.reproduction.runner import reproduce
 from tests.comparisons.test_cli import slamcheck
@@ -74,7 +74,7 @@ def figure(name: str, run: Any = one, needs: str | None = None) -> AnyFigure:
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = (figure("A1"), figure("A2", needs="acfr_car_park"), figure("A3", fails))
-    monkeypatch.setattr(catalogue, "FIGURES", rows)
+    monkeypatch.setattr(registry, "FIGURES", rows)
     names = frozenset(f"{row.name}.{kind}" for row in rows for kind in ("png", "pdf"))
     monkeypatch.setattr(folder, "CONTENTS", names | {"gallery.html", "claims.json"})
 
@@ -185,7 +185,7 @@ def test_processes_find_the_same() -> None:
 
 def test_each_experiment_runs_once(monkeypatch: pytest.MonkeyPatch) -> None:
     reported: list[tuple[str, int, int]] = []
-    monkeypatch.setattr(catalogue, "FIGURES", (figure("A1"), figure("B1")))
+    monkeypatch.setattr(registry, "FIGURES", (figure("A1"), figure("B1")))
     runner.reproduce(("all",), Sources(), progress=lambda *step: reported.append(step))
     assert [step[1:] for step in reported] == [(0, 2), (1, 2), (2, 2)]
 
@@ -195,7 +195,7 @@ def test_the_command_lists_runs_and_refuses(tmp_path: Path) -> None:
     listed = slamcheck("reproduce", cwd=tmp_path)
     assert listed.returncode == 0
     names = [line.split()[0] for line in listed.stdout.splitlines()]
-    assert names == [row.name for row in catalogue.FIGURES]
+    assert names == [row.name for row in registry.FIGURES]
     unknown = slamcheck("reproduce", "N3.5", "N9.9", cwd=tmp_path)
     assert unknown.returncode == 2
     assert len(unknown.stderr.splitlines()) == 1

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.errors import InputError
-from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.logs.log import Poses
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared

@@ -61,8 +61,8 @@ def test_full_and_compressed_stay_equal(rule: type[Association]) -> None:
     other, also, theirs = drive("compressed", rule(), Yard(LANDMARK[2]))
     assert guarded is not None
     assert also is not None
-    assert guarded.retired == also.retired
-    assert len(guarded.retired) == 1
+    assert guarded.deactivated == also.deactivated
+    assert len(guarded.deactivated) == 1
     for a, b in zip(landmark_indices, theirs, strict=True):
         assert np.array_equal(a, b)
     assert sum(int(np.count_nonzero(s == DYNAMIC)) for s in landmark_indices) > 3
@@ -71,10 +71,10 @@ def test_full_and_compressed_stay_equal(rule: type[Association]) -> None:
 
 
 def test_the_rest_is_as_with_the_landmark_marginalised_out() -> None:
-    """The oracle: the same drive with the landmark's rows struck out when it is retired."""
+    """The oracle: the same drive with the landmark's rows struck out when it is deactivated."""
     ekf, guarded, _ = drive("full", KnownAssociation(), Yard(LANDMARK[2]))
     assert guarded is not None
-    (landmark_index,) = guarded.retired
+    (landmark_index,) = guarded.deactivated
     kept = np.delete(
         np.arange(len(ekf.state.mean)), (3 + 2 * landmark_index, 4 + 2 * landmark_index)
     )
@@ -112,7 +112,7 @@ def test_the_rest_is_as_with_the_landmark_marginalised_out() -> None:
 def test_a_landmark_that_is_merely_not_asked_about_is_not_retired() -> None:
     _, guarded, landmark_indices = drive("full", KnownAssociation(), Yard(np.array((500.0, 0.0))))
     assert guarded is not None
-    assert not guarded.retired
+    assert not guarded.deactivated
     assert all((s >= 0).all() for s in landmark_indices)
 
 
@@ -134,5 +134,5 @@ def test_nothing_is_matched_with_a_retired_landmark() -> None:
     ekf.association = guarded
     far = np.array([(np.hypot(*apart) + 0.1, z[0, 1])])
     found = ekf.observe(far, SIGMA[None], np.array([-1]))
-    assert guarded.retired == {landmark_index}
+    assert guarded.deactivated == {landmark_index}
     assert found[0] != landmark_index

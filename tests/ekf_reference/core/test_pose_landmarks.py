@@ -22,9 +22,9 @@ from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 from ekf_reference.scan_matching.frames import moved_gaussians
 from tests.ekf_reference.both_kinds import (
     AREAS,
+    DUPLICATES,
     FRAMES,
     PRIOR,
-    TWINS,
     Flipped,
     Script,
     Unwrapped,
@@ -266,10 +266,10 @@ def test_fusing_two_that_are_one_helps_and_says_how_their_frames_lie() -> None:
     """The first gains what the second knew; a template's points move to where they were."""
     ekf = build()
     made = drive(ekf, 5, Script(steps=60))
-    first, second = (made.known[i] for i in TWINS)
+    first, second = (made.known[i] for i in DUPLICATES)
     at = ekf.state.layout.first[POSE][first] + np.arange(3)
     before = ekf.state.covariance[np.ix_(at, at)].copy()
-    z = relative(FRAMES[TWINS[0]], FRAMES[TWINS[1]])
+    z = relative(FRAMES[DUPLICATES[0]], FRAMES[DUPLICATES[1]])
     known = merge_landmarks(ekf, first, second, z, 1e-8 * np.eye(3))
     at = ekf.state.layout.first[POSE][first] + np.arange(3)
     after = ekf.state.covariance[np.ix_(at, at)]
@@ -292,7 +292,7 @@ def test_a_fusion_in_many_parts_is_the_same_where_all_is_linear() -> None:
         made = drive(ekf, 6, Script(steps=50))
         if parts:
             ekf.splitter = replace(ekf.splitter, largest_move_m=1e-7, most=8)
-        first, second = (made.known[i] for i in TWINS)
+        first, second = (made.known[i] for i in DUPLICATES)
         z = relative(ekf.state.places(POSE)[first], ekf.state.places(POSE)[second])
         z[:2] += 1e-5
         merge_landmarks(ekf, first, second, z, 1e-6 * np.eye(3))

@@ -108,9 +108,9 @@ def test_one_object_begun_twice_becomes_one_landmark() -> None:
     slam, sink, frames = initialised_twice(np.array((0.25, -0.2, 0.03)))
     ekf, template = sink.ekf, dict(slam.found.template)
     stale = frame_in_frame(*ekf.state.places(POSE)[::-1])
-    twins = DuplicateMerging(slam)
-    twins.step(ekf, sink)
-    assert len(sink.fused) == twins.merged == 1
+    duplicates = DuplicateMerging(slam)
+    duplicates.step(ekf, sink)
+    assert len(sink.fused) == duplicates.merged == 1
     kept = int(np.argmax([len(template[k].shape) for k in range(2)]))
     assert kept == 1
     assert ekf.state.layout.present(POSE).tolist() == [kept] == list(slam.found.template)
@@ -164,10 +164,10 @@ def test_the_gate_and_the_certainty_keep_landmarks_apart() -> None:
     assert not sink.fused
     DuplicateMerging(slam, FusingOptions(within_m=0.01)).step(sink.ekf, sink)
     assert not sink.fused
-    twins = DuplicateMerging(slam)
-    twins.step(sink.ekf, sink)
+    duplicates = DuplicateMerging(slam)
+    duplicates.step(sink.ekf, sink)
     assert len(sink.fused) == 1
-    twins.step(sink.ekf, sink)
+    duplicates.step(sink.ekf, sink)
     assert len(sink.fused) == 1
 
 

@@ -159,8 +159,8 @@ def test_identical_templates_see_the_same_and_twins_nothing() -> None:
     assert first.alignment is not None
     assert second.alignment is not None
     np.testing.assert_array_equal(first.alignment.pose, second.alignment.pose)
-    twins = solids(box(8, 1.2, 1.2, 0.8, 20), box(8, -1.2, 1.2, 0.8, 20))
+    duplicates = solids(box(8, 1.2, 1.2, 0.8, 20), box(8, -1.2, 1.2, 0.8, 20))
     lone = seen(solids(box(8, 1.2, 1.2, 0.8, 20)))
     template = Template.of_segment(lone, np.arange(len(lone)))
     wide = np.diag((1.5, 1.5, 0.2)) ** 2
-    assert observe(template, seen(twins), template.pose, wide, MATCHING).reason == AMBIGUOUS
+    assert observe(template, seen(duplicates), template.pose, wide, MATCHING).reason == AMBIGUOUS

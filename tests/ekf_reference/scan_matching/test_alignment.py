@@ -96,12 +96,12 @@ def test_the_heading_is_the_nearest_to_the_guess() -> None:
 
 def test_two_places_that_fit_are_told() -> None:
     """Two boxes alike, 2 m apart: within a wide prior the second fits as well."""
-    twins = solids(box(8, 1.5, 1.2, 0.8, 20), box(8, -1.5, 1.2, 0.8, 20))
+    duplicates = solids(box(8, 1.5, 1.2, 0.8, 20), box(8, -1.5, 1.2, 0.8, 20))
     lone = solids(box(8, 1.5, 1.2, 0.8, 20))
     rng = np.random.default_rng(4)
     scan, template = (
         plain(of_scan(BEAMS, ranges(rng, scene, np.zeros(3), LASER), LASER))
-        for scene in (twins, lone)
+        for scene in (duplicates, lone)
     )
     assert align(template, scan, np.zeros(3), WIDE).runner_up > 0.6
     assert align(template, scan, np.zeros(3), np.diag((0.2, 0.2, 0.05)) ** 2).runner_up < 0.1

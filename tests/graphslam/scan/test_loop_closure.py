@@ -70,7 +70,7 @@ def position_error(problem: SlamProblem, true: Array) -> float:
 
 def test_a_drive_round_the_block_is_closed() -> None:
     true, problem, _ = drive()
-    found = closed().closures
+    found = closed().loop_closures
     assert len(found.first) >= 5
     assert (found.second - found.first > 50).all()
     assert found.kernel == "cauchy"
@@ -82,14 +82,18 @@ def test_a_drive_round_the_block_is_closed() -> None:
         squared.append(error @ np.linalg.solve(covariance, error))
         assert (np.abs(error) < 3.0 * np.sqrt(np.diag(covariance))).all()
     assert 0.1 < np.mean(squared) < 3.0
-    before, after = (position_error(p, true) for p in (problem, replace(problem, closures=found)))
+    before, after = (
+        position_error(p, true) for p in (problem, replace(problem, loop_closures=found))
+    )
     assert after < 0.4 * before
 
 
 def test_every_attempt_says_what_came_of_it() -> None:
     found = closed()
     accepted = [(a.first, a.second) for a in found.attempts if a.outcome == "accepted"]
-    pairs = zip(found.closures.first.tolist(), found.closures.second.tolist(), strict=True)
+    pairs = zip(
+        found.loop_closures.first.tolist(), found.loop_closures.second.tolist(), strict=True
+    )
     assert sorted(accepted) == list(pairs)
     assert all(a.outcome and "\n" not in a.outcome for a in found.attempts)
 
@@ -97,16 +101,16 @@ def test_every_attempt_says_what_came_of_it() -> None:
 def test_the_same_scans_close_the_same_loops() -> None:
     _, problem, clouds = drive()
     again = loop_closer(OdometryOptions()).close(problem, clouds)
-    assert np.array_equal(again.closures.motion, closed().closures.motion)
-    assert np.array_equal(again.closures.covariance, closed().closures.covariance)
+    assert np.array_equal(again.loop_closures.motion, closed().loop_closures.motion)
+    assert np.array_equal(again.loop_closures.covariance, closed().loop_closures.covariance)
 
 
 def test_no_loop_closure_changes_nothing() -> None:
     _, problem, clouds = drive()
     nothing = NoLoopClosure().close(problem, clouds)
     assert nothing.attempts == ()
-    assert len(nothing.closures.first) == 0
-    with_it = smooth(replace(problem, closures=nothing.closures), {})
+    assert len(nothing.loop_closures.first) == 0
+    with_it = smooth(replace(problem, loop_closures=nothing.loop_closures), {})
     assert np.array_equal(with_it.poses, smooth(problem, {}).poses)
 
 
@@ -164,12 +168,12 @@ def test_places_that_look_alike_are_told_apart_by_the_graph(
     closer = RegistrationLoopCloser(BlindMatcher(), LoopOptions(neighbours=0))
     found = closer.close(problem, clouds)
     assert [a.outcome.partition(":")[0] for a in found.attempts] == ["contradicts the graph"]
-    assert len(found.closures.first) == 0
+    assert len(found.loop_closures.first) == 0
     # Nothing else speaks against it.
     monkeypatch.setattr(loop_closure, "_CHI2_3_999", np.inf)
     believed = closer.close(problem, clouds)
-    assert believed.closures.second.tolist() == [4]
-    assert np.abs(believed.closures.motion).max() < 0.05
+    assert believed.loop_closures.second.tolist() == [4]
+    assert np.abs(believed.loop_closures.motion).max() < 0.05
 
 
 @pytest.mark.parametrize(
@@ -199,7 +203,7 @@ def test_what_speaks_against_a_match(change: dict[str, object], reason: str) -> 
     assert [a.outcome for a in found.attempts] == [reason]
     if reason == "accepted":
         widened = 1e-4 * np.eye(3) + np.diag((0.02**2, 0.02**2, 0.003**2))
-        assert relative_error(found.closures.covariance[0], widened) < 1e-12
+        assert relative_error(found.loop_closures.covariance[0], widened) < 1e-12
 
 
 def test_a_relative_pose_has_the_covariance_of_its_two_poses() -> None:

@@ -29,14 +29,16 @@ _SURE = 1e-6
 
 
 @dataclass(frozen=True)
-class Misuse:
+class DataFault:
     """What was done to the data, and what to look at."""
 
     evidence: str
     hint: str
 
 
-def misuses(log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool) -> tuple[Misuse, ...]:
+def data_faults(
+    log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool
+) -> tuple[DataFault, ...]:
     """All that is found. labelled: the filter was to go by the log's labels."""
     trace, timeline = run.trace, run.timeline
     uses = (trace.measurements[POINT], trace.initialisations[POINT])
@@ -60,7 +62,7 @@ def misuses(log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool) -> tup
     return tuple(found)
 
 
-def _late(kind: str, step: Index, due: Index) -> list[Misuse]:
+def _late(kind: str, step: Index, due: Index) -> list[DataFault]:
     late = step - due
     off = late != 0
     if not off.any():
@@ -68,7 +70,7 @@ def _late(kind: str, step: Index, due: Index) -> list[Misuse]:
     often = int(np.median(late[off]))
     side = "late" if often > 0 else "early"
     return [
-        Misuse(
+        DataFault(
             f"{np.count_nonzero(off)} of {len(step)} uses of {kind} come {side}, by {abs(often)} "
             "steps of the odometry (median)",
             "look at the order of events: predict up to an observation's own time, then fuse it",
@@ -76,13 +78,13 @@ def _late(kind: str, step: Index, due: Index) -> list[Misuse]:
     ]
 
 
-def _counted(kind: str, number: Index, weight: Array) -> list[Misuse]:
+def _counted(kind: str, number: Index, weight: Array) -> list[DataFault]:
     total = np.bincount(number, weight)
     often = int(np.count_nonzero(total > 1.0 + _WHOLE))
     if not often:
         return []
     return [
-        Misuse(
+        DataFault(
             f"{often} of {len(np.unique(number))} {kind} are fused more than once, with up to "
             f"{total.max():.3g} times their information",
             f"look for a second call with the same {kind}, or a queue that is not emptied",
@@ -90,7 +92,7 @@ def _counted(kind: str, number: Index, weight: Array) -> list[Misuse]:
     ]
 
 
-def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[Misuse]:
+def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[DataFault]:
     """One landmark per label, one label per landmark."""
     used = landmark_index >= 0
     pairs, count = np.unique(
@@ -103,7 +105,7 @@ def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[Misuse]:
         usual = sum(int(count[pairs[:, 1] == one].max()) for one in mixed)
         stray = int(count[np.isin(pairs[:, 1], mixed)].sum()) - usual
         found.append(
-            Misuse(
+            DataFault(
                 f"measurements of different labels are put into one landmark: {len(mixed)} of "
                 f"{len(landmark_indices[0])} landmarks, {stray} measurements",
                 "look at what turns a label into a place in the map",
@@ -112,7 +114,7 @@ def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[Misuse]:
     elif (labels[1] > 1).any():
         worst = int(labels[1].argmax())
         found.append(
-            Misuse(
+            DataFault(
                 f"measurements of {np.count_nonzero(labels[1] > 1)} of {len(labels[0])} labels are "
                 f"put into several landmarks, of label {labels[0][worst]} into {labels[1][worst]}",
                 "look for landmarks that are initialised again although they are in the map",
@@ -121,7 +123,7 @@ def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[Misuse]:
     return found
 
 
-def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[Misuse]:
+def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[DataFault]:
     """Labelled measurements that were rejected, although they fit the optimum."""
     label = log.measurements.landmark[: len(run.landmark_index)]
     rows = np.flatnonzero((run.landmark_index == REJECTED) & np.isin(label, smoothed.landmark_id))
@@ -136,7 +138,7 @@ def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[Misuse]:
     if binom.sf(fitting - 1, total, _ALLOWED) > _SURE:
         return []
     return [
-        Misuse(
+        DataFault(
             f"{fitting} of {total} labelled measurements were rejected although they fit the "
             "optimum "
             "within their own noise",

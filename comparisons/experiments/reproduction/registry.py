@@ -17,7 +17,7 @@ from comparisons.experiments.reproduction import (
     nieto_scans,
     nieto_slam_figures,
 )
-from comparisons.experiments.reproduction.contract import AnyFigure
+from comparisons.experiments.reproduction.interface import AnyFigure
 
 FIGURES: tuple[AnyFigure, ...] = (
     *guivant_figures.FIGURES,

@@ -10,7 +10,7 @@ from comparisons.experiments.defects.logs import open_case
 from comparisons.pipeline.compare import REQUIRED, Comparison, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
 
-CATALOGUE: tuple[Defect, ...] = (
+REGISTRY: tuple[Defect, ...] = (
     *algebra.DEFECTS,
     *models.DEFECTS,
     *noise.DEFECTS,
