@@ -25,8 +25,6 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import pytest
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from comparisons.baseline import Found
     from comparisons.config import CheckConfig, RunConfig
     from comparisons.logs.log import Log
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
     from comparisons.pipeline.prepare import Progress
     from comparisons.pipeline.solve import Solution
     from comparisons.report.folder import JobFolder
+    from comparisons.report.terminal import Summary
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -55,14 +54,14 @@ class Outcome(str):
 class Judgement:
     """What was found on a log.
 
-    title: log and estimate. result: as `result.json` or `check.json` has it. table: prints what the
+    title: log and estimate. result: as `result.json` or `check.json` has it. summary: what the
     command prints. content: what a report holds; folder: where it goes if the test fails; shown:
     the same, as a reader is told.
     """
 
     title: str
     result: Found
-    table: Callable[[Console], None]
+    summary: Callable[[], Summary]
     content: Callable[[], JobFolder]
     folder: Path
     shown: str
@@ -104,16 +103,18 @@ class Judgement:
         return [*lines, f"report: {self.shown}"]
 
     def write_report(self) -> str:
-        """Write the report. Return the table that the command prints, and the report's folder."""
+        """Write the report. Return what `--verbose` prints, and the report's folder."""
         import io
 
         from rich.console import Console
 
         from comparisons.errors import InputError
         from comparisons.report.folder import write_job_folder
+        from comparisons.report.terminal import print_summary
 
         buffer = io.StringIO()
-        self.table(Console(file=buffer, width=100, color_system=None, soft_wrap=True))
+        console = Console(file=buffer, width=100, color_system=None, soft_wrap=True)
+        print_summary(self.summary(), console, verbose=True)
         table = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
         try:
             write_job_folder(self.content(), self.folder)
@@ -271,7 +272,7 @@ def _judge(
     if isinstance(config, CheckConfig):
         from comparisons.estimates.external import read_external
         from comparisons.pipeline.check import check
-        from comparisons.report.check import build_check_result, check_folder, print_check
+        from comparisons.report.check import build_check_result, check_folder, check_summary
 
         times = None if config.times is None else Path(config.times)
         given = read_external(Path(config.estimate), times)
@@ -280,12 +281,12 @@ def _judge(
         found = make(
             title=f"{log.name}, estimate {config.estimate}",
             result=graded,
-            table=partial(print_check, graded),
+            summary=partial(check_summary, graded),
             content=partial(check_folder, checked, graded),
         )
     else:
         from comparisons.pipeline.compare import compare
-        from comparisons.report.result import build_result, print_run
+        from comparisons.report.result import build_result, run_summary
         from comparisons.report.run import run_folder
 
         comparison = _once(kept, log, config, lambda: compare(log, config))
@@ -293,7 +294,7 @@ def _judge(
         found = make(
             title=log.name,
             result=result,
-            table=partial(print_run, comparison, result),
+            summary=partial(run_summary, comparison, result),
             content=partial(run_folder, comparison, result),
         )
     judged.append(found)

@@ -34,7 +34,7 @@ RunsOption = Annotated[
 
 
 @baseline.command()
-@from_flags((*RUN, *ESTIMATE), file=(FileArgument,), runs=(RunsOption, None))
+@from_flags((*RUN, *ESTIMATE), shown=False, file=(FileArgument,), runs=(RunsOption, None))
 def save(given: Given) -> None:
     """Keep the figures of a run, or of a check of --estimate, each with a tolerance.
 
@@ -45,7 +45,7 @@ def save(given: Given) -> None:
       slamcheck baseline save my-log our-ekf.json
       slamcheck baseline save our-run/config.toml our-ekf.json
     """
-    with guarded(verbose=given.verbose, log_file=given.log_file):
+    with guarded(log_file=given.log_file):
         from comparisons.atomic import check_file
         from comparisons.baseline import build_baseline, compare_with, write_baseline
         from comparisons.config import CheckConfig, RunConfig
@@ -137,20 +137,22 @@ def compare(
 
 
 def _print_changes(changes: Sequence[Change], found: Found) -> None:
-    """Print what is worse, with the causes that the verdict has, then what is better or new."""
-    counts = {}
+    """Print how much holds, then what is worse, with the verdict's causes, better or new."""
+    from comparisons.report.terminal import fit
+
+    counts, lines = {}, list[str]()
     for state in ("broken", "better", "new"):
         some = [change for change in changes if change.state == state]
-        for change in some:
-            typer.echo(f"{state}: {change}")
+        lines += [f"{state}: {change}" for change in some]
         if some:
             counts[state] = f"{len(some)} {state}"
     if "broken" in counts:
-        for cause in found.causes:
-            typer.echo(f"cause: {cause.gap}: {cause.evidence}; {cause.hint}")
+        lines += [f"cause: {one.gap}: {one.evidence}; {one.hint}" for one in found.causes]
+    outcome = "worse" if "broken" in counts else "not worse"
     holding = sum(change.state == "holds" for change in changes)
     parts = [f"{holding} of {len(changes)} figures hold", *counts.values()]
-    typer.echo(", ".join(parts))
+    for line in (f"verdict: {outcome} than the baseline; {', '.join(parts)}", *lines):
+        typer.echo("\n".join(fit(line, most=0, after="  ")))
 
 
 def _runs(given: int | None, *, estimate: bool) -> int:

@@ -24,11 +24,11 @@ def check(given: Given) -> None:
       slamcheck check my-log --estimate trajectory.tum
       slamcheck check my-log --estimate my-filter-output --require like
     """
-    with guarded(verbose=given.verbose, log_file=given.log_file):
-        with progress_bar() as progress:
+    with guarded(log_file=given.log_file):
+        with progress_bar(given.output) as progress:
             from comparisons.config import CheckConfig
             from comparisons.estimates.external import ExternalEstimate, read_external
-            from comparisons.report.check import build_check_result, check_folder, print_check
+            from comparisons.report.check import build_check_result, check_folder, check_summary
             from comparisons.report.folder import write_job_folder
 
             handed_in: list[ExternalEstimate] = []
@@ -47,7 +47,7 @@ def check(given: Given) -> None:
             result = build_check_result(checked, job.read)
             progress("report", 0, 0)
             write_job_folder(check_folder(checked, result), job.folder)
-        print_result(lambda console: print_check(result, console), job.folder)
+        print_result(check_summary(result), job.folder / "check.json", given.output)
         raise SystemExit(VERDICTS[checked.outcome])
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from comparisons.cli.support import Output, chosen_output
 from comparisons.options import LOG_PANEL, REPORT_PANEL, Flag
 
 _WIDE = 12
@@ -26,18 +27,23 @@ class Given(NamedTuple):
     allow_changed: bool
     out: Path | None
     replace: bool
-    verbose: bool
     log_file: Path | None
+    shown: Mapping[str, bool]
     extra: Mapping[str, Any]
+
+    @property
+    def output(self) -> Output:
+        """What is printed. Raises InputError where two options contradict each other."""
+        return chosen_output(**self.shown)
 
 
 def from_flags(
-    flags: Iterable[Flag], **extra: Any
+    flags: Iterable[Flag], *, shown: bool = True, **extra: Any
 ) -> Callable[[Callable[[Given], None]], Callable[..., None]]:
     """Make a function of what was given into one whose parameters typer reads.
 
-    extra: annotation and default, if any, of further parameters, which set nothing in the
-    configuration.
+    shown: the command prints a result, as one of OUTPUT asks. extra: annotation and default, if
+    any, of further parameters, which set nothing in the configuration.
     """
     table = tuple(flags)
 
@@ -57,8 +63,8 @@ def from_flags(
                     values["allow_changed_log"],
                     values["out"],
                     values["replace"],
-                    values["verbose"],
                     values["log_file"],
+                    {name: values[name] for name in OUTPUT if shown},
                     {name: values[name] for name in extra},
                 )
             )
@@ -67,7 +73,7 @@ def from_flags(
         parameters += [
             _parameter(name, annotation, *default) for name, (annotation, *default) in extra.items()
         ]
-        parameters += _COMMON
+        parameters += (*_COMMON, *(OUTPUT.values() if shown else ()))
         set_parameters(command, *parameters)
         command.__doc__, command.__name__ = job.__doc__, job.__name__
         return command
@@ -205,29 +211,33 @@ _COMMON = (
         False,
     ),
     _parameter(
-        "verbose",
-        Annotated[
-            bool,
-            typer.Option(
-                "--verbose",
-                "-v",
-                help="Show warnings of libraries.",
-                rich_help_panel=REPORT_PANEL,
-            ),
-        ],
-        False,
-    ),
-    _parameter(
         "log_file",
         Annotated[
             Path | None,
             typer.Option(
                 "--log",
                 metavar="FILE",
-                help="Keep these warnings in a file.",
+                help="Write warnings of libraries to a file.",
                 rich_help_panel=REPORT_PANEL,
             ),
         ],
         None,
     ),
 )
+_OUTPUT_HELP = {
+    "verbose": ("--verbose", "-v", "Then print all figures, causes and notes."),
+    "json": ("--json", "", "Print the result as JSON and nothing else."),
+    "quiet": ("--quiet", "-q", "Print nothing; the exit code tells the outcome."),
+}
+OUTPUT = {
+    name: _parameter(
+        name,
+        Annotated[
+            bool,
+            typer.Option(*filter(None, names), help=text, rich_help_panel=REPORT_PANEL),
+        ],
+        False,
+    )
+    for name, (*names, text) in _OUTPUT_HELP.items()
+}
+"""Options of every command that prints a result, which set nothing in the configuration."""

@@ -21,10 +21,10 @@ def map_command(given: Given) -> None:
       slamcheck map dynamic-places --dynamic          and where something has changed
       slamcheck map scan-slam --landmarks scans --layer occupancy --layer sog
     """
-    with guarded(verbose=given.verbose, log_file=given.log_file):
-        with progress_bar() as progress:
+    with guarded(log_file=given.log_file):
+        with progress_bar(given.output) as progress:
             from comparisons.config import MapConfig
-            from comparisons.report.dense_map import build_map_result, map_folder, print_map
+            from comparisons.report.dense_map import build_map_result, map_folder, map_summary
             from comparisons.report.folder import write_job_folder
 
             job = start_job(given, MapConfig, base=_DEFAULT)
@@ -34,5 +34,5 @@ def map_command(given: Given) -> None:
             result = build_map_result(mapping, job.read)
             progress("report", 0, 0)
             write_job_folder(map_folder(mapping, result), job.folder)
-        print_result(lambda console: print_map(result, console), job.folder)
+        print_result(map_summary(result), job.folder / "map.json", given.output)
         raise SystemExit(AGREE)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
-from comparisons.cli.support import AGREE, guarded, print_result, progress_bar
+from comparisons.cli.flags import OUTPUT
+from comparisons.cli.support import AGREE, chosen_output, guarded, print_result, progress_bar
 
 if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.config import MonteCarloConfig
@@ -72,6 +73,9 @@ class _Given(NamedTuple):
         Path | None,
         typer.Option(metavar="DIR", help="Folder to write [slamcheck-montecarlo-SCENARIO]."),
     ] = None
+    verbose: bool = False
+    json: bool = False
+    quiet: bool = False
 
 
 def montecarlo(**values: Any) -> None:
@@ -90,6 +94,7 @@ def montecarlo(**values: Any) -> None:
     """
     given = _Given(**values)
     with guarded():
+        output = chosen_output(verbose=given.verbose, json=given.json, quiet=given.quiet)
         from comparisons.atomic import folder_name
         from comparisons.experiments.montecarlo.chunk_files import check_folder
         from comparisons.experiments.montecarlo.external import parse_commands
@@ -108,12 +113,13 @@ def montecarlo(**values: Any) -> None:
         folder = given.out or Path(f"slamcheck-montecarlo-{folder_name(study.name)}")
         check_folder(folder)
         from comparisons.experiments.montecarlo.folder import (
+            RESULT,
             build_montecarlo_result,
-            print_montecarlo,
+            montecarlo_summary,
             write_montecarlo,
         )
 
-        with progress_bar() as progress:
+        with progress_bar(output) as progress:
             external = External(commands, given.reuse)
             outcome = run_study(study, folder, given.workers, given.scheduler, progress, external)
             result = build_montecarlo_result(outcome)
@@ -121,11 +127,12 @@ def montecarlo(**values: Any) -> None:
             write_montecarlo(outcome, result, folder)
             if given.keep is not None:
                 keep_log(study, folder, given.keep)
-        print_result(lambda console: print_montecarlo(outcome, console), folder)
+        print_result(montecarlo_summary(outcome), folder / RESULT, output)
         raise SystemExit(AGREE)
 
 
 _HINTS = get_type_hints(_Given, include_extras=True)
+_HINTS |= {name: one.annotation for name, one in OUTPUT.items()}
 montecarlo.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
     [
         inspect.Parameter(

@@ -17,14 +17,14 @@ def odometry(given: Given) -> None:
       slamcheck odometry scan-loop-fine               simulated scans, with truth
       slamcheck odometry path/to/acfr_car_park --cloud pcd
     """
-    with guarded(verbose=given.verbose, log_file=given.log_file):
-        with progress_bar() as progress:
+    with guarded(log_file=given.log_file):
+        with progress_bar(given.output) as progress:
             from comparisons.config import OdometryConfig
             from comparisons.report.folder import write_job_folder
             from comparisons.report.odometry import (
                 build_front_end_result,
                 front_end_folder,
-                print_front_end,
+                front_end_summary,
             )
 
             job = start_job(given, OdometryConfig)
@@ -34,5 +34,5 @@ def odometry(given: Given) -> None:
             result = build_front_end_result(front_end, job.read)
             progress("report", 0, 0)
             write_job_folder(front_end_folder(front_end, result), job.folder)
-        print_result(lambda console: print_front_end(result, console), job.folder)
+        print_result(front_end_summary(result), job.folder / "odometry.json", given.output)
         raise SystemExit(VERDICTS[result.verdict])

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from comparisons.cli.support import AGREE, DISAGREE, guarded, print_result, progress_bar
+from comparisons.cli.support import AGREE, DISAGREE, guarded, print_text, progress_bar
 
 
 def reproduce(
@@ -64,7 +64,7 @@ def reproduce(
             result = build_result(found, drives, time.perf_counter() - start)
             progress("gallery", 0, 0)
             write_gallery(found, result, out)
-        print_result(lambda console: print_claims(result, console), out)
+        print_text(lambda console: print_claims(result, out, console))
         raise SystemExit(AGREE if result.holds else DISAGREE)
 
 

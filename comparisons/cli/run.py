@@ -54,16 +54,16 @@ def run(given: Given) -> None:
       slamcheck run simulated-loop --figures pdf --record run.rrd
       slamcheck run dynamic-lanes --dynamic
     """
-    with guarded(verbose=given.verbose, log_file=given.log_file):
+    with guarded(log_file=given.log_file):
         live, record = bool(given.extra["live"]), given.extra["record"]
         if live or record is not None:
             from comparisons.report.viewer import check_viewer
 
             check_viewer(live, record)
-        with progress_bar() as progress:
+        with progress_bar(given.output) as progress:
             from comparisons.config import RunConfig
             from comparisons.report.folder import write_job_folder
-            from comparisons.report.result import build_result, print_run
+            from comparisons.report.result import build_result, run_summary
             from comparisons.report.run import run_folder
 
             job = start_job(given, RunConfig)
@@ -75,7 +75,7 @@ def run(given: Given) -> None:
             _record(comparison, record)  # first: where that fails, no folder is left
             content = run_folder(comparison, result)
             write_job_folder(content, job.folder, job.config.report.figures)
-        print_result(lambda console: print_run(comparison, result, console), job.folder)
+        print_result(run_summary(comparison, result), job.folder / "result.json", given.output)
         if live:
             from comparisons.report.viewer import show_run
 

@@ -17,14 +17,14 @@ def solve(given: Given) -> None:
       slamcheck solve                                 Victoria Park from dead reckoning
       slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
     """
-    with guarded(verbose=given.verbose, log_file=given.log_file):
-        with progress_bar() as progress:
+    with guarded(log_file=given.log_file):
+        with progress_bar(given.output) as progress:
             from comparisons.config import SolveConfig
             from comparisons.report.folder import write_job_folder
             from comparisons.report.solution import (
                 build_solution_result,
-                print_solution,
                 solution_folder,
+                solution_summary,
             )
 
             job = start_job(given, SolveConfig)
@@ -34,5 +34,5 @@ def solve(given: Given) -> None:
             result = build_solution_result(solution, job.read)
             progress("report", 0, 0)
             write_job_folder(solution_folder(solution, result), job.folder)
-        print_result(lambda console: print_solution(result, console), job.folder)
+        print_result(solution_summary(result), job.folder / "solution.json", given.output)
         raise SystemExit(VERDICTS[result.verdict])

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from comparisons.pipeline.prepare import Progress
+    from comparisons.report.terminal import Summary
 
 AGREE, DISAGREE, UNUSABLE, UNVERIFIED = 0, 1, 2, 3
 VERDICTS = {"agree": AGREE, "verified": AGREE, "disagree": DISAGREE, "unverified": UNVERIFIED}
@@ -27,33 +29,60 @@ QUIET_S = 5.0
 """A job that takes less says nothing of its stages where no terminal shows them."""
 
 
-def print_result(summary: Callable[[Console], None], folder: Path) -> None:
-    """Print a summary and where the report is; a reader who has left changes nothing."""
+class Output(Enum):
+    """What a job prints: a few lines, these and all figures, the result as JSON, or nothing."""
+
+    BRIEF, VERBOSE, JSON, QUIET = range(4)
+
+
+def chosen_output(*, verbose: bool, json: bool, quiet: bool) -> Output:
+    """Return what is printed. Raises InputError where more than one is asked for."""
+    asked = {Output.VERBOSE: verbose, Output.JSON: json, Output.QUIET: quiet}
+    chosen = [one for one, given in asked.items() if given]
+    if len(chosen) > 1:
+        names = " and ".join(f"--{one.name.lower()}" for one in chosen)
+        raise InputError(f"{names} exclude each other: give one of them")
+    return chosen[0] if chosen else Output.BRIEF
+
+
+def print_result(summary: Summary, file: Path, output: Output) -> None:
+    """Print what was asked for. file: the result as JSON, in the report's folder."""
+    from comparisons.report.terminal import print_summary
+
+    verbose = output is Output.VERBOSE
+    if output is Output.JSON:
+        text = file.read_text(encoding="utf-8")
+        print_text(lambda console: console.file.write(text))
+    elif output is not Output.QUIET:
+        print_text(
+            lambda console: print_summary(summary, console, str(file.parent), verbose=verbose)
+        )
+
+
+def print_text(write: Callable[[Console], object]) -> None:
+    """Write to the terminal; a reader who has left changes nothing."""
     from rich.console import Console
 
     try:
-        console = Console(soft_wrap=True)
-        summary(console)
-        console.print(f"report: {folder}", highlight=False, markup=False)
+        write(Console(soft_wrap=True))
         sys.stdout.flush()
     except OSError:  # nobody listens any more; that does not change the verdict
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 @contextmanager
-def guarded(*, verbose: bool = False, log_file: Path | None = None) -> Iterator[None]:
+def guarded(*, log_file: Path | None = None) -> Iterator[None]:
     """Known faults become one line on standard error and an exit code.
 
     Warnings of libraries and numbers that overflow go to a log. What the numbers mean is checked
-    where they are used, so that nobody needs to read it. verbose: show the log on standard error;
-    log_file: keep it in a file.
+    where they are used, so that nobody needs to read it. log_file: where the log is kept.
     """
     import warnings
 
     import numpy as np
 
     try:
-        shown = _start_log(verbose, log_file)
+        shown = _start_log(log_file)
         numbers = np.errstate(all="log" if shown else "ignore", call=_FloatingPoint())
         with warnings.catch_warnings(), numbers:
             warnings.simplefilter("default")
@@ -80,7 +109,7 @@ def guarded(*, verbose: bool = False, log_file: Path | None = None) -> Iterator[
             logging.getLogger("slamcheck").info("no decomposition", exc_info=error)
             fail(
                 "unverified: a covariance is singular to rounding: sigmas and prior of the log "
-                f"lie too many powers of ten apart for double precision ({error}; --verbose "
+                f"lie too many powers of ten apart for double precision ({error}; --log FILE "
                 "tells where)",
                 UNVERIFIED,
             )
@@ -97,11 +126,9 @@ class _FloatingPoint:
         logging.getLogger("numpy").info(message.strip())
 
 
-def _start_log(verbose: bool, file: Path | None) -> bool:
+def _start_log(file: Path | None) -> bool:
     """Send the log to where it was asked for. Return whether anybody sees it."""
     handlers: list[logging.Handler] = [logging.NullHandler()]
-    if verbose:
-        handlers.append(logging.StreamHandler(sys.stderr))
     if file is not None:
         from comparisons.atomic import check_file
 
@@ -131,8 +158,11 @@ def fail(message: str, code: int) -> NoReturn:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Progress]:
+def progress_bar(output: Output = Output.BRIEF) -> Iterator[Progress]:
     """Show stages on standard error: a bar on a terminal, else one line each of a long job."""
+    if output is Output.QUIET:
+        yield lambda name, done, total: None
+        return
     terminal = sys.stderr is not None and sys.stderr.isatty()  # None: closed by the caller
     with _bar() if terminal else _lines() as show:
         yield show

@@ -26,10 +26,18 @@ if TYPE_CHECKING:
 
 
 class Row(NamedTuple):
-    """A row of the table of figures, on the terminal and on the page."""
+    """One figure of the table of figures, on the terminal and on the page.
 
-    name: str
-    text: str
+    group: what the figure is of. quantity: what it measures, with the expected value if it has
+    one. value: with its unit. band: where the value should lie. inside: whether it lies there;
+    None where nothing says where it should lie.
+    """
+
+    group: str
+    quantity: str
+    value: str
+    band: str = ""
+    inside: bool | None = None
 
 
 class Extension:

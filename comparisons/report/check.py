@@ -1,4 +1,4 @@
-"""What `slamcheck check` reports: check.json, rows for a terminal, and its folder."""
+"""What `slamcheck check` reports: check.json, what is printed, and its folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from rich.console import Console
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
@@ -18,6 +17,7 @@ from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.external_trace import TraceCheck
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.consistency_result import (
+    consistency_line,
     external_consistency_result,
     nees_rows,
     smoothed_rows,
@@ -35,6 +35,7 @@ from comparisons.report.html.map import (
 )
 from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
+from comparisons.report.ladder import Step, gap_steps
 from comparisons.report.model import Model, finite
 from comparisons.report.models import (
     AccuracyResult,
@@ -46,13 +47,17 @@ from comparisons.report.models import (
 )
 from comparisons.report.panels import REFERENCE_COLOUR, external_panels, filters_compared
 from comparisons.report.rows import (
+    accuracy_line,
     accuracy_rows,
-    gap_row,
-    last_pose_row,
+    agreeing,
+    band,
+    block_rows,
+    gap_rows,
+    in_sigma,
     log_rows,
-    print_rows,
-    print_verdict,
+    pose_words,
     seconds_rows,
+    shown,
     smoother_rows,
 )
 from comparisons.report.sections import (
@@ -63,6 +68,7 @@ from comparisons.report.sections import (
     smoother_result,
 )
 from comparisons.report.settings import SettingsResult, settings_result, settings_rows
+from comparisons.report.terminal import STYLES, Summary
 
 NOT_STATED = "not stated"
 """In place of what an estimate's poses know of the log."""
@@ -109,10 +115,31 @@ def build_check_result(check: ExternalCheck, read: Clock | None = None) -> Check
     )
 
 
-def print_check(result: CheckResult, console: Console) -> None:
-    """Print what was compared, and the verdict."""
-    print_rows([*_check_rows(result), *seconds_rows(result.seconds, result.cpu_s)], console)
-    print_verdict(result.verdict, console, result.causes, result.remarks)
+def check_summary(result: CheckResult) -> Summary:
+    """Return what the command prints: verdict and grade, gaps by the trace, agreement."""
+    truth, smoothed = result.consistency.truth, result.consistency.filter_against_smoother
+    agree = []
+    if result.landmarks:
+        count = sum(row.agrees for row in result.landmarks)
+        agree.append(f"{count} of {len(result.landmarks)} landmarks")
+    if result.last_pose is not None:
+        agree.append(pose_words(result.last_pose))
+    if len(agree) < 2:
+        agree.append(f"path {result.rms_m:.3f} m rms from smoother")
+    required = f" (required: {result.required})"
+    return Summary(
+        headline=f"verdict: {result.verdict}; grade: {_grade_words(result)}{required}",
+        style=STYLES[result.verdict],
+        causes=result.causes,
+        remarks=result.remarks,
+        steps=_steps(result),
+        lines=[
+            ("agreement", "; ".join(agree)),
+            *consistency_line(None, truth, smoothed),
+            *accuracy_line({"estimate": result.accuracy, "smoother": result.smoother_accuracy}),
+        ],
+        rows=[*_check_rows(result), *seconds_rows(result.seconds, result.cpu_s)],
+    )
 
 
 def check_folder(check: ExternalCheck, result: CheckResult) -> JobFolder:
@@ -258,48 +285,60 @@ def _check_rows(result: CheckResult) -> list[Row]:
         *log_rows(result.log),
         *settings_rows(result.settings),
         *smoother_rows(result.smoother),
+        *_estimate_rows(result),
         *_agreement_rows(result),
-        *([] if result.trace is None else _gap_rows(result.trace)),
-        *(Row(*row) for row in (*nees_rows("NEES", truth), *smoothed_rows("given", f))),
-        *accuracy_rows("accuracy", result.accuracy),
-        *accuracy_rows("smoother accuracy", result.smoother_accuracy),
+        *gap_rows(_steps(result)),
+        *nees_rows("Estimate's", truth),
+        *smoothed_rows("estimate", f),
+        *accuracy_rows("the estimate", result.accuracy),
+        *accuracy_rows("the smoother", result.smoother_accuracy),
     ]
+
+
+def _estimate_rows(result: CheckResult) -> list[Row]:
+    kind = "not stated" if result.information == NOT_STATED else result.information
+    covered = f"{100.0 * result.coverage:.1f} %"
+    rows = [
+        Row("Estimate", "grade", _grade_words(result), f"required: {result.required}"),
+        Row("Estimate", "poses", f"{result.poses:,}"),
+        Row("Estimate", "poses are filtered or smoothed", kind),
+        Row("Estimate", "coverage of the log's time", covered),
+    ]
+    if (nearest := result.nearest) is not None:
+        far = in_sigma(nearest.largest_sigma)
+        rows += [
+            Row("Estimate", "nearest reference", nearest.name),
+            Row("Estimate", "largest difference of a mean from the nearest reference", far),
+        ]
+        if nearest.variance_ratio_least is not None:
+            ends = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
+            ratios = band(*(shown(value, ".4g") for value in ends))
+            rows.append(Row("Estimate", "variances over the nearest reference's", ratios))
+    return rows
 
 
 def _agreement_rows(result: CheckResult) -> list[Row]:
-    kind = "poses" if result.information == NOT_STATED else result.information
-    own = ""
-    if result.outside is not None:
-        own = f"; {100.0 * result.outside:.1f} % beyond their own 99.9 % region"
+    heading, group = f"{result.rms_heading_rad:.4f} rad", "Path, estimate and smoother"
     rows = [
-        Row(
-            "poses",
-            f"{result.poses:,} {kind}, {result.rms_m:.3f} m and "
-            f"{result.rms_heading_rad:.4f} rad from the smoother's (rms){own}",
-        )
+        Row(group, "difference of the positions (rms)", f"{result.rms_m:.3f} m"),
+        Row(group, "difference of the headings (rms)", heading),
     ]
-    rows.append(Row("coverage", f"{100.0 * result.coverage:.1f} % of the log's time"))
+    if result.outside is not None:
+        far = "poses beyond the 99.9 % region of their own covariance"
+        rows.append(Row(group, far, f"{100.0 * result.outside:.1f} %"))
     if result.last_pose is not None:
-        rows.append(last_pose_row(result.last_pose))
-    if result.landmarks:
-        agreeing = sum(row.agrees for row in result.landmarks)
-        rows.append(Row("landmarks", f"{agreeing} of {len(result.landmarks)} agree"))
-    return [*rows, *_grade_rows(result)]
+        rows += block_rows("Last pose", "estimate", result.last_pose)
+    return [*rows, agreeing(result.landmarks, "estimate")] if result.landmarks else rows
 
 
-def _grade_rows(result: CheckResult) -> list[Row]:
-    rows, nearest = [], result.nearest
-    if nearest is not None:
-        covariances = "no covariances"
-        if nearest.variance_ratio_least is not None:
-            shown = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
-            covariances = "variances {} to {} times".format(
-                *("?" if value is None else f"{value:.4g}" for value in shown)
-            )
-        far = "?" if nearest.largest_sigma is None else f"{nearest.largest_sigma:.2g}"
-        rows.append(Row("nearest", f"{nearest.name}: up to {far} sigma, {covariances}"))
-    rows.append(Row("grade", f"{_grade_words(result)} (required: {result.required})"))
-    return rows
+def _steps(result: CheckResult) -> list[Step]:
+    """Return the gaps by the trace; without a joint covariance the algebra gap is not judged."""
+    trace = result.trace
+    if trace is None:
+        return []
+    steps = gap_steps(trace, {cause.gap for cause in result.causes})
+    judged = trace.algebra_gap_sigma is not None or trace.algebra_gap_covariance is not None
+    return steps if judged else steps[1:]
 
 
 def _grade_words(result: CheckResult) -> str:
@@ -311,17 +350,6 @@ def _grade_words(result: CheckResult) -> str:
         "wrong": "wrong",
         None: "none, for optimum or association is not verified",
     }[result.grade]
-
-
-def _gap_rows(trace: TraceResult) -> list[Row]:
-    rows = []
-    for name in ("algebra", "model", "linearisation"):
-        if name == "algebra" and trace.algebra_gap_sigma is None:
-            rows.append(Row("algebra gap", "not judged, there is no joint covariance"))
-            continue
-        sigma, spread = (getattr(trace, f"{name}_gap_{part}") for part in ("sigma", "covariance"))
-        rows.append(gap_row(f"{name} gap", sigma, spread))
-    return rows
 
 
 def _trace(check: TraceCheck | None) -> TraceResult | None:

@@ -1,7 +1,8 @@
-"""Consistency as a part of `result.json`, and as rows for a terminal."""
+"""Consistency as a part of `result.json`, as rows of figures, and in a line."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.consistency.normalised import Normalised
+from comparisons.extensions.interface import Row
 from comparisons.report.models import (
     ConsistencyResult,
     ExternalConsistencyResult,
@@ -21,6 +23,7 @@ from comparisons.report.models import (
     TruthConsistencyResult,
     WhitenessResult,
 )
+from comparisons.report.rows import band, known_as
 
 
 def consistency_result(c: Consistency) -> ConsistencyResult:
@@ -118,60 +121,110 @@ def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | 
     )
 
 
-def consistency_rows(c: ConsistencyResult) -> list[tuple[str, str]]:
-    """NEES of both estimators where there is truth, NIS per sensor, and filter against smoother."""
-    rows = [*nees_rows("EKF NEES", c.ekf), *nees_rows("smoother NEES", c.smoother)]
+def consistency_rows(c: ConsistencyResult) -> list[Row]:
+    """Return NEES of both estimators by truth, NIS by sensor, and the filter by the smoother."""
+    rows = [*nees_rows("EKF", c.ekf), *nees_rows("Smoother", c.smoother)]
     for sensor in c.innovations:
-        shown = (
-            f"{n.name} {n.mean:.3g} of {n.dof} (band {n.band[0]:.3g}-{n.band[1]:.3g})"
+        group = f"Innovations of {known_as(sensor.sensor)}"
+        rows += [
+            Row(
+                group,
+                f"NIS of {known_as(n.name)}, mean (expected {n.dof})",
+                f"{n.mean:.3g}",
+                f"{band(f'{n.band[0]:.3g}', f'{n.band[1]:.3g}')} (95 %)",
+                n.band[0] <= n.mean <= n.band[1],
+            )
             for n in sensor.nis
-        )
-        rows.append(("NIS", ", ".join(shown)))
-        rows.append(("whiteness", _whiteness_row(sensor)))
+        ]
+        rows += [
+            Row(
+                group,
+                f"autocorrelation of {w.component} by {w.order} (expected 0)",
+                f"{w.autocorrelation[0]:.2g}",
+                f"{band(f'{-w.band[0]:.2g}', f'{w.band[0]:.2g}')} (95 %)",
+                abs(w.autocorrelation[0]) <= w.band[0],
+            )
+            for w in sensor.whiteness
+        ]
     return [*rows, *smoothed_rows("EKF", c.filter_against_smoother)]
 
 
-def nees_rows(name: str, truth: TruthConsistencyResult | None) -> list[tuple[str, str]]:
-    """NEES of one estimator, where there is truth."""
-    return [] if truth is None else [(name, _nees_row(truth))]
-
-
-def smoothed_rows(name: str, f: FilterAgainstSmootherResult | None) -> list[tuple[str, str]]:
-    """A filter against the smoother, where that can be judged."""
-    if f is None or f.squared_per_dof is None or f.least_ratio is None:
+def nees_rows(name: str, t: TruthConsistencyResult | None) -> list[Row]:
+    """Return the NEES of an estimate by truth, none without. name: whose."""
+    if t is None:
         return []
-    shown_here = (
-        f"poses' difference squared {f.squared_per_dof:.3g} per dof, of 1 (P_{name} - P_smoother"
-        + (f"; band {f.band[0]:.2g}-{f.band[1]:.3g}" if f.band else "")
-        + f"); least variance ratio {f.least_ratio:.3g} at {f.least_ratio_s:.1f} s"
-    )
-    return [(f"{name} - smoother", shown_here)]
-
-
-def _whiteness_row(sensor: InnovationResult) -> str:
-    shown = (
-        f"{w.component} by {w.order} {w.autocorrelation[0]:.2g} (band {w.band[0]:.2g}, "
-        f"p {w.p_value:.2g})"
-        for w in sensor.whiteness
-    )
-    return "correlation with the next: " + (", ".join(shown) or "too few to tell")
-
-
-def _nees_row(t: TruthConsistencyResult) -> str:
-    parts = []
-    for name, n in (("pose", t.pose), ("heading", t.heading), ("landmark", t.landmarks),
-                    ("distance", t.distance)):  # fmt: skip
-        if n is not None and n.mean is not None and n.inside is not None:
-            low, high = n.single_band
-            without = [f"; {count} {fault}" for fault, count in n.unusable.items()]
-            parts.append(
-                f"{name} {n.mean:.3g} of {n.dof} ({100.0 * n.inside:.0f} % of {n.count} in "
-                f"{low:.2g}-{high:.3g}{''.join(without)})"
-            )
-        elif n is not None:
-            parts.append(f"{name} none ({', '.join(n.unusable)})")
-    for name, n in (("map", t.map), ("all distances", t.distances)):
+    rows, group = [], f"{name} NEES"
+    for what, single, n in (
+        ("pose", "epochs", t.pose),
+        ("heading", "epochs", t.heading),
+        ("landmarks", "landmarks", t.landmarks),
+        ("distances of landmarks", "distances", t.distance),
+    ):
+        if n is None:
+            continue
+        rows += [
+            Row(group, f"{what}: without NEES, {why}", f"{k}") for why, k in n.unusable.items()
+        ]
+        if n.mean is None or n.inside is None:
+            continue
+        low, high = n.single_band
+        shown_band = f"{band(f'{low:.2g}', f'{high:.3g}')} (95 %)"
+        inside = low <= n.mean <= high
+        rows.append(_expected(group, f"{what}, mean", n, shown_band, inside=inside))
+        share = f"{what}: {single} in the 95 % band"
+        rows.append(Row(group, share, f"{100.0 * n.inside:.0f} % of {n.count}"))
+    for what, n in (("landmarks jointly", t.map), ("distances jointly", t.distances)):
         if n is not None and n.mean is not None:
             low, high = n.single_band
-            parts.append(f"{name} {n.mean:.3g} of {n.dof} (band {low:.3g}-{high:.3g})")
-    return ", ".join(parts)
+            shown_band = f"{band(f'{low:.3g}', f'{high:.3g}')} (95 %)"
+            rows.append(_expected(group, what, n, shown_band, inside=low <= n.mean <= high))
+    return rows
+
+
+def _expected(group: str, what: str, n: NeesResult, limits: str, *, inside: bool) -> Row:
+    return Row(group, f"{what} (expected {n.dof})", f"{n.mean:.3g}", limits, inside)
+
+
+def smoothed_rows(name: str, f: FilterAgainstSmootherResult | None) -> list[Row]:
+    """Return a filter compared with the smoother, where that can be judged. name: of the filter."""
+    if f is None or f.squared_per_dof is None or f.least_ratio is None:
+        return []
+    group, mean = f"Poses, {name} minus smoother over time", f.squared_per_dof
+    limits = "" if f.band is None else f"{band(f'{f.band[0]:.2g}', f'{f.band[1]:.3g}')} (95 %)"
+    return [
+        Row(
+            group,
+            f"squared difference by P_{name} - P_smoother, per degree of freedom (expected 1)",
+            f"{mean:.3g}",
+            limits,
+            None if f.band is None else f.band[0] <= mean <= f.band[1],
+        ),
+        Row(group, f"least variance, {name} over smoother", f"{f.least_ratio:.3g}"),
+        Row(group, "time of the least variance", f"{f.least_ratio_s:.1f} s"),
+        Row(group, "epochs surer than the smoother", f"{f.overconfident_epochs} of {f.epochs}"),
+    ]
+
+
+def consistency_line(
+    inconsistent: Sequence[str] | None,
+    truth: TruthConsistencyResult | None,
+    smoothed: FilterAgainstSmootherResult | None,
+    innovations: Sequence[InnovationResult] = (),
+) -> list[tuple[str, str]]:
+    """Return one line: what is outside its band, or else the figures per degree of freedom."""
+    if inconsistent:
+        shown = "; ".join(inconsistent).replace(" per degree of freedom", " per dof")
+        return [("consistency", shown)]
+    found, nees = [], []
+    if truth is not None:
+        for name, n in (("pose", truth.pose), ("map", truth.landmarks)):
+            if n is not None and n.mean is not None:
+                nees.append(f"{name} {n.mean / n.dof:.2g}")
+    if nees:
+        found.append(f"NEES {', '.join(nees)}")
+    for sensor in innovations[:1]:
+        found += [f"NIS {n.mean / n.dof:.2g}" for n in sensor.nis[:1]]
+    if smoothed is not None and smoothed.squared_per_dof is not None:
+        name = "to smoother" if found else "squared distance to the smoother, per dof,"
+        found.append(f"{name} {smoothed.squared_per_dof:.2g}")
+    return [("consistency", f"{'; '.join(found)} (expected 1)")] if found else []

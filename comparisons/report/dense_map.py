@@ -1,4 +1,4 @@
-"""What `slamcheck map` reports: map.json, rows for a terminal, and its folder."""
+"""What `slamcheck map` reports: map.json, what is printed, and its folder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from comparisons.checks.accuracy import assess
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
@@ -16,7 +15,7 @@ from comparisons.extensions.dense_maps.result import (
     FirstConditionResult,
     SurfaceErrorResult,
     first_condition_result,
-    first_condition_row,
+    first_condition_rows,
     surface_error_results,
     surface_error_rows,
 )
@@ -29,11 +28,10 @@ from comparisons.report.map_export import rasterise, write_image, write_ros_map
 from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, EkfResult, LogResult
 from comparisons.report.rows import (
+    accuracy_line,
     accuracy_rows,
     ekf_rows,
     log_rows,
-    print_remarks,
-    print_rows,
     seconds_rows,
 )
 from comparisons.report.sections import (
@@ -43,6 +41,7 @@ from comparisons.report.sections import (
     package_versions,
 )
 from comparisons.report.settings import SettingsResult, settings_result, settings_rows
+from comparisons.report.terminal import Summary
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import places
 from graphslam.scan.clouds import write_cloud
@@ -154,39 +153,59 @@ def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapRes
     )
 
 
-def print_map(result: MapResult, console: Console) -> None:
-    """Print what the map holds and how good it is."""
+def map_summary(result: MapResult) -> Summary:
+    """Return what the command prints: what the map holds, and how good it is."""
     returns = result.returns
+    fused = returns.fused + returns.late
+    errors = [
+        f"{name} {error.median_m:.3f} m"
+        for name, error in result.surface_errors.items()
+        if error.median_m is not None
+    ]
+    layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
+    return Summary(
+        headline=f"map: {fused:,} of {returns.returns:,} returns in {result.regions:,} regions",
+        style="bold",
+        remarks=result.remarks,
+        lines=[
+            ("occupied", ", ".join(layers)),
+            *([("surfaces", f"median error: {', '.join(errors)}")] * bool(errors)),
+            *accuracy_line({"EKF": result.accuracy}),
+        ],
+        rows=_map_rows(result),
+    )
+
+
+def _map_rows(result: MapResult) -> list[Row]:
+    returns = result.returns
+    counts = {
+        "scans": returns.scans,
+        "returns": returns.returns,
+        "returns in regions at once": returns.fused,
+        "returns in regions after a wait": returns.late,
+        "returns outside all regions": returns.outside,
+    }
     rows = [
         *log_rows(result.log),
         *settings_rows(result.settings),
         *ekf_rows(result.ekf),
-        *accuracy_rows("accuracy", result.accuracy),
+        *accuracy_rows("the EKF", result.accuracy),
     ]
     if result.scan_landmarks:
-        rows.append(Row("scan landmarks", f"{result.scan_landmarks:,}"))
-    rows.append(first_condition_row(result.first_condition))
-    rows.append(
-        Row(
-            "returns",
-            f"{returns.fused + returns.late:,} of {returns.returns:,} in {result.regions} regions "
-            f"({returns.late:,} after a wait), {returns.outside:,} outside all; "
-            f"{returns.scans} scans",
-        )
-    )
+        rows.append(Row("EKF", "scan landmarks", f"{result.scan_landmarks:,}"))
+    rows += first_condition_rows(result.first_condition)
+    rows += [Row("Scanner", name, f"{count:,}") for name, count in counts.items()]
     for name, layer in result.layers.items():
-        rows.append(Row(name, f"{layer.samples:,} held, {layer.occupied:,} occupied"))
+        rows.append(Row("Layers", f"{name}: samples", f"{layer.samples:,}"))
+        rows.append(Row("Layers", f"{name}: occupied samples", f"{layer.occupied:,}"))
     rows += surface_error_rows(result.surface_errors)
-    if result.dynamic is not None:
-        rows.append(
-            Row(
-                "dynamic",
-                f"{result.dynamic.places} places, {result.dynamic.area_m2:.1f} m2, "
-                f"{len(result.dynamic.landmarks)} landmarks in them",
-            )
-        )
-    print_rows([*rows, *seconds_rows(result.seconds, result.cpu_s)], console)
-    print_remarks(result.remarks, console)
+    if (moving := result.dynamic) is not None:
+        rows += [
+            Row("Moving objects", "places", f"{moving.places}"),
+            Row("Moving objects", "area", f"{moving.area_m2:.1f} m2"),
+            Row("Moving objects", "landmarks in these places", f"{len(moving.landmarks)}"),
+        ]
+    return [*rows, *seconds_rows(result.seconds, result.cpu_s)]
 
 
 def map_folder(mapping: DenseMapping, result: MapResult) -> JobFolder:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from comparisons.report.models import AgreementResult, Result, TruthGapResult
+
+if TYPE_CHECKING:
+    from comparisons.report.check import TraceResult
 
 EKF = "EKF"
 LINEAR = "linear problem, EKF's matrices"
@@ -40,7 +44,7 @@ def ladder(result: Result) -> list[Step]:
     return [*gap_steps(result.agreement, failed), *truth_steps(result.truth_gap, failed)]
 
 
-def gap_steps(gaps: AgreementResult, failed: Collection[str]) -> list[Step]:
+def gap_steps(gaps: AgreementResult | TraceResult, failed: Collection[str]) -> list[Step]:
     """Return the three gaps between EKF and smoother. failed: gaps of the causes."""
     return [
         Step(

@@ -1,4 +1,4 @@
-"""What `slamcheck odometry` reports: odometry.json, rows for a terminal, and its folder."""
+"""What `slamcheck odometry` reports: odometry.json, what is printed, and its folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from rich.console import Console
 
 from comparisons.estimates.folder import tum_text
 from comparisons.extensions.interface import Row
@@ -28,10 +27,9 @@ from comparisons.report.folder import JobFolder
 from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, LogResult, SmootherResult
 from comparisons.report.rows import (
+    accuracy_line,
     accuracy_rows,
     log_rows,
-    print_rows,
-    print_verdict,
     seconds_rows,
     smoother_rows,
 )
@@ -42,6 +40,7 @@ from comparisons.report.sections import (
     smoother_result,
 )
 from comparisons.report.settings import SettingsResult, settings_result, settings_rows
+from comparisons.report.terminal import STYLES, Summary
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.scan.clouds import write_cloud
 
@@ -106,21 +105,38 @@ def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> Fr
     )
 
 
-def print_front_end(result: FrontEndResult, console: Console) -> None:
-    """Print log, evidence, accuracy and verdict."""
-    rows = [
-        *log_rows(result.log),
-        *settings_rows(result.settings),
-        *scan_odometry_rows(result.odometry, result.increments),
-        Row("loops", f"{result.loops.closed} closed of {result.loops.tried} tried"),
-        *smoother_rows(result.graph),
-        *accuracy_rows("wheels", result.wheels),
-        *accuracy_rows("scan odometry", result.scan_odometry),
-        *accuracy_rows("scan graph", result.scan_graph),
-        *seconds_rows(result.seconds, result.cpu_s),
-    ]
-    print_rows(rows, console)
-    print_verdict(result.verdict, console, remarks=result.remarks)
+def front_end_summary(result: FrontEndResult) -> Summary:
+    """Return what the command prints: outcome, scans, loop closures and accuracy."""
+    o, verified = result.odometry, result.verdict == "verified"
+    lacks = [result.graph.lacks] if result.graph.lacks else []
+    each = {
+        "wheels": result.wheels,
+        "scans": result.scan_odometry,
+        "scans with loops": result.scan_graph,
+    }
+    return Summary(
+        headline=f"verdict: {result.verdict}",
+        style=STYLES[result.verdict],
+        reasons=[] if verified else lacks,
+        remarks=result.remarks,
+        lines=[
+            ("scans", f"{o.used:,} of {o.scans:,} scans used, {o.breaks} restarts"),
+            ("loops", f"{result.loops.closed} closed of {result.loops.tried} tried"),
+            *accuracy_line(each),
+        ],
+        rows=[
+            *log_rows(result.log),
+            *settings_rows(result.settings),
+            *scan_odometry_rows(o, result.increments),
+            Row("Loop closure", "pairs of poses tried", f"{result.loops.tried:,}"),
+            Row("Loop closure", "pairs of poses closed", f"{result.loops.closed:,}"),
+            *smoother_rows(result.graph),
+            *accuracy_rows("the wheels", result.wheels),
+            *accuracy_rows("scan odometry", result.scan_odometry),
+            *accuracy_rows("the scan graph", result.scan_graph),
+            *seconds_rows(result.seconds, result.cpu_s),
+        ],
+    )
 
 
 def front_end_folder(front_end: FrontEnd, result: FrontEndResult) -> JobFolder:

@@ -1,13 +1,16 @@
-"""From a comparison to the model of `result.json`, and to the rows of its table."""
+"""From a comparison to the model of `result.json`, to rows of figures, and to what is printed."""
 
 from __future__ import annotations
-
-from rich.console import Console
 
 from comparisons.extensions.interface import Row
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
-from comparisons.report.consistency_result import consistency_result, consistency_rows
+from comparisons.report.consistency_result import (
+    consistency_line,
+    consistency_result,
+    consistency_rows,
+)
+from comparisons.report.ladder import ladder
 from comparisons.report.model import finite
 from comparisons.report.models import (
     SCHEMA,
@@ -19,16 +22,16 @@ from comparisons.report.models import (
     Result,
 )
 from comparisons.report.rows import (
+    accuracy_line,
     accuracy_rows,
+    agreeing,
     association_rows,
+    block_rows,
     ekf_rows,
-    gap_row,
-    last_pose_row,
+    gap_rows,
     log_rows,
-    print_rows,
-    print_verdict,
+    pose_words,
     seconds_rows,
-    shown,
     smoother_rows,
 )
 from comparisons.report.sections import (
@@ -43,6 +46,7 @@ from comparisons.report.sections import (
     truth_gap_result,
 )
 from comparisons.report.settings import settings_result, settings_rows
+from comparisons.report.terminal import STYLES, Summary
 
 
 def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
@@ -77,65 +81,58 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
 def run_rows(comparison: Comparison, result: Result) -> list[Row]:
     """Return log, evidence, gaps and accuracy, then what the extensions found."""
     extensions = [row for found in comparison.findings.values() for row in found.rows()]
-    accuracy = result.accuracy
+    gaps, accuracy = result.agreement, result.accuracy
     figures: list[Row] = []
     if accuracy is not None:
-        figures += accuracy_rows("EKF accuracy", accuracy.ekf)
-        figures += accuracy_rows("smoother accuracy", accuracy.smoother)
+        figures += accuracy_rows("the EKF", accuracy.ekf)
+        figures += accuracy_rows("the smoother", accuracy.smoother)
         figures += accuracy_rows("dead reckoning", accuracy.dead_reckoning)
     return [
         *log_rows(result.log),
         *(settings_rows(result.settings) if result.settings else ()),
         *ekf_rows(result.ekf),
         *smoother_rows(result.smoother),
-        *gap_rows(result.agreement),
-        *(Row(*row) for row in consistency_rows(result.consistency)),
+        *gap_rows(ladder(result)),
+        agreeing(gaps.landmarks, "EKF"),
+        Row(
+            "Map, EKF and smoother",
+            "difference of the positions (rms)",
+            f"{gaps.landmark_difference_rms_m:.3f} m",
+        ),
+        *block_rows("Last pose", "EKF", gaps.pose),
+        *block_rows("Last pose and map jointly", "EKF", gaps.map),
+        *consistency_rows(result.consistency),
         *figures,
-        *association_rows(result.association),
+        *association_rows(result.association, "the filter"),
         *extensions,
     ]
 
 
-def gap_rows(gaps: AgreementResult) -> list[Row]:
-    """Return the gaps, and how many landmarks agree."""
-    rows = [
-        gap_row(name, sigma, covariance)
-        for name, sigma, covariance in (
-            ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
-            ("model gap", gaps.model_gap_sigma, gaps.model_gap_covariance),
-            ("linearisation gap", gaps.linearisation_gap_sigma, gaps.linearisation_gap_covariance),
-        )
-    ]
-    agreeing = sum(row.agrees for row in gaps.landmarks)
-    return [
-        *rows,
-        Row(
-            "optimism",
-            f"{shown(gaps.optimism, '.3g')} (EKF's variance over the smoother's, worst direction; "
-            f"largest {shown(gaps.pessimism, '.3g')})",
-        ),
-        Row(
-            "landmarks",
-            f"{agreeing} of {len(gaps.landmarks)} agree; EKF and smoother "
-            f"{gaps.landmark_difference_rms_m:.3f} m apart (rms)",
-        ),
-        last_pose_row(gaps.pose),
-    ]
-
-
-def print_run(comparison: Comparison, result: Result, console: Console) -> None:
-    """Print the table, the verdict and its causes."""
-    print_rows(
-        [*run_rows(comparison, result), *seconds_rows(result.seconds, result.cpu_s)], console
-    )
-    print_verdict(
-        result.verdict,
-        console,
-        result.causes,
-        result.remarks,
-        qualifiers=result.qualifiers,
-        summary=result.summary,
-        failed_on=result.failed_on,
+def run_summary(comparison: Comparison, result: Result) -> Summary:
+    """Return what the command prints."""
+    c, gaps = result.consistency, result.agreement
+    agree = sum(row.agrees for row in gaps.landmarks)
+    accuracy: dict[str, AccuracyResult | None] = {}
+    if (a := result.accuracy) is not None:
+        accuracy = {"EKF": a.ekf, "smoother": a.smoother, "odometry": a.dead_reckoning}
+    failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
+    qualified = result.verdict == "agree" and result.qualifiers
+    return Summary(
+        headline=f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}",
+        style=STYLES["unverified" if qualified else result.verdict],
+        causes=result.causes,
+        remarks=result.remarks,
+        steps=ladder(result),
+        lines=[
+            (
+                "agreement",
+                f"{agree} of {len(gaps.landmarks)} landmarks "
+                f"({gaps.landmark_difference_rms_m:.3f} m rms); {pose_words(gaps.pose)}",
+            ),
+            *consistency_line(result.inconsistent, c.ekf, c.filter_against_smoother, c.innovations),
+            *accuracy_line(accuracy),
+        ],
+        rows=[*run_rows(comparison, result), *seconds_rows(result.seconds, result.cpu_s)],
     )
 
 

@@ -1,240 +1,293 @@
-"""Rows of figures that several jobs print, and the table that they make on a terminal."""
+"""Rows of figures that several jobs report: one figure a row, in groups."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
-from comparisons.checks.causes import GAPS
 from comparisons.checks.verdict import rounded
 from comparisons.extensions.interface import Row
+from comparisons.report.ladder import Step
 from comparisons.report.models import (
     AccuracyResult,
     AssociationCheckResult,
     AssociationResult,
     BlockResult,
-    CauseResult,
     EkfResult,
     LogResult,
     SmootherResult,
 )
 
-_STYLE = {
-    "agree": "bold green",
-    "verified": "bold green",
-    "disagree": "bold red",
-    "unverified": "bold yellow",
-}
-
-
-def print_rows(rows: Iterable[Row], console: Console) -> None:
-    """Print a table of names and texts."""
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, text in rows:
-        table.add_row(escape(name), escape(text))
-    console.print(table)
-
-
-def print_verdict(
-    verdict: str,
-    console: Console,
-    causes: Sequence[CauseResult] = (),
-    remarks: Sequence[str] = (),
-    *,
-    qualifiers: Sequence[str] = (),
-    summary: str = "",
-    failed_on: Sequence[str] = (),
-) -> None:
-    """Print the outcome, why, and what else there is to know. summary: in the outcome's place."""
-    style = "bold yellow" if qualifiers and verdict == "agree" else _STYLE[verdict]
-    headline = escape(summary or verdict)
-    failed = f" (fails on {', '.join(failed_on)})" if failed_on else ""
-    console.print(f"verdict: [{style}]{headline}[/]{failed}", highlight=False)
-    for cause in causes:
-        name = f"{cause.gap} gap" if cause.gap in GAPS else cause.gap
-        console.print(f"  {name}: {escape(cause.evidence)}", highlight=False)
-        console.print(f"    {escape(cause.hint)}", style="dim", highlight=False)
-    print_remarks(remarks, console)
-
-
-def print_remarks(remarks: Sequence[str], console: Console) -> None:
-    """Print sentences that change no verdict."""
-    for remark in remarks:
-        console.print(f"  note: {escape(remark)}", highlight=False)
+_EXACT = ("algebra", "model")
+"""Gaps that only rounding may leave open."""
 
 
 def log_rows(log: LogResult) -> list[Row]:
-    """What was read."""
+    """Return what was read."""
     times = log.provenance.get("times")
-    note = f", {times}" if times else ""
     return [
-        Row("log", f"{log.name} ({log.format}), {log.duration_s:.0f} s{note}"),
-        Row("records", ", ".join(f"{n:,} {name}" for name, n in log.records.items())),
+        Row("Log", "name", log.name),
+        Row("Log", "format", log.format),
+        Row("Log", "duration", f"{log.duration_s:.0f} s"),
+        *([Row("Log", "time stamps", times)] if times else ()),
+        *(Row("Log", f"{known_as(name)}, records", f"{n:,}") for name, n in log.records.items()),
     ]
 
 
 def ekf_rows(ekf: EkfResult) -> list[Row]:
-    """The filter and what it used."""
-    attributes = {"on": ", attributes", "layer": ", attributes of a layer"}
-    rows = [
-        Row(
-            "EKF",
-            f"{ekf.filter}, {ekf.landmarks} landmarks; measurements {ekf.rejected} rejected, "
-            f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association}"
-            + attributes.get(ekf.attributes, "")
-            + ")",
-        )
+    """Return the filter, and which measurements it used."""
+    used = {
+        "measurements rejected": ekf.rejected,
+        "ambiguous measurements": ekf.ambiguous,
+        "measurements of candidates": ekf.candidate,
+    }
+    found = [
+        ("filter", ekf.filter),
+        ("association", ekf.association),
+        ("landmarks", f"{ekf.landmarks:,}"),
+        *((name, f"{count:,}") for name, count in used.items()),
     ]
+    if ekf.attributes != "off":
+        kept = "of a dense layer" if ekf.attributes == "layer" else ekf.attributes
+        found.append(("attributes in the association", kept))
     if ekf.dynamic or ekf.deactivated:
-        found = f"{ekf.dynamic} measurements discarded, {ekf.deactivated} landmarks deactivated"
-        rows.append(Row("dynamic", found))
+        found += [
+            ("measurements of moving objects, left out", f"{ekf.dynamic:,}"),
+            ("landmarks on moving objects, deactivated", f"{ekf.deactivated:,}"),
+        ]
     if ekf.global_updates:
-        spared = f"sparing {100 * ekf.global_update_spared:.0f} % of the passive covariance"
-        rows.append(Row("global updates", f"{ekf.global_updates}, {spared}"))
+        found += [
+            ("global updates", f"{ekf.global_updates:,}"),
+            (
+                "passive covariance that a global update leaves unchanged",
+                f"{100 * ekf.global_update_spared:.0f} %",
+            ),
+        ]
     if ekf.gps != "off":
-        used = f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected"
+        found += [
+            ("positions fused", f"{ekf.fixes_fused:,}"),
+            ("positions rejected", f"{ekf.fixes_rejected:,}"),
+        ]
         if ekf.longest_streak:
-            used += (
-                f" ({ekf.fixes_in_streaks} in streaks of 5 or more, longest {ekf.longest_streak}; "
-                f"{ekf.fixes_rejected_by_smoother} by the smoother, too)"
-            )
-        rows.append(Row("positions", used))
-    return rows
+            found += [
+                ("positions rejected five or more in a row", f"{ekf.fixes_in_streaks:,}"),
+                ("positions rejected in a row, most", f"{ekf.longest_streak:,}"),
+                (
+                    "positions rejected that the smoother's optimum rejects, too",
+                    f"{ekf.fixes_rejected_by_smoother:,}",
+                ),
+            ]
+    return [Row("EKF", *one) for one in found]
 
 
 def smoother_rows(smoother: SmootherResult) -> list[Row]:
-    """The smoother's evidence."""
-    # A robust kernel changes chi-square.
-    tested = f"for {smoother.dof} dof" if smoother.dof else "under a robust kernel, not tested"
-    rows = [
-        Row(
-            "smoother",
-            f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
-            f"{'optimum verified' if smoother.verified else 'optimum NOT verified'} "
-            f"(chi2 {rounded(smoother.chi2)} {tested})",
+    """Return the smoother, and the evidence for its optimum."""
+    optimum = "verified" if smoother.verified else f"NOT verified: {smoother.lacks}"
+    found = [
+        Row("Smoother", "optimum", optimum, "verified", smoother.verified),
+        Row("Smoother", "poses", f"{smoother.poses:,}"),
+        Row("Smoother", "error (half the chi-square)", f"{smoother.error:.2f}"),
+        _chi_square(smoother),
+        *(
+            Row("Smoother", f"error from the start {one.name}", shown(one.error, ".2f"))
+            for one in smoother.starts
+            if not one.name.startswith("random")
         ),
-        Row("starts", _starts(smoother)),
     ]
-    if len(smoother.minima) > 1:
-        rows.append(Row("minima", _minima(smoother)))
-    if smoother.method != "batch":
-        far = f"{shown(smoother.distance_sigma, '.2g')} sigma from the optimum at most"
-        rows.append(Row(smoother.method, far))
-    if smoother.robust != "none":
-        rows.append(
-            Row(
-                "robust",
-                f"{smoother.robust}: {smoother.rejected_measurements} measurements and "
-                f"{smoother.rejected_positions} positions left out",
-            )
-        )
-    return rows
-
-
-def _starts(smoother: SmootherResult) -> str:
-    reported = [s for s in smoother.starts if not s.name.startswith("random")]
-    parts = [f"{s.name} {shown(s.error, '.2f')}" for s in reported]
     if smoother.random_starts:
-        parts.append(
-            f"{smoother.random_starts} random ({smoother.chance_missed:.1%} chance of missing a "
-            "basin as wide)"
-        )
+        missed = "chance that the random starts miss a basin as wide as the lowest one"
+        found += [
+            Row("Smoother", "random starts", f"{smoother.random_starts:,}"),
+            Row("Smoother", missed, f"{smoother.chance_missed:.1%}"),
+        ]
     if smoother.hops:
-        parts.append(f"{smoother.hops} hops")
-    return ", ".join(parts)
+        tried = "alternatives tried"
+        found.append(Row("Smoother", tried, f"{smoother.hops:,}"))
+    found += _second_minimum(smoother)
+    if smoother.method != "batch":
+        far = f"largest distance of the {smoother.method} estimate from the optimum"
+        found.append(Row("Smoother", far, in_sigma(smoother.distance_sigma)))
+    if smoother.robust != "none":
+        found += [
+            Row("Smoother", "robust kernel", smoother.robust),
+            Row("Smoother", "measurements left out", f"{smoother.rejected_measurements:,}"),
+            Row("Smoother", "positions left out", f"{smoother.rejected_positions:,}"),
+        ]
+    return found
 
 
-def _minima(smoother: SmootherResult) -> str:
-    second = smoother.minima[1]
-    place = f"pose at {second.time_s:.1f} s by {second.pose_m:.3g} m"
-    if second.landmark is not None and second.landmark_m > second.pose_m:
-        place = f"landmark {second.landmark} by {second.landmark_m:.3g} m"
-    return (
-        f"{len(smoother.minima)} found; the next has error {second.error:.2f} and moves the {place}"
+def _chi_square(smoother: SmootherResult) -> Row:
+    """Return chi-square with its band; a robust kernel changes it, and leaves no band."""
+    chi2 = rounded(smoother.chi2)
+    if not smoother.dof:
+        return Row("Smoother", "chi-square under the robust kernel (not tested)", chi2)
+    low, high = smoother.chi2_band
+    return Row(
+        "Smoother",
+        f"chi-square (expected {smoother.dof})",
+        chi2,
+        band(rounded(low), rounded(high)),
+        low <= smoother.chi2 <= high,
     )
 
 
-def association_rows(association: AssociationResult | None) -> list[Row]:
-    """How an association made without labels scores."""
+def _second_minimum(smoother: SmootherResult) -> list[Row]:
+    if len(smoother.minima) < 2:
+        return []
+    second = smoother.minima[1]
+    place, far = f"the pose at {second.time_s:.1f} s", second.pose_m
+    if second.landmark is not None and second.landmark_m > second.pose_m:
+        place, far = f"landmark {second.landmark}", second.landmark_m
+    return [
+        Row("Smoother", "distinct minima found", f"{len(smoother.minima)}"),
+        Row("Smoother", "error at the second lowest minimum", f"{second.error:.2f}"),
+        Row("Smoother", f"shift of {place} to the second lowest minimum", f"{far:.3g} m"),
+    ]
+
+
+def association_rows(association: AssociationResult | None, whose: str) -> list[Row]:
+    """Return how an association made without labels scores. whose: as `the filter's`."""
     if association is None:
         return []
-    count = "" if association.used is None else f" ({association.used} for {association.labelled})"
-    parts = [(f"landmarks{count}", association.landmarks)]
+    group = f"Association by {whose} against the log's labels"
+    found = []
+    if association.used is not None:
+        found += [
+            Row(group, "landmarks used", f"{association.used:,}"),
+            Row(group, "landmarks labelled", f"{association.labelled:,}"),
+        ]
+    kinds = [("same landmark", association.landmarks)]
     if association.clusters is not None:
-        parts.append(("clusters", association.clusters))
-    scores = (f"{n}: precision {p.precision:.3f}, recall {p.recall:.3f}" for n, p in parts)
-    return [Row("association", "; ".join(scores) + " (pairs of measurements)")]
+        kinds.append(("same cluster of landmarks", association.clusters))
+    for name, pairs in kinds:
+        found += [
+            Row(group, f"pairs of measurements, {name}: precision", f"{pairs.precision:.3f}"),
+            Row(group, f"pairs of measurements, {name}: recall", f"{pairs.recall:.3f}"),
+        ]
+    return found
 
 
 def association_check_rows(check: AssociationCheckResult | None) -> list[Row]:
-    """How an association compares with others of the same measurements."""
-    if check is None:
+    """Return how an association compares with others of the same measurements."""
+    group = "Association compared with other ways to associate"
+    found = []
+    for one in () if check is None else check.variants:
+        alike, far = f"{100.0 * one.agreement:.1f} %", in_sigma(one.apart_sigma)
+        against = "yes" if one.against else "no"
+        found += [
+            Row(group, f"{one.name}: pairs of measurements alike", alike),
+            Row(group, f"{one.name}: difference of the poses (rms)", far),
+            Row(group, f"{one.name}: contradicts the association", against, "no", not one.against),
+        ]
+    return found
+
+
+def accuracy_rows(of: str, a: AccuracyResult | None) -> list[Row]:
+    """Return errors against truth or GPS. of: whose, as `the EKF`."""
+    if a is None:
         return []
-    parts = (
-        f"{v.name} {100.0 * v.agreement:.1f} % of pairs, {shown(v.apart_sigma, '.2g')} sigma"
-        + (" AGAINST" if v.against else "")
-        for v in check.variants
-    )
-    return [Row("association check", "; ".join(parts))]
+    metres = {
+        "path (ATE)": a.ate_m,
+        "path, aligned (ATE)": a.ate_aligned_m,
+        "motion over 10 m (RPE)": a.rpe_10m_m,
+        "landmarks (rms)": a.landmark_rmse_m,
+        "landmarks, aligned (rms)": a.landmark_rmse_aligned_m,
+        "distance to GPS (median)": a.gps_median_m,
+        "distance to GPS, aligned (median)": a.gps_median_aligned_m,
+        "distance to GPS, aligned (rms)": a.gps_rms_aligned_m,
+    }
+    found = [(name, f"{value:.3f} m") for name, value in metres.items() if value is not None]
+    if a.rpe_10m_rad is not None:
+        found.append(("turn over 10 m (RPE)", f"{math.degrees(a.rpe_10m_rad):.2f} deg"))
+    if a.landmarks_true is not None:
+        found.append(("true landmarks found", f"{a.landmarks_found} of {a.landmarks_true}"))
+    if a.coverage is not None:
+        found.append(("coverage of the log's time", f"{100 * a.coverage:.1f} %"))
+    return [Row(f"Accuracy of {of}", *one) for one in found]
 
 
-def accuracy_rows(name: str, accuracy: AccuracyResult | None) -> list[Row]:
-    """Errors against truth or GPS."""
-    return [] if accuracy is None else [Row(name, _accuracy(accuracy))]
+def accuracy_line(each: Mapping[str, AccuracyResult | None]) -> list[tuple[str, str]]:
+    """Return one line with an error of each estimate, by the best reference that all have."""
+    for name, field in (
+        ("ATE", "ate_m"),
+        ("to GPS (median)", "gps_median_m"),
+        ("landmarks (rms)", "landmark_rmse_m"),
+    ):
+        found = {whose: getattr(a, field) for whose, a in each.items() if a is not None}
+        known = [f"{whose} {value:.3g} m" for whose, value in found.items() if value is not None]
+        if known:
+            return [("accuracy", f"{name}: {', '.join(known)}")]
+    return []
 
 
 def seconds_rows(seconds: Mapping[str, float], cpu_s: Mapping[str, float] | None) -> list[Row]:
-    """The time of each stage on the wall, which a busy machine stretches, and of the processor."""
-    spent = {"seconds": seconds, "seconds of CPU": cpu_s or {}}
+    """Return the time of each stage on the wall, which a busy machine stretches, and of the CPU."""
+    spent = {"Wall time": seconds, "Processor time": cpu_s or {}}
     return [
-        Row(name, ", ".join(f"{stage} {s:.2f}" for stage, s in each.items()))
-        for name, each in spent.items()
-        if each
+        Row(group, stage, f"{s:.2f} s")
+        for group, each in spent.items()
+        for stage, s in each.items()
     ]
 
 
-def gap_row(name: str, sigma: float | None, covariance: float | None) -> Row:
-    """Return a gap between two estimates, None being infinite."""
-    return Row(name, f"{shown(sigma, '.2g')} sigma, {shown(covariance, '.2g')} in covariance")
+def gap_rows(steps: Sequence[Step]) -> list[Row]:
+    """Return the gaps of the chain of estimates; those that must be rounding alone are marked."""
+    found = []
+    for step in steps:
+        group = f"{step.gap.capitalize()} gap: {step.above} to {step.below}"
+        judged = step.gap in _EXACT or step.fails
+        limit = "rounding" if step.gap in _EXACT else "small" if step.fails else ""
+        inside = not step.fails if judged else None
+        found.append(Row(group, "difference of the means", in_sigma(step.sigma), limit, inside))
+        if step.error_m is not None:
+            found.append(Row(group, "error (rms)", f"{step.error_m:.3g} m"))
+        else:
+            far = shown(step.covariance, ".2g")
+            found.append(Row(group, "difference of covariances, relative", far))
+    return found
 
 
-def last_pose_row(pose: BlockResult) -> Row:
-    """Return how two estimates agree in the last pose."""
+def block_rows(part: str, whose: str, block: BlockResult) -> list[Row]:
+    """Return how an estimate agrees with the smoother's. part: of the state. whose: as `EKF`."""
+    ratios = (shown(v, ".3g") for v in (block.variance_ratio_least, block.variance_ratio_largest))
+    group, agrees = f"{part}, {whose} and smoother", "yes" if block.agrees else "no"
+    return [
+        Row(group, "agrees", agrees, "yes", block.agrees),
+        Row(group, "difference of the positions", f"{block.difference_m:.3f} m"),
+        Row(group, "difference of the means", in_sigma(block.distance_sigma)),
+        Row(group, f"variances, {whose} over smoother", band(*ratios)),
+    ]
+
+
+def agreeing(blocks: Sequence[BlockResult], whose: str) -> Row:
+    """Return how many landmarks agree. whose: with the smoother's, as `EKF`."""
+    count = sum(one.agrees for one in blocks)
+    value = f"{count} of {len(blocks)}"
     return Row(
-        "last pose",
-        f"{'agrees' if pose.agrees else 'disagrees'}: {pose.difference_m:.3f} m apart, "
-        f"{pose.distance_sigma:.2g} sigma",
+        f"Map, {whose} and smoother", "landmarks that agree", value, "all", count == len(blocks)
     )
 
 
+def pose_words(pose: BlockResult) -> str:
+    """Return in words how two estimates agree in the last pose."""
+    return f"last pose {'agrees' if pose.agrees else 'disagrees'} ({in_sigma(pose.distance_sigma)})"
+
+
+def known_as(name: str) -> str:
+    """Return the name of a stream or of a reason as users know it."""
+    return name.replace("measurement", "measurement")
+
+
+def band(low: object, high: object) -> str:
+    """Return limits in words."""
+    return f"{low} to {high}"
+
+
+def in_sigma(value: float | None) -> str:
+    """Return a distance; none where it is infinite."""
+    return "infinite" if value is None else f"{value:.2g} sigma"
+
+
 def shown(value: float | None, form: str) -> str:
-    """A number in a format; `none` where there is none."""
+    """Return a number in a format; `none` where there is none."""
     return "none" if value is None else format(value, form)
-
-
-def _accuracy(a: AccuracyResult) -> str:
-    parts = []
-    if a.ate_m is not None:
-        parts.append(f"ATE {a.ate_m:.3f} m (aligned {shown(a.ate_aligned_m, '.3f')})")
-    if a.rpe_10m_m is not None and a.rpe_10m_rad is not None:
-        turned = math.degrees(a.rpe_10m_rad)
-        parts.append(f"RPE over 10 m {a.rpe_10m_m:.3f} m, {turned:.2f} degrees")
-    for name, plain, aligned in (
-        ("landmarks", a.landmark_rmse_m, a.landmark_rmse_aligned_m),
-        ("GPS median", a.gps_median_m, a.gps_median_aligned_m),
-    ):
-        if plain is not None:
-            parts.append(f"{name} {plain:.3f} m (aligned {shown(aligned, '.3f')})")
-    if a.gps_rms_aligned_m is not None:
-        parts.append(f"GPS RMS aligned {a.gps_rms_aligned_m:.3f} m")
-    if a.landmarks_true is not None:
-        parts.append(f"{a.landmarks_found} of {a.landmarks_true} true landmarks found")
-    if a.coverage is not None:
-        parts.append(f"coverage {100 * a.coverage:.1f} %")
-    return ", ".join(parts)

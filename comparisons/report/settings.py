@@ -1,4 +1,4 @@
-"""Which of a run's settings are not the documents', as a row and an entry of the result."""
+"""Which of a run's settings are not the documents', as rows and an entry of the result."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ from comparisons.documented.preset import differing
 from comparisons.documented.row import Value, shown
 from comparisons.extensions.interface import Row
 from comparisons.report.model import Model
-
-_LISTED = 4
-"""Settings in the row; the result has all."""
 
 
 class DifferingSetting(Model):
@@ -63,18 +60,11 @@ def _in_json(value: Any) -> Any:
 
 
 def settings_rows(settings: SettingsResult) -> list[Row]:
-    """Return a row where there is something to say."""
-    shown_ones = [
-        f"{one.setting} = {shown(one.value)} ({one.place}: {shown(one.document)})"
-        for one in settings.differing
+    """Return the preset, and each setting that a document states at another value."""
+    return [
+        Row("Settings", "preset", settings.preset),
+        *(
+            Row("Settings", one.setting, shown(one.value), f"{shown(one.document)} in {one.place}")
+            for one in settings.differing
+        ),
     ]
-    if not shown_ones:
-        text = "no setting differs from a document's"
-        return [] if settings.preset == "recommended" else [Row("settings", _line(settings, text))]
-    more = len(shown_ones) - _LISTED
-    listed = "; ".join(shown_ones[:_LISTED]) + (f" and {more} more" if more > 0 else "")
-    return [Row("settings", _line(settings, f"not as documented: {listed}"))]
-
-
-def _line(settings: SettingsResult, text: str) -> str:
-    return f"{settings.preset}; {text}"

@@ -30,6 +30,8 @@ _SAME = 1e-9
 """Figures closer than this, relative, are one."""
 _TEXT = 16
 """Characters after which a word of a cell goes on in the next line; figures never do."""
+_NAME = 28
+"""Least columns of the names of figures, which are broken to have all results in one block."""
 _FILES: dict[str, tuple[str, dict[str, str]]] = {
     "result": ("run", {}),
     "solution": (
@@ -96,8 +98,9 @@ def side_by_side(results: Sequence[Found], only: Sequence[str] = ()) -> list[Row
 
 def print_side_by_side(titles: Sequence[str], rows: Sequence[Row], console: Console) -> None:
     """Print a column per result, in as many blocks as the width asks for."""
-    first = max(len(name) for name, _ in rows)
     widths = [_width(title, [cells[i] for _, cells in rows]) for i, title in enumerate(titles)]
+    room = max(_NAME, console.width - 2 - sum(width + 2 for width in widths))
+    first = max(len(line) for name, _ in rows for line in _folded(name, room))
     blocks = _blocks(widths, console.width - first - 2)
     console.width = max(console.width, first + 4 + max(widths))  # of one figure, else rich cuts it
     for block in blocks:
@@ -107,7 +110,10 @@ def print_side_by_side(titles: Sequence[str], rows: Sequence[Row], console: Cons
             table.add_column(Text(printable(titles[i])), overflow="fold", width=widths[i])
         for name, cells in rows:
             if _reported([cells[i] for i in block]):
-                table.add_row(name, *(Text(printable(_short(cells[i]))) for i in block))
+                table.add_row(
+                    "\n".join(_folded(name, room)),
+                    *(Text(printable(_short(cells[i]))) for i in block),
+                )
         console.print(table)
 
 
@@ -158,15 +164,15 @@ def _words(found: Mapping[str, Any], job: str) -> dict[str, str]:
     causes = found.get("causes")
     first = causes[0] if isinstance(causes, list) and causes else {}
     words = {
+        "verdict": _at(found, "verdict"),
+        "first cause": _at(first, "gap"),
+        "grade": _at(found, "grade"),
         "job": job,
         "log": _at(found, "log", "name") or _at(found, "scenario"),
         "filter": _at(found, "ekf", "filter"),
         "association": association,
         "attributes": _at(found, "ekf", "attributes"),
         "gps": gps,
-        "grade": _at(found, "grade"),
-        "verdict": _at(found, "verdict"),
-        "first cause": _at(first, "gap"),
     }
     return {name: word for name, word in words.items() if word or name == "first cause"}
 
@@ -212,6 +218,19 @@ def _width(title: str, cells: Sequence[Cell]) -> int:
     words = [title, *(cell for cell in cells if isinstance(cell, str))]
     figures = (len(_short(cell)) for cell in cells if not isinstance(cell, str))
     return max(min(_TEXT, max(map(len, words))), *figures, 1)
+
+
+def _folded(name: str, width: int) -> list[str]:
+    """Return a dotted name in lines, broken behind dots where it is too long for one."""
+    first, *parts = name.split(".")
+    lines = [first]
+    for part in parts:
+        if len(lines[-1]) + len(part) + 2 <= width:
+            lines[-1] += f".{part}"
+        else:
+            lines[-1] += "."
+            lines.append(f"  {part}")
+    return lines
 
 
 def _blocks(widths: Sequence[int], most: int) -> list[list[int]]:

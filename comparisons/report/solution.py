@@ -1,11 +1,10 @@
-"""What `slamcheck solve` reports: solution.json, rows for a terminal, and its folder."""
+"""What `slamcheck solve` reports: solution.json, what is printed, and its folder."""
 
 from __future__ import annotations
 
 import numpy as np
-from rich.console import Console
 
-from comparisons.checks.verdict import misfit_remarks
+from comparisons.checks.verdict import misfit_remarks, rounded
 from comparisons.extensions.interface import Row
 from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
@@ -13,12 +12,11 @@ from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import (
+    accuracy_line,
     accuracy_rows,
     association_check_rows,
     association_rows,
     log_rows,
-    print_rows,
-    print_verdict,
     seconds_rows,
     smoother_rows,
 )
@@ -31,6 +29,7 @@ from comparisons.report.sections import (
     smoother_result,
 )
 from comparisons.report.settings import settings_result, settings_rows
+from comparisons.report.terminal import STYLES, Summary
 from graphslam.g2o import G2oContents, holds, write_g2o
 
 LARGEST_DRAWN = 150
@@ -77,41 +76,54 @@ def _pose_graph(solution: Solution) -> PoseGraphResult | None:
     )
 
 
-def print_solution(result: SolutionResult, console: Console) -> None:
-    """Print log, evidence, accuracy and verdict."""
-    total = result.log.records["measurements"]
-    rows = [
-        *log_rows(result.log),
-        *settings_rows(result.settings),
-        Row(
-            "map",
-            f"{result.landmarks} landmarks from {result.measurements_used:,} of {total:,} "
-            "measurements "
-            f"({result.association_by})",
-        ),
-        *_pose_graph_rows(result),
-        *smoother_rows(result.smoother),
-        *accuracy_rows("accuracy", result.accuracy),
-        *accuracy_rows("dead reckoning", result.dead_reckoning),
-        *association_rows(result.association),
-        *association_check_rows(result.association_check),
-        *seconds_rows(result.seconds, result.cpu_s),
-    ]
-    print_rows(rows, console)
-    print_verdict(result.verdict, console, remarks=result.remarks)
+def solution_summary(result: SolutionResult) -> Summary:
+    """Return what the command prints: outcome, map, evidence and accuracy."""
+    measurements, smoother = result.log.records["measurements"], result.smoother
+    tested = f"chi-square {rounded(smoother.chi2)}"
+    if smoother.dof:
+        tested += f" for {smoother.dof:,} degrees of freedom"
+    accuracy = {"smoother": result.accuracy, "odometry": result.dead_reckoning}
+    used = "measurements used for the map"
+    return Summary(
+        headline=f"verdict: {result.verdict}",
+        style=STYLES[result.verdict],
+        reasons=() if result.verdict == "verified" else result.remarks,
+        remarks=result.remarks if result.verdict == "verified" else (),
+        lines=[
+            (
+                "map",
+                f"{result.landmarks:,} landmarks from {result.measurements_used:,} of "
+                f"{measurements:,} measurements ({result.association_by})",
+            ),
+            ("optimum", f"{tested}, {smoother.poses:,} poses"),
+            *accuracy_line(accuracy),
+        ],
+        rows=[
+            *log_rows(result.log),
+            *settings_rows(result.settings),
+            Row("Map", "landmarks", f"{result.landmarks:,}"),
+            Row("Map", used, f"{result.measurements_used:,} of {measurements:,}"),
+            Row("Map", "association by", result.association_by),
+            *_pose_graph_rows(result),
+            *smoother_rows(smoother),
+            *accuracy_rows("the smoother", result.accuracy),
+            *accuracy_rows("dead reckoning", result.dead_reckoning),
+            *association_rows(result.association, "the smoother"),
+            *association_check_rows(result.association_check),
+            *seconds_rows(result.seconds, result.cpu_s),
+        ],
+    )
 
 
 def _pose_graph_rows(result: SolutionResult) -> list[Row]:
     graph = result.pose_graph
     if graph is None:
         return []
-    gaps = f", {graph.unmeasured:,} steps without odometry" if graph.unmeasured else ""
     return [
-        Row(
-            "pose graph",
-            f"{result.smoother.poses:,} poses, {graph.loop_closures:,} closures{gaps}; chi2 "
-            f"{graph.initial_chi2:.6g} dead reckoned, {result.smoother.chi2:.6g} at the optimum",
-        )
+        Row("Pose graph", "loop closures", f"{graph.loop_closures:,}"),
+        Row("Pose graph", "steps without odometry", f"{graph.unmeasured:,}"),
+        Row("Pose graph", "chi-square of dead reckoning", f"{graph.initial_chi2:.6g}"),
+        Row("Pose graph", "chi-square at the optimum", f"{result.smoother.chi2:.6g}"),
     ]
 
 

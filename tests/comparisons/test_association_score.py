@@ -79,8 +79,9 @@ def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
     assert (result.clusters.precision, result.clusters.recall) == (1.0, 1.0)
     assert (result.used, result.labelled) == (2, 3)
     assert result.landmarks.precision < 0.8
-    [row] = association_rows(result)
-    assert row.text.startswith("landmarks (2 for 3): precision 0.")
+    rows = {row.quantity: row.value for row in association_rows(result, "the filter")}
+    assert (rows["landmarks used"], rows["landmarks labelled"]) == ("2", "3")
+    assert rows["pairs of measurements, same landmark: precision"].startswith("0.")
 
 
 @pytest.mark.parametrize("rule", ["nn", "jcbb"])

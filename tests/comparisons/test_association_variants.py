@@ -108,7 +108,7 @@ def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) 
     assert len(result.association_check.variants) == 4
     bad = simulated(1, loops=1, noise_scale=6.0)
     write_log_folder(bad, tmp_path / "noisy")
-    done = slamcheck("solve", "noisy", "--association", "own", "--out", "out", cwd=tmp_path)
+    done = slamcheck("solve", "noisy", "-v", "--association", "own", "--out", "out", cwd=tmp_path)
     assert done.returncode == 3, done.stdout
     reported = SolutionResult.model_validate_json((tmp_path / "out" / "solution.json").read_text())
     assert reported.verdict == "unverified"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
@@ -24,7 +24,7 @@ from comparisons.report.consistency_result import nees_rows
 from comparisons.report.models import NeesResult, TruthConsistencyResult
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
-from comparisons.report.result import build_result, print_run
+from comparisons.report.result import build_result, run_rows, run_summary
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
@@ -131,12 +131,11 @@ def test_result_and_rows(comparison: Comparison) -> None:
     assert found["ekf"]["distances"]["dof"] == 60
     assert [one["sensor"] for one in found["innovations"]] == ["measurements", "positions"]
     assert found["filter_against_smoother"]["epochs"] == len(comparison.ekf.timeline.epoch_time_s)
-    console = Console(width=400, record=True)
-    print_run(comparison, result, console)
-    printed = console.export_text()
-    assert "EKF NEES" in printed
-    assert "NIS" in printed
-    assert "EKF - smoother" in printed
+    groups = {row.group for row in run_rows(comparison, result)}
+    assert {"EKF NEES", "Innovations of measurements", "EKF", "Smoother"} < groups
+    (line,) = (text for label, text in run_summary(comparison, result).lines if label[0] == "c")
+    if not result.inconsistent:
+        assert re.fullmatch(r"NEES pose \S+, map \S+; NIS \S+; to .*\(expected 1\)", line)
 
 
 def test_a_broken_covariance_gives_no_nan() -> None:
@@ -175,16 +174,23 @@ def test_without_truth_the_smoother_is_the_measure(short: Log, tmp_path: Path) -
     save(consistency_figure(robust, consistency_panels(robust)), tmp_path / "robust.png")
 
 
-@pytest.mark.parametrize(
-    ("unusable", "told"),
-    [({}, "9.35)"), ({"not positive definite": 4}, "9.35; 4 not positive definite)")],
-)
-def test_covariances_that_are_none_stand_beside_nees(
-    unusable: dict[str, int], reported: str
-) -> None:
+@pytest.mark.parametrize("mean", [2.0, 10.0])
+@pytest.mark.parametrize("unusable", [{}, {"not positive definite": 4}])
+def test_a_nees_has_its_band_and_what_has_none(unusable: dict[str, int], mean: float) -> None:
     pose = NeesResult(
-        dof=3, count=23, mean=2.0, last=2.0, single_band=(0.22, 9.35), inside=0.5, unusable=unusable
+        dof=3,
+        count=23,
+        mean=mean,
+        last=2.0,
+        single_band=(0.22, 9.35),
+        inside=0.5,
+        unusable=unusable,
     )
     others = dict.fromkeys(set(TruthConsistencyResult.model_fields) - {"pose", "too_short"})
-    ((_, row),) = nees_rows("NEES", TruthConsistencyResult(pose=pose, too_short=0, **others))
-    assert row == f"pose 2 of 3 (50 % of 23 in 0.22-{reported}"
+    *rest, found, share = nees_rows("My", TruthConsistencyResult(pose=pose, too_short=0, **others))
+    assert found[:2] == ("My NEES", "pose, mean (expected 3)")
+    assert found[2:] == (f"{mean:.3g}", "0.22 to 9.35 (95 %)", mean == 2.0)
+    assert share[1:3] == ("pose: epochs in the 95 % band", "50 % of 23")
+    assert [(row.quantity, row.value) for row in rest] == [
+        (f"pose: without NEES, {why}", str(count)) for why, count in unusable.items()
+    ]

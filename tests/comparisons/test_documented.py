@@ -15,6 +15,7 @@ from comparisons.documented.preset import SETTINGS, applies, differing, read
 from comparisons.documented.row import Documented, in_code, same, setting_default
 from comparisons.documented.rows import ROWS
 from comparisons.errors import InputError
+from comparisons.extensions.interface import Row
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.bundled import open_log
 from comparisons.logs.transforms.published_sigmas import FORMATS
@@ -179,15 +180,19 @@ def test_extensions_that_are_needed_are_as_published_too() -> None:
 def test_a_result_says_which_settings_are_not_the_documents() -> None:
     ours = settings_result(run_config(dense=["points"]))
     assert "dense_maps.known_apart_m" in [one.setting for one in ours.differing]
-    assert "dense_maps.known_apart_m = 0.5 m, 1.5 m on scan landmarks alone (N 3.5" in (
-        settings_rows(ours)[0].text
-    )
+    (row,) = (row for row in settings_rows(ours) if row.quantity == "dense_maps.known_apart_m")
+    assert row.value == "0.5 m, 1.5 m on scan landmarks alone"
+    assert " in N 3.5" in row.band
     written = json.dumps(ours.model_dump(mode="json"), allow_nan=False)
     assert '"document": "Infinity"' in written  # of the longest edge, which JSON cannot hold
     theirs = settings_result(published_run(dense=["points"]))
-    assert settings_rows(theirs)[0].text == "as-published; no setting differs from a document's"
-    assert settings_rows(settings_result(run_config(association="known"))) == []
-    assert "ekf.nn_gate" in settings_rows(settings_result(run_config(association="nn")))[0].text
+    assert settings_rows(theirs) == [Row("Settings", "preset", "as-published")]
+    by_labels, by_place = (
+        [row.quantity for row in settings_rows(settings_result(run_config(association=rule)))]
+        for rule in ("known", "nn")
+    )
+    assert by_labels == ["preset"]
+    assert "ekf.nn_gate" in by_place
 
 
 def test_what_depends_on_the_format_of_the_log(tmp_path: Path) -> None:

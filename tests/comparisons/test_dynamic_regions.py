@@ -224,13 +224,13 @@ def test_scan_landmarks_of_a_scene_that_is_all_moving_are_hardly_ever_used() -> 
 
 @pytest.mark.slow
 def test_the_commands_write_and_tell(tmp_path: Path) -> None:
-    done = slamcheck("map", "dynamic-places", "--dynamic", "--out", "map", cwd=tmp_path)
+    done = slamcheck("map", "dynamic-places", "-v", "--dynamic", "--out", "map", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "map"
     result = MapResult.model_validate_json((folder / "map.json").read_text())
     assert result.dynamic is not None
     assert result.dynamic.places == 3
-    assert "3 places" in done.stdout
+    assert "Moving objects\n  places  " in done.stdout
     for name in ("dynamic.png", "dynamic-map.png"):
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
     assert len((folder / "dynamic.pgw").read_text().splitlines()) == 6

@@ -312,7 +312,7 @@ def test_the_commands(tmp_path: Path) -> None:
         "check", "simulated-loop", "--estimate", "report/ekf", "--out", "c", cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
-    assert "algebra gap" in done.stdout
+    assert "\nalgebra " in done.stdout
     refused = slamcheck("run", "waypoint-run", "--filter", "misono", "--trace", cwd=tmp_path)
     assert refused.returncode == 2
     assert "--trace is for filters of x, y and heading" in refused.stderr

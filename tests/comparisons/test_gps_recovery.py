@@ -140,5 +140,5 @@ def test_the_report_says_what_was_rejected_in_streaks() -> None:
     result = build_result(c)
     assert result.ekf.longest_streak == result.ekf.fixes_in_streaks == result.ekf.fixes_rejected
     assert any("in streaks of 5 or more" in remark for remark in result.remarks)
-    row = next(row for row in run_rows(c, result) if row[0] == "positions")
-    assert "in streaks of 5 or more, longest" in row[1]
+    rows = {row.quantity: row.value for row in run_rows(c, result) if row.group == "EKF"}
+    assert rows["positions rejected in a row, most"] == str(result.ekf.longest_streak)

@@ -212,9 +212,9 @@ def test_the_command_line(tmp_path: Path) -> None:
     wrong = slamcheck(*run, "high_level.pair_m=0", cwd=tmp_path)
     assert wrong.returncode == 2
     assert "high_level.pair_m is 0: input should be greater than or equal to 1" in wrong.stderr
-    done = slamcheck(*run, "high_level.least=190", cwd=tmp_path)
+    done = slamcheck(*run, "high_level.least=190", "-v", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "high level" in done.stdout
+    assert "High level landmarks\n" in done.stdout
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["high_level"]["searches"] == 2
     page = (tmp_path / "out" / "report.html").read_text()

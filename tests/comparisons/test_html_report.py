@@ -122,9 +122,11 @@ def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -
 def test_figures_are_those_of_the_terminal(comparison: Comparison, report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     rows = run_rows(comparison, build_result(comparison))
-    assert {"log", "EKF", "smoother", "algebra gap"} < {name for name, _ in rows}
-    cells = (f"<tr><td>{escape(row.name)}</td><td>{escape(row.text)}</td></tr>" for row in rows)
-    assert "".join(cells) in text
+    assert {"Log", "EKF", "Smoother"} < {row.group for row in rows}
+    for row in rows:
+        mark = {True: "in", False: "out", None: ""}[row.inside]
+        cells = (escape(cell) for cell in (row.quantity, row.value, row.band, mark))
+        assert f"<td>{'</td><td>'.join(cells)}</td></tr>" in text
 
 
 def test_every_landmark_is_in_the_table_and_on_the_map(

@@ -134,7 +134,7 @@ def test_a_failure_shows_verdict_causes_and_report(
         "E       broken: grade: equal then, wrong now",
         "E       comparisons.errors.InputError: nowhere.tum: no such file or folder, expected",
         "slamcheck: short, estimate late.tum",
-        "\nverdict: disagree\n",
+        "\nverdict: disagree; grade: wrong (required: plausible)\n",
     ):
         assert line in done.stdout, (line, done.stdout)
     assert re.search(r"^E         (time|frame): ", done.stdout, re.MULTILINE)

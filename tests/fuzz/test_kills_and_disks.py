@@ -327,7 +327,7 @@ TARGETS: dict[str, Callable[[Path], object]] = {
     "file, before": atomic.check_file,
     "folder, before": atomic.check_replaceable,
     "study, before": check_folder,
-    "log": lambda path: _start_log(False, path),
+    "log": lambda path: _start_log(path),
     "kitti": lambda path: write_trajectory(
         Trajectory(np.zeros(1), np.zeros((1, 3)), None), path, "kitti"
     ),

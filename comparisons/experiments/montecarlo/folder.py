@@ -1,11 +1,9 @@
-"""What a Monte Carlo study leaves beside its chunks: settings, figures, curves, a short table."""
+"""What a Monte Carlo study leaves beside its chunks: settings, figures, curves, what is printed."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-
-from rich.console import Console
 
 from comparisons.atomic import write_whole
 from comparisons.experiments.montecarlo.chunk_files import CONFIG, LOGS
@@ -22,17 +20,27 @@ from comparisons.experiments.montecarlo.plots import curves_figure
 from comparisons.experiments.montecarlo.statistics import (
     DOF,
     LEVEL,
-    Consistency,
     FilterFigures,
     Pair,
     inside_at_end,
     per_run,
 )
 from comparisons.experiments.montecarlo.study import Outcome
+from comparisons.extensions.interface import Row
 from comparisons.report.model import finite
 from comparisons.report.picture import save
+from comparisons.report.terminal import Summary
 
+RESULT = "montecarlo.json"
 _MOST_FAILURES = 5
+_MOST_FILTERS = 8
+"""Filters that have a line on the terminal unless more is asked for."""
+_PLACES = {
+    "above": "above the 95 % band, too certain",
+    "inside": "inside the 95 % band",
+    "below": "below the 95 % band, too cautious",
+    "not given": "no covariances",
+}
 
 
 def build_montecarlo_result(outcome: Outcome) -> MonteCarloResult:
@@ -64,7 +72,7 @@ def write_montecarlo(outcome: Outcome, result: MonteCarloResult, folder: Path) -
     config = outcome.study.config.toml()
     write_whole(folder / CONFIG, lambda part: part.write_text(config, encoding="utf-8"))
     text = result.model_dump_json(indent=2) + "\n"
-    write_whole(folder / "montecarlo.json", lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(folder / RESULT, lambda part: part.write_text(text, encoding="utf-8"))
     page = study_page(outcome, remarks(outcome))
     write_whole(folder / "report.html", lambda part: part.write_text(page, encoding="utf-8"))
     rows = _run_rows(outcome)
@@ -89,29 +97,65 @@ def _cell(value: float) -> str:
     return "" if math.isnan(value) else repr(value)
 
 
-def print_montecarlo(outcome: Outcome, console: Console) -> None:
-    """One row per filter; what lies outside its band is told in words, too."""
+def montecarlo_summary(outcome: Outcome) -> Summary:
+    """Return what the command prints: consistent filters, then NEES and errors of each filter."""
     study = outcome.study
-    bands = next(iter(outcome.figures.values())).consistency
-    lines = [
-        f"{study.name}: {study.config.runs} runs of {study.scenario.steps:,} steps, "
-        f"{outcome.landmarks} landmarks",
-        f"{'ANEES':10}" + "".join(f"{name:>14}" for name in DOF),
-        f"{'95 % band':10}" + "".join(f"{_interval(bands[name].band):>14}" for name in DOF),
-    ]
-    for name, figures in outcome.figures.items():
-        lines.append(
-            f"{name:10}" + "".join(f"{_reported(figures.consistency[block]):>14}" for block in DOF)
-        )
-    lines.append(f"{'RMSE':10}{'position m':>14}{'heading rad':>14}{'landmarks m':>14}")
-    for name, figures in outcome.figures.items():
-        lines.append(f"{name:10}" + "".join(f"{value:14.4f}" for value in figures.rmse.values()))
-    lines += remarks(outcome)
+    repeated = []
     if outcome.reused:
-        lines.append(f"runs of commands that were not made again: {outcome.reused}")
+        repeated.append(f"results of commands that were used again: {outcome.reused}")
     if outcome.damaged:
-        lines.append(f"damaged chunk files, computed again: {outcome.damaged}")
-    console.print("\n".join(lines), highlight=False, markup=False)
+        repeated.append(f"damaged chunk files, computed again: {outcome.damaged}")
+    places: dict[str, list[str]] = {}
+    for name, figures in outcome.figures.items():
+        places.setdefault(figures.consistency["pose"].place, []).append(name)
+    found = [f"{', '.join(names)} {_PLACES[place]}" for place, names in places.items()]
+    shown = list(outcome.figures.items())[:_MOST_FILTERS]
+    lines = [(name, _filter_line(figures)) for name, figures in shown]
+    if more := len(outcome.figures) - len(shown):
+        lines.append(("more", f"{more} filters in the report"))
+    return Summary(
+        headline=f"NEES of the pose (expected {DOF['pose']}): {'; '.join(found)}",
+        style="bold",
+        remarks=[*remarks(outcome), *repeated],
+        lines=[
+            (
+                "study",
+                f"{study.config.runs:,} runs of {study.scenario.steps:,} steps, "
+                f"{outcome.landmarks} landmarks ({study.name})",
+            ),
+            *lines,
+        ],
+        rows=_rows(outcome),
+    )
+
+
+def _filter_line(figures: FilterFigures) -> str:
+    pose, rmse = figures.consistency["pose"], figures.rmse
+    nees = "no NEES"
+    if pose.place != "not given":
+        low, high = pose.band
+        nees = f"NEES {pose.mean:.2f} (band {low:.2f} to {high:.2f})"
+    return f"{nees}; RMSE {rmse['position']:.3g} m, landmarks {rmse['landmarks']:.3g} m"
+
+
+def _rows(outcome: Outcome) -> list[Row]:
+    rows = []
+    for name, figures in outcome.figures.items():
+        for block, one in figures.consistency.items():
+            known = one.place != "not given"
+            rows.append(
+                Row(
+                    f"Filter {name}",
+                    f"mean NEES of {block} (expected {DOF[block]})",
+                    f"{one.mean:.2f}" if known else "no covariances",
+                    f"{_interval(one.band)} ({100 * LEVEL:.0f} %)" if known else "",
+                    one.place == "inside" if known else None,
+                )
+            )
+        for what, value in figures.rmse.items():
+            unit = "rad" if what == "heading" else "m"
+            rows.append(Row(f"Filter {name}", f"error of {what} (RMSE)", f"{value:.4f} {unit}"))
+    return rows
 
 
 def remarks(outcome: Outcome) -> list[str]:
@@ -138,13 +182,6 @@ def remarks(outcome: Outcome) -> list[str]:
 
 def _interval(band: tuple[float, float]) -> str:
     return f"{band[0]:.2f} to {band[1]:.2f}"
-
-
-def _reported(consistency: Consistency) -> str:
-    if consistency.place == "not given":
-        return "none"
-    mark = "" if consistency.place == "inside" else f"{consistency.place} "
-    return f"{mark}{consistency.mean:.2f}"
 
 
 def _filter(figures: FilterFigures) -> MonteCarloFilterResult:

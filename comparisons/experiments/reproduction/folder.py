@@ -67,9 +67,14 @@ def write_gallery(
         (work / "claims.json").write_text(text, encoding="utf-8")
 
 
-def print_claims(result: ReproductionResult, console: Console) -> None:
-    """One line per figure, and one for every claim that does not hold."""
-    lines = []
+def print_claims(result: ReproductionResult, folder: Path, console: Console) -> None:
+    """Print how many claims hold, each figure, every claim that does not hold, and the folder."""
+    claims = [claim for figure in result.figures for claim in figure.claims]
+    met = sum(claim.holds for claim in claims)
+    lines = [
+        f"{met} of {len(claims)} claims hold, {len(result.figures)} figures, "
+        f"{len(result.skipped)} skipped, {result.seconds:.0f} s"
+    ]
     for figure in result.figures:
         met = sum(claim.holds for claim in figure.claims)
         lines.append(
@@ -82,12 +87,7 @@ def print_claims(result: ReproductionResult, console: Console) -> None:
                 if claim.why:
                     lines.append(f"         {claim.why}")
     lines += [f"{row.name:6} skipped: {row.reason}" for row in result.skipped]
-    claims = [claim for figure in result.figures for claim in figure.claims]
-    met = sum(claim.holds for claim in claims)
-    lines.append(
-        f"{met} of {len(claims)} claims hold, {len(result.figures)} figures, "
-        f"{len(result.skipped)} skipped, {result.seconds:.0f} s"
-    )
+    lines.append(f"report: {folder}")
     console.print("\n".join(lines), highlight=False, markup=False)
 
 

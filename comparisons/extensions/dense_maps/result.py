@@ -46,13 +46,22 @@ def first_condition_result(dense: DenseRun) -> FirstConditionResult:
     )
 
 
-def first_condition_row(found: FirstConditionResult) -> Row:
-    """Return the rule and both shares."""
-    return Row(
-        "regions",
-        f"{found.rule}; of {found.regions} regions {found.by_correlation} met it by correlation "
-        f"when made, {found.by_relative_sigma} only by relative sigma",
-    )
+def first_condition_rows(found: FirstConditionResult) -> list[Row]:
+    """Return the regions, and how many met the first condition in which way."""
+    return [
+        Row("Regions of the dense map", "first condition", found.rule),
+        Row("Regions of the dense map", "regions", f"{found.regions:,}"),
+        Row(
+            "Regions of the dense map",
+            "regions that met the first condition by correlation",
+            f"{found.by_correlation:,}",
+        ),
+        Row(
+            "Regions of the dense map",
+            "regions that met the first condition by relative sigma alone",
+            f"{found.by_relative_sigma:,}",
+        ),
+    ]
 
 
 def surface_error_results(errors: Mapping[str, SurfaceError]) -> dict[str, SurfaceErrorResult]:
@@ -66,31 +75,28 @@ def surface_error_results(errors: Mapping[str, SurfaceError]) -> dict[str, Surfa
 
 
 def dense_rows(dense: DenseResult) -> list[Row]:
-    """Return how far the maps are apart."""
-    rows = [first_condition_row(dense.first_condition)]
-    rows += [
-        Row(
-            f"dense {name}",
-            f"{layer.samples:,} occupied, {layer.median_m:.3f} m from the smoother's returns "
-            f"(median; 95 % {layer.p95_m:.3f}, back {layer.missed_m:.3f})",
-        )
-        for name, layer in dense.layers.items()
-    ]
+    """Return how far the filter's map is from the returns as the smoother places them."""
+    rows, group = first_condition_rows(dense.first_condition), "Dense map, EKF and smoother"
+    for name, layer in dense.layers.items():
+        rows += [
+            Row(group, f"{name}: occupied samples", f"{layer.samples:,}"),
+            Row(group, f"{name}: map to returns, median", f"{layer.median_m:.3f} m"),
+            Row(group, f"{name}: map to returns, 95 %", f"{layer.p95_m:.3f} m"),
+            Row(group, f"{name}: returns to map, median", f"{layer.missed_m:.3f} m"),
+        ]
     if dense.occupancy_share is not None:
-        share = f"{100.0 * dense.occupancy_share:.1f} % of the decided cells are alike"
-        rows.append(Row("dense cells", share))
+        alike = "occupancy: cells decided in both maps that are alike"
+        rows.append(Row(group, alike, f"{100.0 * dense.occupancy_share:.1f} %"))
     return rows + surface_error_rows(dense.surface_errors)
 
 
 def surface_error_rows(errors: Mapping[str, SurfaceErrorResult]) -> list[Row]:
     """Return how far what is occupied is from true surfaces."""
     return [
-        Row(
-            f"{name} error",
-            f"median {error.median_m:.3f} m, 95 % {error.p95_m:.3f} m from true surfaces",
-        )
+        Row("Distance to true surfaces", f"{name}, {part}", f"{value:.3f} m")
         for name, error in errors.items()
-        if error.median_m is not None and error.p95_m is not None
+        for part, value in (("median", error.median_m), ("95 %", error.p95_m))
+        if value is not None
     ]
 
 

@@ -11,7 +11,7 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
-from comparisons.extensions.high_level.result import high_level_result, high_level_text
+from comparisons.extensions.high_level.result import high_level_result, high_level_rows
 from comparisons.extensions.high_level.source import (
     SEARCHED,
     HighLevelOptions,
@@ -59,7 +59,7 @@ class HighLevelFinding(Finding):
 
     def rows(self) -> Sequence[Row]:
         """Return found, kept, seen."""
-        return [Row("high level", high_level_text(self.result))]
+        return high_level_rows(self.result)
 
     def draw(self, axis: Axes) -> None:
         """Draw rectangles and axes."""

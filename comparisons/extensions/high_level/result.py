@@ -1,10 +1,11 @@
-"""High level landmarks in `result.json`, and as a row of the table."""
+"""High level landmarks in `result.json`, and as rows of figures."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from comparisons.extensions.high_level.source import HighLevelRun
+from comparisons.extensions.interface import Row
 from comparisons.report.model import Model
 
 
@@ -23,17 +24,24 @@ def high_level_result(run: HighLevelRun) -> HighLevelResult:
     )
 
 
-def high_level_text(made: HighLevelResult) -> str:
-    """Found, kept, seen, in a line."""
-    rest = ", ".join(f"{n} {name}" for name, n in made.looks.items() if name != "seen")
-    return (
-        f"{made.found} landmarks found in {made.searches} searches ({made.corners} corners, "
-        f"{made.pairs} pairs, {made.poor} with too few Gaussians), {made.kept} kept"
-        + (f", {made.deactivated} deactivated where something moves" if made.deactivated else "")
-        + "; "
-        + f"{made.looks.get('seen', 0)} measurements"
-        + (f" ({rest})" if rest else "")
-    )
+def high_level_rows(made: HighLevelResult) -> list[Row]:
+    """Return what was searched, found and kept, and how often it was measured."""
+    counts = {
+        "searches of the dense map": made.searches,
+        "corners found": made.corners,
+        "pairs of corners tried": made.pairs,
+        "candidates with too few Gaussians": made.poor,
+        "landmarks found": made.found,
+        "landmarks measured again and kept": made.kept,
+        "landmarks deactivated where something moves": made.deactivated,
+        "measurements": made.looks.get("seen", 0),
+        **{f"no measurement: {why}": n for why, n in made.looks.items() if why != "seen"},
+    }
+    return [
+        Row("High level landmarks", name, f"{count:,}")
+        for name, count in counts.items()
+        if count is not None
+    ]
 
 
 class HighLevelResult(Model):

@@ -24,7 +24,7 @@ from comparisons.pipeline.gaps import Compared
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, AssociationResult
-from comparisons.report.rows import accuracy_rows, association_rows
+from comparisons.report.rows import accuracy_rows, association_rows, in_sigma
 from comparisons.report.sections import accuracy_result, association_result
 from ekf_reference.core.measurements import DYNAMIC
 from graphslam.smoother import smooth
@@ -62,16 +62,16 @@ class OwnAssociationFinding(Finding):
 
     def rows(self) -> Sequence[Row]:
         """Return how the associations compare, and how good the smoother is with its own."""
-        own = self.result
+        own, group = self.result, "Smoother with its own association"
         return [
-            Row(
-                "own association",
-                f"{own.landmarks} landmarks; {100.0 * own.agreement:.1f} % of pairs as the "
-                f"filter's, {own.splits} splits, {own.merges} merges; last pose "
-                f"{own.pose_difference_m:.3f} m apart, {own.pose_distance_sigma:.2g} sigma",
-            ),
-            *accuracy_rows("with it", own.accuracy),
-            *association_rows(own.association),
+            Row(group, "landmarks", f"{own.landmarks:,}"),
+            Row(group, "pairs of measurements as the filter's", f"{100.0 * own.agreement:.1f} %"),
+            Row(group, "landmarks of the filter that it splits", f"{own.splits}"),
+            Row(group, "landmarks of the filter that it merges", f"{own.merges}"),
+            Row(group, "last pose: difference of positions", f"{own.pose_difference_m:.3f} m"),
+            Row(group, "last pose: difference of the means", in_sigma(own.pose_distance_sigma)),
+            *accuracy_rows("the smoother with its own association", own.accuracy),
+            *association_rows(own.association, "the smoother"),
         ]
 
     def layers(self, drawing: Drawing) -> None:

@@ -9,7 +9,7 @@ from comparisons.extensions.interface import Row
 from comparisons.extensions.own_matching.check import LandmarkMatching, OwnMatchingCheck
 from comparisons.report.model import Model, finite
 from comparisons.report.models import AccuracyResult, MapPairResult
-from comparisons.report.rows import accuracy_rows
+from comparisons.report.rows import accuracy_rows, in_sigma, known_as
 from comparisons.report.sections import accuracy_result, map_pair_result
 
 MATCHER = "Open3D, generalised ICP"
@@ -45,30 +45,36 @@ def own_matching_result(own: OwnMatchingCheck, time_s: Array) -> OwnMatchingResu
 
 def own_matching_rows(result: OwnMatchingResult) -> list[Row]:
     """Return how the alignments compare, how the estimates do, and the accuracy."""
-    shift = np.hypot(*result.shift_m)
-    reported = (f"{count:,} {reason}" for reason, count in result.reasons.items() if count)
-    return [
-        Row(
-            "own matcher",
-            f"{result.matcher}: {result.own:,} alignments, {result.common:,} of them where the "
-            f"filter has one of {result.filter:,}; these are {_shown(result.distance_sigma)} sigma "
-            f"apart (rms), together {shift:.3f} m and {np.degrees(result.shift_rad):.2f} degrees "
-            f"({_shown(result.shift_sigma)} sigma)",
-        ),
-        Row("its matches", ", ".join(reported) or "none"),
+    group = "Smoother with its own matcher"
+    shift = float(np.hypot(*result.shift_m))
+    turn = f"{np.degrees(result.shift_rad):.2f} deg"
+    rows = [
+        Row(group, "matcher", result.matcher),
+        Row(group, "alignments by its own matcher", f"{result.own:,}"),
+        Row(group, "alignments by the filter's matcher", f"{result.filter:,}"),
+        Row(group, "alignments by both", f"{result.common:,}"),
+        Row(group, "difference of the alignments (rms)", in_sigma(result.distance_sigma)),
+        Row(group, "common shift of the alignments", f"{shift:.3f} m"),
+        Row(group, "common turn of the alignments", turn),
+        Row(group, "common shift and turn of the alignments", in_sigma(result.shift_sigma)),
         *(
-            Row(
-                "with it",
-                f"{name} {'agrees' if pair.agrees else 'disagrees'}: {pair.outside} of "
-                f"{pair.landmarks} scan landmarks beyond 99 %, paths {path:.3f} m apart (rms)",
-            )
-            for name, pair, path in (
-                ("EKF", result.ekf, result.path_ekf_m),
-                ("smoother", result.smoother, result.path_smoother_m),
-            )
+            Row(group, f"alignments by its own matcher: {known_as(reason)}", f"{count:,}")
+            for reason, count in result.reasons.items()
+            if count
         ),
-        *accuracy_rows("with it", result.accuracy),
     ]
+    for name, pair, path in (
+        ("EKF", result.ekf, result.path_ekf_m),
+        ("smoother", result.smoother, result.path_smoother_m),
+    ):
+        other, agrees = f"{name} and smoother with its own matcher", "yes" if pair.agrees else "no"
+        far = f"{pair.outside} of {pair.landmarks}"
+        rows += [
+            Row(other, "maps agree", agrees, "yes", pair.agrees),
+            Row(other, "scan landmarks beyond the 99 % region", far),
+            Row(other, "difference of the paths (rms)", f"{path:.3f} m"),
+        ]
+    return [*rows, *accuracy_rows("the smoother with its own matcher", result.accuracy)]
 
 
 def _landmark(one: LandmarkMatching, time_s: Array) -> LandmarkMatchingResult:
@@ -93,10 +99,6 @@ def _place(difference: Array) -> tuple[float, float]:
 def _sigma(squared: float) -> float | None:
     """Root of a squared distance over its three degrees of freedom."""
     return finite(float(np.sqrt(squared / 3.0)))
-
-
-def _shown(value: float | None) -> str:
-    return "none" if value is None else f"{value:.2g}"
 
 
 class LandmarkMatchingResult(Model):

@@ -9,6 +9,7 @@ from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_sl
 from comparisons.pipeline.gaps import Gaps
 from comparisons.report.model import Model
 from comparisons.report.models import LandmarkResult
+from comparisons.report.rows import known_as
 from comparisons.report.sections import block_fields
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
@@ -72,21 +73,27 @@ def published_rule() -> TemplateRule:
 
 
 def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
-    """Return how many agree, and what became of the measurements."""
-    agreeing = sum(row.agrees for row in result.landmarks)
-    reported = (f"{count:,} {reason}" for reason, count in result.measurements.items() if count)
+    """Return how many agree, how templates were made, and what became of the measurements."""
+    group, count = "Scan landmarks", sum(row.agrees for row in result.landmarks)
+    agreeing = f"{count} of {len(result.landmarks)}"
+    further = {
+        "landmarks merged with duplicates": result.fused,
+        "returns of moving objects, left out": result.dynamic,
+        "landmarks deactivated on moving objects": result.deactivated,
+        "alignments with the local map as well": result.enriched,
+    }
     return [
-        Row(
-            "scan landmarks",
-            f"{agreeing} of {len(result.landmarks)} agree; {result.scans:,} scans, "
-            f"{result.pieces} segments, {result.rejected} rejected"
-            + (f", {result.fused} landmarks fused with others" if result.fused else "")
-            + (f", {result.dynamic:,} returns left out that move" if result.dynamic else "")
-            + (f", {result.deactivated} landmarks deactivated there" if result.deactivated else "")
-            + (f", {result.enriched:,} alignments enriched" if result.enriched else ""),
+        Row(group, "landmarks that agree", agreeing, "all", count == len(result.landmarks)),
+        Row(group, "scans", f"{result.scans:,}"),
+        Row(group, "template extraction", result.pieces),
+        Row(group, "segments that failed their trial", f"{result.rejected:,}"),
+        *(Row(group, name, f"{n:,}") for name, n in further.items() if n),
+        *([Row(group, "rule of the templates", rule_text(result.rule))] if result.rule else ()),
+        *(
+            Row(group, f"measurements: {known_as(reason)}", f"{n:,}")
+            for reason, n in result.measurements.items()
+            if n
         ),
-        *([Row("their templates", rule_text(result.rule))] if result.rule else ()),
-        Row("their measurements", ", ".join(reported) or "none"),
     ]
 
 

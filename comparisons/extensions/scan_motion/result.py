@@ -14,7 +14,7 @@ from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, MapPairResult
-from comparisons.report.rows import accuracy_rows
+from comparisons.report.rows import accuracy_rows, band
 from comparisons.report.sections import accuracy_result, map_pair_result
 
 _SURE = 2.0
@@ -54,20 +54,21 @@ def increment_remarks(check: IncrementCheck | None) -> list[str]:
 
 def scan_odometry_rows(o: ScanOdometryResult, increments: IncrementResult | None) -> list[Row]:
     """Return scans used and failed, matches, and how honest the increments are."""
+    group = "Scan odometry"
     rows = [
-        Row(
-            "scan odometry",
-            f"{o.used:,} of {o.scans:,} scans used, {o.breaks} new beginnings, {o.weak} with a "
-            f"direction open; guess: {o.guess}; {o.scans_per_second:.0f} scans/s",
-        )
+        Row(group, "scans used", f"{o.used:,} of {o.scans:,}"),
+        Row(group, "restarts after scans without a match", f"{o.breaks:,}"),
+        Row(group, "increments with an unobservable direction", f"{o.weak:,}"),
+        Row(group, "first guess of an alignment", o.guess),
+        Row(group, "scans per second", f"{o.scans_per_second:.0f}"),
     ]
-    rows += [Row("", f"{count} failed: {reason}") for reason, count in o.failures.items()]
+    rows += [Row(group, f"scans failed: {why}", f"{count}") for why, count in o.failures.items()]
     if o.overlap is not None and o.residual_m is not None:
-        medians = f"overlap {o.overlap:.2f}, residual {o.residual_m:.3f} m (medians)"
-        rows.append(Row("matches", medians))
-    if increments is not None:
-        rows.append(Row("increments", _increments(increments)))
-    return rows
+        rows += [
+            Row(group, "overlap of matched scans (median)", f"{o.overlap:.2f}"),
+            Row(group, "residual of matched scans (median)", f"{o.residual_m:.3f} m"),
+        ]
+    return rows + _increments(increments)
 
 
 def three_way_result(three: ThreeWay) -> ThreeWayResult:
@@ -86,17 +87,18 @@ def three_way_result(three: ThreeWay) -> ThreeWayResult:
 
 
 def three_way_rows(three: ThreeWayResult) -> list[Row]:
-    """Return a row for each of the two on wheels, and the third estimate's accuracy."""
-    rows = [
-        Row(
-            "on scans",
-            f"{name} {'agrees' if pair.agrees else 'disagrees'} with the smoother on scans: "
-            f"{pair.rms_m:.3f} m apart (aligned {pair.rms_aligned_m:.3f}), {pair.outside} of "
-            f"{pair.landmarks} landmarks beyond 99 %",
-        )
-        for name, pair in (("EKF on wheels", three.ekf), ("smoother on wheels", three.smoother))
-    ]
-    return [*rows, *accuracy_rows("smoother on scans", three.accuracy)]
+    """Return how both estimates on wheels compare with the smoother on scans, and its accuracy."""
+    rows = []
+    for name, pair in (("EKF on wheels", three.ekf), ("smoother on wheels", three.smoother)):
+        group, agrees = f"{name} and smoother on scans", "yes" if pair.agrees else "no"
+        far = f"{pair.outside} of {pair.landmarks}"
+        rows += [
+            Row(group, "maps agree", agrees, "yes", pair.agrees),
+            Row(group, "landmarks: difference (rms)", f"{pair.rms_m:.3f} m"),
+            Row(group, "landmarks: difference, aligned (rms)", f"{pair.rms_aligned_m:.3f} m"),
+            Row(group, "landmarks beyond the 99 % region", far),
+        ]
+    return [*rows, *accuracy_rows("the smoother on scans", three.accuracy)]
 
 
 def by_reason(reasons: Iterable[str]) -> dict[str, int]:
@@ -104,16 +106,25 @@ def by_reason(reasons: Iterable[str]) -> dict[str, int]:
     return dict(Counter(re.sub(r"[-\d.]+(?:e[-+]?\d+)?", "…", r) for r in reasons).most_common())
 
 
-def _increments(i: IncrementResult) -> str:
+def _increments(i: IncrementResult | None) -> list[Row]:
+    if i is None:
+        return []
+    group = f"Increments of the scans against {i.against}"
+    factor = Row(group, "factor on their sigmas that fits the errors best", f"{i.factor:.2f}")
     if i.reference_factor is not None:
-        return (
-            f"by positions over windows: sigmas {i.factor:.2f} times as large would be most "
-            f"likely (with the positions' {i.reference_factor:.2f} times)"
-        )
-    return (
-        f"by truth: NEES {3.0 * i.nees:.2f} of 3 (band {3.0 * i.band[0]:.2f} to "
-        f"{3.0 * i.band[1]:.2f}); sigmas {i.factor:.2f} times as large would fit"
-    )
+        other = "factor on the positions' sigmas that fits the errors best"
+        return [factor, Row(group, other, f"{i.reference_factor:.2f}")]
+    low, high = i.band
+    return [
+        Row(
+            group,
+            "NEES, mean (expected 3)",
+            f"{3.0 * i.nees:.2f}",
+            f"{band(f'{3.0 * low:.2f}', f'{3.0 * high:.2f}')} (95 %)",
+            low <= i.nees <= high,
+        ),
+        factor,
+    ]
 
 
 class ThreeWayResult(Model):

@@ -12,7 +12,7 @@ from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.look import script
 from comparisons.report.html.map import RATIO_LAYER, MapContent, draw_map, ratio_legend
 from comparisons.report.html.shell import document, picture, table
-from comparisons.report.html.tables import LandmarkRow, landmarks, timing
+from comparisons.report.html.tables import LandmarkRow, figures, landmarks, timing
 from comparisons.report.models import CauseResult
 from comparisons.report.panels import Panel
 
@@ -82,7 +82,7 @@ def page(content: PageContent) -> str:
         f'<p class="note">{escape(c.reported)}</p>',
         f'<div id="curves"></div><p class="note">{_HINT["curves"]}</p></section></main>',
         "<h2>Figures</h2>",
-        table(("", ""), c.rows),
+        figures(c.rows),
         *_embedded(c.pictures),
         *c.sections,
         landmarks(c.landmarks, c.landmarks_note),

@@ -1,12 +1,14 @@
-"""The page's tables: landmarks, and the time of each stage."""
+"""The page's tables: figures by group, landmarks, and the time of each stage."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
+from itertools import groupby
 from typing import NamedTuple
 
+from comparisons.extensions.interface import Row
 from comparisons.report.html.shell import number, sortable
 from comparisons.report.models import BlockResult
 
@@ -18,6 +20,23 @@ class LandmarkRow(NamedTuple):
     name: str
     block: BlockResult
     error_m: float = math.nan
+
+
+def figures(rows: Sequence[Row]) -> str:
+    """A table of quantity, value, band and whether the value lies in it, by group."""
+    head = "".join(f"<th>{name}</th>" for name in ("quantity", "value", "band", "in or out"))
+    parts = []
+    for group, found in groupby(rows, key=lambda row: row.group):
+        parts.append(f'<tbody><tr class="group"><th colspan="4">{escape(group)}</th></tr>')
+        for row in found:
+            cells = (row.quantity, row.value, row.band, _MARKS[row.inside])
+            body = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+            parts.append(f'<tr class="{"bad" if row.inside is False else ""}">{body}</tr>')
+        parts.append("</tbody>")
+    return f'<table class="figures"><thead><tr>{head}</tr></thead>{"".join(parts)}</table>'
+
+
+_MARKS = {True: "in", False: "out", None: ""}
 
 
 def landmarks(rows: Sequence[LandmarkRow], note: str) -> str:

@@ -310,7 +310,7 @@ def test_log_toml_is_its_folder(tmp_path: Path) -> None:
     assert read_log(path).records == read_log(path.parent).records
 
     def of(path: Path) -> Given:
-        return Given(str(path), (), None, (), False, None, False, False, None, {})
+        return Given(str(path), (), None, (), False, None, False, None, {}, {})
 
     assert read_job(of(path), RunConfig)[0].records["odometry"] == 3
     config = tmp_path / "other" / "log.toml"

@@ -88,7 +88,7 @@ class DockingFinding(Finding):
         self.remarks = [f"the station was seen {source.measurements} times"]
 
     def rows(self) -> Sequence[Row]:
-        return [Row("docking", f"{self.result.measurements} measurements")]
+        return [Row("Docking", "measurements", str(self.result.measurements))]
 
     def draw(self, axis: Axes) -> None:
         axis.plot(*self.result.ekf_m, "P", color="purple", label="docking station")

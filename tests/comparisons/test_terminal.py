@@ -1,0 +1,192 @@
+"""What jobs print: the outcome first, in at most 14 lines of 80 columns, whatever the log."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from comparisons.cli.app import main
+from comparisons.config import CheckConfig, SolveConfig
+from comparisons.estimates.external import ExternalEstimate
+from comparisons.extensions.interface import Row
+from comparisons.pipeline.check import check
+from comparisons.pipeline.solve import solve
+from comparisons.report.check import build_check_result, check_summary
+from comparisons.report.ladder import Step
+from comparisons.report.models import CauseResult
+from comparisons.report.result import build_result, run_summary
+from comparisons.report.rows import accuracy_line
+from comparisons.report.solution import build_solution_result, solution_summary
+from comparisons.report.terminal import (
+    HEIGHT,
+    WIDTH,
+    Line,
+    Summary,
+    brief,
+    fit,
+    print_summary,
+    table,
+)
+from tests.helpers import compared, first_seconds, simulated
+
+LONG = "a cause with many words " * 40
+CAUSE = CauseResult(gap="linearisation", evidence=LONG, hint="look there")
+FULL = Summary(
+    headline="verdict: disagree, truth gap, association unchecked; filter inconsistent "
+    "(fails on disagreement, consistency, truth, association)",
+    style="bold red",
+    causes=[CAUSE] * 7,
+    remarks=[LONG] * 9,
+    steps=[
+        Step(gap=gap, above="EKF", below="linear problem, smoother's factors", sigma=-1.2e-101,
+             covariance=-1.2e-101, fails=True)
+        for gap in ("algebra", "model", "linearisation", "truth")
+    ],
+    lines=[(name, LONG) for name in ("agreement", "consistency", "accuracy")],
+)  # fmt: skip
+
+
+def faults(lines: list[Line], headline: str = "verdict: ") -> list[str]:
+    """What breaks the bound; the last line holds a path, which may be longer."""
+    texts = [line.text for line in lines]
+    found = [f"line {i}: {one}" for i, one in enumerate(texts[:-1]) if len(one) > WIDTH]
+    if len(texts) > HEIGHT:
+        found.append(f"{len(texts)} lines")
+    if not texts[0].startswith(headline):
+        found.append(f"first is {texts[0]}")
+    return found
+
+
+def few(causes: int, remarks: int) -> Summary:
+    return replace(FULL, causes=FULL.causes[:causes], remarks=FULL.remarks[:remarks])
+
+
+@pytest.mark.parametrize(
+    "summary",
+    [FULL, *(few(i, j) for i in range(4) for j in range(3)), replace(FULL, steps=(), lines=())],
+)
+def test_any_summary_keeps_the_bound(summary: Summary) -> None:
+    lines = brief(summary, "a/" * 100)
+    assert faults(lines) == []
+    if summary.causes:
+        assert lines[2].text.startswith("  linearisation gap: a cause")
+
+
+def test_a_longer_one_is_noticed() -> None:
+    lines = brief(FULL, "out")
+    assert faults([*lines, *lines]) == [f"{2 * len(lines)} lines"]
+    assert faults([*lines[:1], Line("x" * 81), *lines[2:]]) == [f"line 1: {'x' * 81}"]
+    assert faults(lines[::-1])[-1] == "first is report:      out"
+
+
+def test_what_has_no_room_is_counted() -> None:
+    shown = [line.text for line in brief(FULL, "out")]
+    assert "  6 more causes, 9 more notes in the report" in shown
+    roomy = [line.text for line in brief(few(1, 1), "out")]
+    assert not any("more" in text and "report" in text for text in roomy)
+    assert any(text.startswith("  note: a cause") for text in roomy)
+    plain = brief(Summary(headline="verdict: agree"), "out")
+    assert [line.text for line in plain] == ["verdict: agree", "report:      out"]
+
+
+def test_texts_break_at_words_and_obey_nobody() -> None:
+    assert fit("one two three", 8) == ["one ..."]
+    assert fit("one two three", 8, most=2) == ["one two", "three"]
+    assert fit("one\x1b[31m\ntwo", 20) == ["one?[31m two"]
+    assert max(map(len, fit("x" * 300, 80, most=3))) == 80
+    assert fit("") == [""]
+
+
+def test_figures_are_columns_by_group() -> None:
+    rows = [
+        Row("NEES", "pose, mean (expected 3)", "2.39", "0.22 to 9.35 (95 %)", True),
+        Row("NEES", "heading, mean (expected 1)", "7", "0.001 to 5.02 (95 %)", False),
+        Row("Log", "name", "word " * 40),
+    ]
+    lines = [line.text for line in table(rows)]
+    assert lines[0] == "NEES"
+    assert lines[1].split("  ")[-1].strip() == "in"
+    assert lines[2].endswith("OUT")
+    assert lines[3] == "Log"
+    assert max(map(len, lines)) <= WIDTH
+    assert list(table(rows))[2].style == "red"
+
+
+def test_real_outcomes_keep_the_bound() -> None:
+    log = first_seconds(simulated(seed=1), 20.0)
+    named = replace(log, name="a log whose name is as long as a whole line of a terminal " * 2)
+    c = compared(named)
+    result = build_result(c)
+    agree = run_summary(c, result)
+    assert faults(brief(agree, "out")) == []
+    assert [step.gap for step in agree.steps] == ["algebra", "model", "linearisation", "truth"]
+    assert [name for name, _ in agree.lines] == ["agreement", "consistency", "accuracy"]
+    far = result.model_copy(update={"verdict": "disagree", "causes": FULL.causes})
+    assert faults(brief(run_summary(c, far), "out")) == []
+    unverified = run_summary(c, result.model_copy(update={"verdict": "unverified"}))
+    assert unverified.style == "bold yellow"
+    given = ExternalEstimate.of(c.ekf.estimate)
+    for shift, outcome in ((0.0, "agree; grade: equal"), (5.0, "disagree; grade: wrong")):
+        moved = replace(given, pose=given.pose + shift)
+        found = build_check_result(check(named, moved, CheckConfig()))
+        lines = brief(check_summary(found), "out")
+        assert faults(lines, f"verdict: {outcome}") == []
+    solved = solution_summary(build_solution_result(solve(named, SolveConfig())))
+    assert faults(brief(solved, "out"), "verdict: verified") == []
+
+
+def test_accuracy_takes_the_reference_that_there_is() -> None:
+    assert accuracy_line({"EKF": None}) == []
+
+
+def test_colour_is_for_terminals() -> None:
+    def printed(**more: Any) -> str:
+        buffer = io.StringIO()
+        console = Console(file=buffer, soft_wrap=True, no_color=False, **more)
+        print_summary(FULL, console, "out", verbose=True)
+        return buffer.getvalue()
+
+    assert "\x1b[" in printed(force_terminal=True, color_system="standard")
+    assert "\x1b" not in printed()
+
+
+def command(
+    tmp_path: Path, *arguments: str, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    code = "from comparisons.cli import app; app.main()"
+    root = str(Path(main.__code__.co_filename).parents[2])
+    return subprocess.run(
+        [sys.executable, "-c", code, "solve", "simulated-loop", "--out", "out", *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PATH": os.defpath, "PYTHONPATH": root, **environment},
+        timeout=120,
+    )
+
+
+@pytest.mark.slow
+def test_json_quiet_and_verbose(tmp_path: Path) -> None:
+    plain = command(tmp_path, FORCE_COLOR="", NO_COLOR="1")
+    assert plain.stdout.splitlines()[0] == "verdict: verified"
+    assert "\x1b" not in plain.stdout
+    asked = command(tmp_path, "--json")
+    assert json.loads(asked.stdout) == json.loads((tmp_path / "out/solution.json").read_text())
+    silent = command(tmp_path, "-q")
+    assert (silent.returncode, silent.stdout, silent.stderr) == (0, "", "")
+    full = command(tmp_path, "-v").stdout
+    assert full.startswith(plain.stdout)
+    assert "\nSmoother\n" in full
+    both = command(tmp_path, "-q", "-v")
+    assert (both.returncode, both.stdout) == (2, "")
+    assert "--verbose and --quiet exclude each other" in both.stderr
