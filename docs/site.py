@@ -21,6 +21,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import slamcheck
+from comparisons.checks.causes import EXPLANATIONS
 from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
@@ -90,6 +91,18 @@ def _configuration() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def _causes() -> str:
+    """Return the page of what every kind of cause means, as report.html has it."""
+    parts = [
+        "# Causes",
+        "Every cause of an outcome is of one of these kinds. `report.html` explains each with the "
+        "same sentences.",
+    ]
+    for kind, one in EXPLANATIONS.items():
+        parts.append(f"## {kind}\n\n**{one.title}.** {one.meaning}\n\n{one.check}")
+    return "\n\n".join(parts) + "\n"
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made from other files."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
@@ -99,6 +112,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "api.md": _api(),
         "command-line.md": _command_line(),
         "configuration.md": _configuration(),
+        "causes.md": _causes(),
     }
     for name, text in made.items():
         files.append(File.generated(config, name, content=text))

@@ -40,16 +40,214 @@ _GREW = 3.0
 
 
 @dataclass(frozen=True)
+class Explanation:
+    """What a kind of cause is called, what it means, and what to check. Plain sentences."""
+
+    title: str
+    meaning: str
+    check: str
+
+
+EXPLANATIONS: dict[str, Explanation] = {
+    "data": Explanation(
+        "Measurements used wrongly",
+        "The trace shows that the filter used a measurement twice, at the wrong time, or for the "
+        "wrong landmark, or that its gate rejected good measurements. The gaps that follow are a "
+        "consequence of this.",
+        "Check the order of events and the queue of measurements. Check how a label becomes a "
+        "landmark of the map, and the bound of the gate.",
+    ),
+    "algebra": Explanation(
+        "The filter's linear algebra is wrong",
+        "The filter's own matrices F, Q, H and R define a linear least-squares problem. A Kalman "
+        "filter reproduces its solution to rounding, and this filter does not. The smoother's "
+        "models play no part in this comparison.",
+        "Check the covariance equations of prediction, update and landmark initialisation. Look "
+        "for a block that is dropped, outdated or not transposed.",
+    ),
+    "model": Explanation(
+        "The filter's models are wrong",
+        "The filter's matrices and the smoother's factors are linearised at the same points, and "
+        "their solutions differ by more than rounding. So a Jacobian, an innovation or a noise "
+        "covariance of the filter differs from the model of the log.",
+        "Check the quantity that the evidence names: its sign, its units and the wrapping of "
+        "angles. If the hint names a known model error, check that formula first.",
+    ),
+    "breakdown": Explanation(
+        "The filter stopped with an error",
+        "The filter could not process the rest of the log, for example because an innovation "
+        "covariance was not positive definite. All comparisons end at that time.",
+        "Check the measurements and their sigmas at the time that the evidence names.",
+    ),
+    "oracle": Explanation(
+        "The smoother's optimum is not verified",
+        "The smoother is the reference, and one condition for trusting its optimum does not hold. "
+        "It may be in a local minimum, or the data may contradict the stated noise. The outcome is "
+        "therefore unverified.",
+        "Check the stated noise and the association. A longer lag or the batch smoother helps "
+        "where the smoother ran incrementally.",
+    ),
+    "linearisation": Explanation(
+        "The filter linearised at the wrong points",
+        "The filter's algebra and models are right, but its result differs from the optimum of the "
+        "relinearised smoother. The cause is that the filter evaluated its Jacobians at estimates "
+        "that later proved wrong. This is a property of the EKF, not a programming error.",
+        "Reduce the heading uncertainty. Local maps, an iterated update or relinearisation help.",
+    ),
+    "noise": Explanation(
+        "A stated sigma is too small",
+        "The smoother's chi-square and the filter's NIS of the named measurements are both too "
+        "large. So these measurements scatter more than their stated sigmas allow, or some belong "
+        "to other landmarks. This cause explains another one and never appears alone.",
+        "Check the sigmas of the named measurements. Check the association.",
+    ),
+    "dropout": Explanation(
+        "A long time without measurements",
+        "Over a stretch without any usable measurement the position's sigma grew at least "
+        "threefold. The filter then linearised at a poor estimate. This cause explains another one "
+        "and never appears alone.",
+        "Check for a sensor that was silent or blocked, for lost messages, and for a gate that "
+        "rejects every measurement.",
+    ),
+    "association": Explanation(
+        "Measurements are assigned to different landmarks",
+        "In a run, the smoother's own association leads to another optimum than the filter's. In "
+        "the check of an external estimate, landmarks lie where the reference has other landmarks.",
+        "Check the measurements that the evidence names. Look for a wrong loop closure, for "
+        "landmarks that lie close together, and for exchanged ids.",
+    ),
+    "matching": Explanation(
+        "Two scan matchers disagree",
+        "The smoother aligned the scans with a matcher of its own, and its optimum differs from "
+        "the filter's. At least one of the two matchers returns wrong alignments.",
+        "Check the alignments of the scan landmarks that the evidence names: the axes of the "
+        "template, the covariance R, and places that look alike.",
+    ),
+    "motion": Explanation(
+        "Wheel odometry and scan odometry disagree",
+        "The EKF on wheel odometry and the smoother on scan odometry end at different maps. The "
+        "evidence compares the chi-square of both and, where the log has them, absolute positions "
+        "or truth, to find the inconsistent source.",
+        "Check the source that the hint names: its sigmas, its scale and its calibration.",
+    ),
+    "dense": Explanation(
+        "The dense maps differ",
+        "The dense map of the EKF differs from the map that the smoother's poses give for the same "
+        "scans. The sparse landmarks may agree all the same.",
+        "Check the landmarks at the corners of the named region. A region deforms if these were "
+        "uncertain relative to each other when its scans were added.",
+    ),
+    "truth": Explanation(
+        "The smoother is far from the truth",
+        "The smoother's poses or landmarks err by more than their covariance, or the log's labels, "
+        "allow. EKF and smoother share log, noise and association, so they can agree on a wrong "
+        "result.",
+        "Check the association first, then the stated noise, the model and the start pose.",
+    ),
+    "coverage": Explanation(
+        "The estimate covers too little of the log",
+        "The external estimate has poses for less of the log's time than required. Whatever the "
+        "poses say, the rest of the log is not judged.",
+        "Check whether the filter stopped or lost poses, and whether its clock is the log's. "
+        "Supply the whole trajectory, or lower --min-coverage.",
+    ),
+    "map": Explanation(
+        "The map is incomplete or uses other ids",
+        "Landmarks of the log are missing in the external estimate, or landmarks have ids that the "
+        "log does not know. A filter's map must be complete to be like the reference EKF's.",
+        "Check that the estimate contains every landmark, with the ids of the log's measurements.",
+    ),
+    "time": Explanation(
+        "The time stamps are shifted",
+        "The trajectory fits a reference if its time stamps are shifted, or the poses are those "
+        "from before the measurements of their time were used.",
+        "Check the clocks of odometry and measurements, and the interval of a prediction. Check "
+        "that a pose is written after the update.",
+    ),
+    "information": Explanation(
+        "Filtered and smoothed are confused",
+        "estimate.toml says that the poses are filtered, but they equal the smoother's, which use "
+        "later measurements; or the reverse.",
+        'Check the entry "information" in estimate.toml.',
+    ),
+    "frame": Explanation(
+        "The trajectory is in another frame",
+        "The trajectory fits a reference after a shift or a rotation. It is therefore expressed in "
+        "a frame other than the log's.",
+        "Check that the filter starts at the log's prior pose, in the log's frame. Check the first "
+        "landmarks of the map.",
+    ),
+    "scale": Explanation(
+        "The trajectory has another scale",
+        "The trajectory fits a reference after scaling.",
+        "Check the units (metres), the calibration of the speed and the radius of the wheels.",
+    ),
+    "mirrored": Explanation(
+        "The trajectory is mirrored",
+        "The trajectory fits the mirror image of a reference.",
+        "Check the sign of the steering angle, the yaw rate and the bearing. Check the order of "
+        "the axes.",
+    ),
+    "lever": Explanation(
+        "The poses are of another point of the vehicle",
+        "The trajectory fits a reference if every pose is moved by one constant offset in the "
+        "vehicle's frame.",
+        "Check which point of the vehicle the poses describe: rear axle, sensor or antenna.",
+    ),
+    "heading": Explanation(
+        "The headings are wrong",
+        "The headings have a constant offset, the opposite sign or a wrong encoding, while the "
+        "positions fit.",
+        "Check the zero, the sign and the unit of the heading. A heading h is counter-clockwise "
+        "from east; its quaternion is (0, 0, sin(h/2), cos(h/2)).",
+    ),
+    "estimate": Explanation(
+        "The estimate differs from the reference EKF",
+        "Poses or landmarks differ by more than 5 % of sigma from those of the reference EKF, and "
+        "no simple motion explains the difference.",
+        "Check the association, the signs and the noise. Supply a trace: it separates errors of "
+        "the algebra from errors of the models.",
+    ),
+    "covariance": Explanation(
+        "The covariances are wrong",
+        "The covariances of the external estimate differ from those of the reference. The evidence "
+        "names the known mistake that reproduces them, if there is one.",
+        "Check the noise: a sigma used as a variance, a factor on R or Q, a dropped "
+        "cross-covariance, a measurement used twice. Check the file: frame, units, order, time.",
+    ),
+    "optimum": Explanation(
+        "The estimate is far from the optimum",
+        "The last pose, the landmarks or the trajectory are farther from the smoother's optimum "
+        "than its uncertainty allows, or their covariances differ by too much.",
+        "Check the causes that come before this one. If there are none, check the association, the "
+        "signs and the noise.",
+    ),
+    "grade": Explanation(
+        "The required grade is missed by rounding",
+        "The estimate is close to a reference, no cause is known, and the difference still exceeds "
+        "the limit of the required grade.",
+        "Check the precision of the numbers in the files.",
+    ),
+}
+"""What every kind of cause means, by the name it has in result.json; docs/verdicts.md has them."""
+
+
+@dataclass(frozen=True)
 class Cause:
     """One reason for the outcome: the gap it shows in, the numbers, and what to look at.
 
-    alone: it holds whether the smoother's optimum is verified or not.
+    gap: a kind that EXPLANATIONS has; raises ValueError for others. alone: it holds whether the
+    smoother's optimum is verified or not.
     """
 
     gap: str
     evidence: str
     hint: str
     alone: bool = False
+
+    def __post_init__(self) -> None:
+        if self.gap not in EXPLANATIONS:
+            raise ValueError(f"cause '{self.gap}' has no explanation")
 
 
 def _apart(gap: Gap, allowed: Allowed) -> str:

@@ -35,7 +35,7 @@ from comparisons.report.html.map import (
 )
 from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
-from comparisons.report.ladder import Step, gap_steps
+from comparisons.report.ladder import check_ladder
 from comparisons.report.model import Model, finite
 from comparisons.report.models import (
     AccuracyResult,
@@ -67,7 +67,12 @@ from comparisons.report.sections import (
     package_versions,
     smoother_result,
 )
-from comparisons.report.settings import SettingsResult, settings_result, settings_rows
+from comparisons.report.settings import (
+    SettingsResult,
+    setting_lines,
+    settings_result,
+    settings_rows,
+)
 from comparisons.report.terminal import STYLES, Summary
 
 NOT_STATED = "not stated"
@@ -132,7 +137,7 @@ def check_summary(result: CheckResult) -> Summary:
         style=STYLES[result.verdict],
         causes=result.causes,
         remarks=result.remarks,
-        steps=_steps(result),
+        steps=check_ladder(result),
         lines=[
             ("agreement", "; ".join(agree)),
             *consistency_line(None, truth, smoothed),
@@ -168,19 +173,24 @@ def check_page(check: ExternalCheck, result: CheckResult) -> PageContent:
     grade = "no grade" if result.grade is None else _grade_words(result)
     source = Path(str(result.config.get("estimate") or "handed in")).name
     return PageContent(
+        job="check",
         name=result.log.name,
         headline=f"{result.verdict}, {grade}",
         colour=result.verdict,
+        words=_verdict_words(result),
+        facts=_facts(result),
         about=f"estimate {source} of {result.log.format}, {result.log.duration_s:,.0f} s",
         notes=(),
         causes=result.causes,
         remarks=result.remarks,
+        steps=check_ladder(result),
         map=map_content,
         reported=reported,
         panels=panels,
         rows=_check_rows(result),
         landmarks=rows,
         landmarks_note=note,
+        settings=setting_lines(solution.prepared.config, result.settings),
         seconds=result.seconds,
         cpu_s=result.cpu_s or {},
         versions=result.versions,
@@ -287,7 +297,7 @@ def _check_rows(result: CheckResult) -> list[Row]:
         *smoother_rows(result.smoother),
         *_estimate_rows(result),
         *_agreement_rows(result),
-        *gap_rows(_steps(result)),
+        *gap_rows(check_ladder(result) if result.trace else ()),
         *nees_rows("Estimate's", truth),
         *smoothed_rows("estimate", f),
         *accuracy_rows("the estimate", result.accuracy),
@@ -331,16 +341,6 @@ def _agreement_rows(result: CheckResult) -> list[Row]:
     return [*rows, agreeing(result.landmarks, "estimate")] if result.landmarks else rows
 
 
-def _steps(result: CheckResult) -> list[Step]:
-    """Return the gaps by the trace; without a joint covariance the algebra gap is not judged."""
-    trace = result.trace
-    if trace is None:
-        return []
-    steps = gap_steps(trace, {cause.gap for cause in result.causes})
-    judged = trace.algebra_gap_sigma is not None or trace.algebra_gap_covariance is not None
-    return steps if judged else steps[1:]
-
-
 def _grade_words(result: CheckResult) -> str:
     name = result.nearest.name if result.nearest else ""
     return {
@@ -350,6 +350,34 @@ def _grade_words(result: CheckResult) -> str:
         "wrong": "wrong",
         None: "none, for optimum or association is not verified",
     }[result.grade]
+
+
+def _verdict_words(result: CheckResult) -> str:
+    """The grade, and what was asked for, as sentences."""
+    nearest = result.nearest.name if result.nearest else ""
+    grade = {
+        "equal": f"The estimate equals {nearest} to rounding.",
+        "like": f"The estimate is like {nearest}: means and covariances differ by at most 5 %.",
+        "plausible": "The estimate is as close to the smoother's optimum as that is certain.",
+        "wrong": "The estimate is wrong: it is like no reference and far from the optimum.",
+        None: "There is no grade: the smoother's optimum or its association is not verified.",
+    }[result.grade]
+    causes = " The causes, the most important first:" if result.causes else ""
+    return f"{grade} The required grade is {result.required}.{causes}"
+
+
+def _facts(result: CheckResult) -> list[tuple[str, str]]:
+    """What the grade rests on, in a few lines."""
+    optimum = "verified" if result.smoother.verified else f"not verified: {result.smoother.lacks}"
+    facts = [
+        ("Smoother's optimum", optimum),
+        ("Poses", f"{result.poses:,}, {result.rms_m:.3f} m from the smoother's (RMS)"),
+        ("Coverage", f"{100.0 * result.coverage:.1f} % of the log's time"),
+    ]
+    if result.landmarks:
+        agreeing = sum(row.agrees for row in result.landmarks)
+        facts.append(("Landmarks", f"{agreeing:,} of {len(result.landmarks):,} agree"))
+    return facts
 
 
 def _trace(check: TraceCheck | None) -> TraceResult | None:

@@ -3,30 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from comparisons.checks.agreement import LARGEST_DISTANCE, ROUNDING
 from comparisons.report.models import AgreementResult, Result, TruthGapResult
 
 if TYPE_CHECKING:
-    from comparisons.report.check import TraceResult
+    from comparisons.report.check import CheckResult, TraceResult
 
 EKF = "EKF"
+EXTERNAL = "external estimate"
 LINEAR = "linear problem, EKF's matrices"
 LINEAR_MODEL = "linear problem, smoother's factors"
 SMOOTHER = "smoother"
+OWN_ASSOCIATION = "smoother, its own association"
 TRUTH = "truth"
+_FILTER_FAULTS = frozenset({"data", "algebra", "model", "breakdown"})
+"""Causes after which the filter is not compared with the optimum."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
     """One gap between two neighbouring estimates.
 
-    above, below: the two estimates. sigma: the largest difference of the means, in the smoother's
-    sigma; for the truth the root of the mean NEES over its degrees of freedom; None where
-    infinite. covariance: the largest relative difference of the covariances, None where there is
-    none to compare. error_m: root mean square error, for the truth. fails: the gap is a cause of
-    the outcome.
+    above, below: the two estimates. A step whose `above` is not the `below` of the step before
+    branches off from an earlier estimate. sigma: the largest difference of the means, in the
+    smoother's sigma; for the truth the root of the mean NEES over its degrees of freedom; for an
+    association the distance of the last poses; None where infinite. covariance: the largest
+    relative difference of the covariances, None where there is none to compare. error_m: root mean
+    square error, for an association the distance of the last poses. fails: the gap is a cause of
+    the outcome. judged: it was compared with a limit at all. limit: the largest sigma that passes,
+    None where no single number is.
     """
 
     gap: str
@@ -36,16 +44,68 @@ class Step:
     covariance: float | None = None
     error_m: float | None = None
     fails: bool = False
+    judged: bool = True
+    limit: float | None = None
+
+    @property
+    def state(self) -> str:
+        """`fails`, `passes`, or `not judged`."""
+        if self.fails:
+            return "fails"
+        return "passes" if self.judged else "not judged"
 
 
 def ladder(result: Result) -> list[Step]:
     """Return the gaps of a run from the EKF down to the truth, if the log has it."""
     failed = {cause.gap for cause in result.causes}
-    return [*gap_steps(result.agreement, failed), *truth_steps(result.truth_gap, failed)]
+    return [
+        *gap_steps(result.agreement, failed, verified=result.smoother.verified),
+        *_association_steps(result, failed),
+        *truth_steps(result.truth_gap, failed),
+    ]
 
 
-def gap_steps(gaps: AgreementResult | TraceResult, failed: Collection[str]) -> list[Step]:
-    """Return the three gaps between EKF and smoother. failed: gaps of the causes."""
+def check_ladder(result: CheckResult) -> list[Step]:
+    """Return the gaps of an external estimate.
+
+    With a trace they are those of a run; a grade does not need the last one. Without a trace there
+    are two: from the estimate to the nearest reference, and to the smoother.
+    """
+    failed = {cause.gap for cause in result.causes}
+    if result.trace is not None:
+        verified = result.smoother.verified
+        *steps, last = gap_steps(result.trace, failed, verified=verified, first=EXTERNAL)
+        near = last.sigma is not None and last.sigma <= LARGEST_DISTANCE
+        return [*steps, replace(last, judged=last.judged and (near or last.fails))]
+    blocks = [*result.landmarks, *([] if result.last_pose is None else [result.last_pose])]
+    sigma = max((one.distance_sigma for one in blocks), default=None)
+    near = sigma is None or sigma <= LARGEST_DISTANCE
+    to_smoother = Step(
+        gap="optimum",
+        above=EXTERNAL,
+        below=SMOOTHER,
+        sigma=sigma,
+        error_m=result.rms_m,
+        fails="optimum" in failed,
+        judged=result.smoother.verified and (near or result.grade == "plausible"),
+        limit=LARGEST_DISTANCE,
+    )
+    return [*_reference_steps(result), to_smoother]
+
+
+def gap_steps(
+    gaps: AgreementResult | TraceResult,
+    failed: Collection[str],
+    *,
+    verified: bool = True,
+    first: str = EKF,
+) -> list[Step]:
+    """Return the three gaps between filter and smoother.
+
+    failed: gaps of the causes. verified: of the smoother's optimum. first: the filter's name. The
+    last gap is judged at a verified optimum only, and where algebra and models are right.
+    """
+    right = verified and _FILTER_FAULTS.isdisjoint(failed)
     return [
         Step(
             gap=name,
@@ -54,16 +114,36 @@ def gap_steps(gaps: AgreementResult | TraceResult, failed: Collection[str]) -> l
             sigma=sigma,
             covariance=covariance,
             fails=name in failed,
+            judged=judged,
+            limit=limit,
         )
-        for name, above, below, sigma, covariance in (
-            ("algebra", EKF, LINEAR, gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
-            ("model", LINEAR, LINEAR_MODEL, gaps.model_gap_sigma, gaps.model_gap_covariance),
+        for name, above, below, sigma, covariance, judged, limit in (
+            (
+                "algebra",
+                first,
+                LINEAR,
+                gaps.algebra_gap_sigma,
+                gaps.algebra_gap_covariance,
+                isinstance(gaps, AgreementResult) or gaps.algebra_gap_sigma is not None,
+                ROUNDING,
+            ),
+            (
+                "model",
+                LINEAR,
+                LINEAR_MODEL,
+                gaps.model_gap_sigma,
+                gaps.model_gap_covariance,
+                True,
+                ROUNDING,
+            ),
             (
                 "linearisation",
                 LINEAR_MODEL,
                 SMOOTHER,
                 gaps.linearisation_gap_sigma,
                 gaps.linearisation_gap_covariance,
+                right,
+                LARGEST_DISTANCE,
             ),
         )
     ]
@@ -82,5 +162,50 @@ def truth_steps(truth: TruthGapResult | None, failed: Collection[str]) -> list[S
             sigma=worst.sigma,
             error_m=worst.error_m,
             fails=truth.stands or "truth" in failed,
+            limit=worst.limit,
+        )
+    ]
+
+
+def _association_steps(result: Result, failed: Collection[str]) -> list[Step]:
+    """The smoother against itself with its own association, where that ran."""
+    entry = result.model_dump(include={"own_association"}).get("own_association")
+    if not isinstance(entry, dict):
+        return []
+    return [
+        Step(
+            gap="association",
+            above=SMOOTHER,
+            below=OWN_ASSOCIATION,
+            sigma=entry["pose_distance_sigma"],
+            error_m=entry["pose_difference_m"],
+            fails="association" in failed,
+            judged=entry["verified"],
+            limit=LARGEST_DISTANCE,
+        )
+    ]
+
+
+def _reference_steps(result: CheckResult) -> list[Step]:
+    """The estimate against the reference that it is nearest to, if that is not the smoother."""
+    from comparisons.checks.grade import LIKE_SIGMA  # a run needs no grades
+
+    nearest = result.nearest
+    if nearest is None or SMOOTHER in nearest.name:
+        return []
+    ratios = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
+    like = result.grade in ("equal", "like")
+    return [
+        Step(
+            gap="reference",
+            above=EXTERNAL,
+            below=nearest.name.removeprefix("the "),
+            sigma=nearest.largest_sigma,
+            covariance=max(
+                (abs(ratio - 1.0) for ratio in ratios if ratio is not None), default=None
+            ),
+            fails=not like and result.verdict == "disagree",
+            judged=like,
+            limit=LIKE_SIGMA,
         )
     ]

@@ -22,7 +22,9 @@ from comparisons.report.html.map import (
     farthest,
 )
 from comparisons.report.html.page import PageContent, page
+from comparisons.report.html.shell import number
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
+from comparisons.report.ladder import ladder
 from comparisons.report.models import Result
 from comparisons.report.panels import (
     ConsistencyPanels,
@@ -30,6 +32,15 @@ from comparisons.report.panels import (
     further_estimates,
 )
 from comparisons.report.result import run_rows
+from comparisons.report.settings import setting_lines
+
+_WORDS = {
+    "agree": "EKF and smoother agree: the last pose, every landmark and the whole map differ from "
+    "the smoother's optimum by less than the limits.",
+    "disagree": "EKF and smoother disagree. The causes, the most important first:",
+    "unverified": "There is no verdict: the smoother's optimum is not verified, so the EKF cannot "
+    "be compared with it.",
+}
 
 
 def run_folder(comparison: Comparison, result: Result) -> JobFolder:
@@ -81,13 +92,17 @@ def run_page(
     inconsistent = "; ".join(result.inconsistent or ())
     qualified = result.verdict == "agree" and result.qualifiers
     return PageContent(
+        job="run",
         name=result.log.name,
         headline=result.headline,
         colour="unverified" if qualified else result.verdict,
+        words=_WORDS[result.verdict],
+        facts=_facts(result),
         about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
         notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
         causes=result.causes,
         remarks=result.remarks,
+        steps=ladder(result),
         map=_map(comparison, marked),
         reported=panels.reported,
         panels=panels.every,
@@ -97,10 +112,38 @@ def run_page(
         sections=[section for one in found for section in one.sections()],
         landmarks=rows,
         landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
+        settings=setting_lines(c.prepared.config, result.settings, c.prepared.ekf),
         seconds=result.seconds,
         cpu_s=result.cpu_s or {},
         versions=result.versions,
     )
+
+
+def _facts(result: Result) -> list[tuple[str, str]]:
+    """What the verdict rests on, in a few lines."""
+    gaps, smoother, accuracy = result.agreement, result.smoother, result.accuracy
+    agreeing = sum(row.agrees for row in gaps.landmarks)
+    optimum = "verified" if smoother.verified else f"not verified: {smoother.lacks}"
+    if smoother.dof:
+        optimum += f"; chi-square {smoother.chi2:,.0f} for {smoother.dof:,} degrees of freedom"
+    facts = [
+        ("Smoother's optimum", optimum),
+        (
+            "Last pose",
+            f"{gaps.pose.difference_m:.3f} m apart, {gaps.pose.distance_sigma:.2g} sigma",
+        ),
+        (
+            "Landmarks",
+            f"{agreeing:,} of {len(gaps.landmarks):,} agree; "
+            f"{gaps.landmark_difference_rms_m:.3f} m apart (RMS)",
+        ),
+    ]
+    if not result.inconsistent:
+        facts.append(("Filter", "not judged" if result.inconsistent is None else "consistent"))
+    if accuracy is not None and accuracy.ekf.ate_m is not None:
+        errors = f"EKF {accuracy.ekf.ate_m:.3f} m, smoother {number(accuracy.smoother.ate_m)} m"
+        facts.append(("Error of the path", f"{errors} (RMS)"))
+    return facts
 
 
 def _map(c: Comparison, marked: Index) -> MapContent:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import html
+import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+_POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
 
 def look(url: str, profile: Path, *arguments: str, size: str = "1200,900") -> str:
@@ -25,6 +31,32 @@ def look(url: str, profile: Path, *arguments: str, size: str = "1200,900") -> st
         timeout=120,
     )  # fmt: skip
     return done.stdout
+
+
+def noted(
+    page: Path, folder: Path, steps: str, *, width: int = 1200, dark: bool = False
+) -> dict[str, Any]:
+    """What script that acts as a reader would writes into `noted`, on a page of so many pixels.
+
+    steps: run in the page once its own script has run, without its policy. The page stands in a
+    frame, for a window is never narrower than 500 pixels.
+    """
+    text = _POLICY.sub("", page.read_text(encoding="utf-8"))
+    send = "parent.postMessage(JSON.stringify(noted), '*');"
+    run = f"<script>(async () => {{ const noted = {{}}; {steps} {send} }})();</script>"
+    (folder / "framed.html").write_text(text.replace("</body>", f"{run}</body>"), encoding="utf-8")
+    outer = folder / "frame.html"
+    outer.write_text(
+        "<body><script>addEventListener('message', e => { document.body.dataset.noted = e.data; });"
+        f"</script><iframe src='framed.html' style='width:{width}px;height:900px;border:0'>",
+        encoding="utf-8",
+    )
+    scheme = f"--blink-settings=preferredColorScheme={0 if dark else 1}"
+    size = f"{max(width, 500)},900"
+    dom = look(outer.as_uri(), folder / "profile", scheme, "--dump-dom", size=size)
+    found = re.search(r'data-noted="([^"]*)"', dom)
+    assert found is not None, "the page's script did not run to its end"
+    return dict(json.loads(html.unescape(found[1])))
 
 
 def came_up(dom: str) -> bool:

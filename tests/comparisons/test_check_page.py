@@ -22,6 +22,7 @@ from comparisons.report.check import build_check_result, check_folder, check_pag
 from comparisons.report.consistency_result import consistency_result, external_consistency_result
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html.page import page
+from comparisons.report.ladder import EXTERNAL, SMOOTHER, check_ladder
 from comparisons.report.panels import Panel, external_panels
 from tests.comparisons.browser import came_up, look
 from tests.comparisons.test_html_report import HOSTILE, read
@@ -90,6 +91,39 @@ def test_everything_that_was_handed_in_is_on_the_page(
     titles = [panel["title"] for panel in data["panels"]]
     assert len(titles) == 9
     assert {"NEES of the pose (3 dof)", "pose's difference, squared"} < set(titles)
+
+
+def test_the_ladder_starts_at_the_estimate(run: Comparison, filtered: ExternalEstimate) -> None:
+    """With covariances and map: to the reference that it equals, and to the smoother."""
+    result = build_check_result(check(run.log, filtered))
+    reference, optimum = check_ladder(result)
+    assert (reference.above, reference.below) == (EXTERNAL, "reference EKF")
+    assert reference.sigma is not None
+    assert reference.sigma < 1e-6
+    assert reference.state == "passes"
+    assert (optimum.above, optimum.below) == (EXTERNAL, SMOOTHER)
+    assert optimum.error_m == result.rms_m
+    assert optimum.sigma == max(
+        one.distance_sigma for one in (*result.landmarks, result.last_pose) if one is not None
+    )
+    text = html(check(run.log, filtered))
+    assert "slamcheck check config.toml" in text
+    assert "The estimate equals the reference EKF to rounding." in text
+
+
+def test_a_wrong_estimate_fails_where_it_is_wrong(
+    run: Comparison, filtered: ExternalEstimate
+) -> None:
+    """Of a path that is five times too long neither the filter nor the optimum is near."""
+    stretched = replace(bare(filtered), pose=filtered.pose * (5.0, 5.0, 1.0))
+    result = build_check_result(check(run.log, stretched))
+    steps = check_ladder(result)
+    assert result.grade == "wrong"
+    assert [step.state for step in steps] == ["fails", "fails"]
+    optimum_named = {cause.gap for cause in result.causes} & {"optimum"}
+    assert optimum_named
+    sound = check_ladder(build_check_result(check(run.log, bare(filtered))))
+    assert "fails" not in [step.state for step in sound]
 
 
 def test_consistency_is_judged_as_the_run_judges_its_own_filter(

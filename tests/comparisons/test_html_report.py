@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 from dataclasses import replace
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.checks.causes import EXPLANATIONS
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Finding
 from comparisons.pipeline.compare import Comparison
@@ -19,12 +21,14 @@ from comparisons.report.folder import write_job_folder
 from comparisons.report.html import map as map_page
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
-from comparisons.report.html.look import policy, script, style
+from comparisons.report.html.look import DARK, policy, script, style, themed
 from comparisons.report.html.page import page
+from comparisons.report.html.shell import prose
 from comparisons.report.models import CauseResult, Result
 from comparisons.report.panels import Panel, consistency_panels
 from comparisons.report.result import build_result, run_rows
 from comparisons.report.run import run_folder, run_page
+from comparisons.report.settings import setting_lines, settings_result
 from tests.helpers import compared, simulated
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
@@ -103,6 +107,97 @@ def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
     assert order == sorted(order)
     assert "<b>x</b>" not in text
     assert text.count("<script") == 2
+
+
+@pytest.mark.parametrize("kind", sorted(EXPLANATIONS))
+def test_a_cause_comes_with_what_it_means(comparison: Comparison, kind: str) -> None:
+    cause = CauseResult(gap=kind, evidence="measured", hint="look")
+    text = drawn(comparison, build_result(comparison).model_copy(update={"causes": [cause]}))
+    known = EXPLANATIONS[kind]
+    card = text[text.index('class="cause"') : text.index('id="gaps"')]
+    places = [card.index(escape(part)) for part in (known.title, "measured", "look", known.meaning)]
+    assert places == sorted(places)
+    assert escape(known.check) in card
+
+
+def test_a_number_with_an_exponent_stays_in_one_line() -> None:
+    assert prose("allows 1e-06; <b>") == 'allows <span class="whole">1e-06</span>; &lt;b&gt;'
+    assert prose("label-3 of e-mail 12") == "label-3 of e-mail 12"
+
+
+def test_every_kind_of_cause_is_explained() -> None:
+    """Those that the code names; another one has no card with an explanation."""
+    root, found = Path(page.__code__.co_filename).parents[2], set[str]()
+    for path in root.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] == "Cause":
+                found |= {str(a.value) for a in node.args[:1] if isinstance(a, ast.Constant)}
+    assert len(found) > 15
+    assert found <= set(EXPLANATIONS)
+    assert not {*found, "unheard of"} <= set(EXPLANATIONS)
+
+
+def test_settings_that_differ_come_first(comparison: Comparison) -> None:
+    config = comparison.prepared.config
+    usual = setting_lines(config)
+    assert not any(line.changed for line in usual)
+    smoother = config.smoother.model_copy(update={"lag": 7})
+    lines = setting_lines(config.model_copy(update={"smoother": smoother}))
+    assert lines[0][:4] == ("smoother.lag", "7", "100", True)
+    assert sorted(line.setting for line in lines) == sorted(line.setting for line in usual)
+    written = set(re.findall(r"^(\w+) = ", config.toml(), re.MULTILINE))
+    assert written <= {line.setting.rpartition(".")[2] for line in lines}
+    text = drawn(comparison, build_result(comparison))
+    assert "All are at their defaults." in text
+    assert all(f"<b>{line.setting}</b>" in text for line in usual)
+
+
+def test_a_setting_that_is_no_documents_is_named_with_it(comparison: Comparison) -> None:
+    config = comparison.prepared.config
+    nearest = config.ekf.model_copy(update={"association": "nn"})
+    changed = config.model_copy(update={"ekf": nearest})
+    found = settings_result(changed, "simulated", nearest)
+    assert found.differing
+    lines = {line.setting: line for line in setting_lines(changed, found, nearest)}
+    for one in found.differing:
+        assert one.place in lines[one.setting].document
+    assert lines["ekf.association"].changed
+    assert not lines["ekf.nn_gate"].changed
+
+
+def test_the_command_that_runs_it_again_is_there_without_a_script(report: Path) -> None:
+    text = report.read_text(encoding="utf-8")
+    assert '<code tabindex="0">slamcheck run config.toml</code>' in text
+    assert '<button type="button" hidden>Copy</button>' in text
+    assert (report.parent / "config.toml").is_file()
+
+
+def test_every_colour_of_a_line_is_seen_on_a_dark_page(report: Path) -> None:
+    """At 3 to 1 or more; without the colours for the dark several are not."""
+    text = report.read_text(encoding="utf-8")
+    block = re.search(r'id="data">(.*?)</script>', text)
+    assert block is not None
+    painted = set(re.findall(r'data-name="[^"]*" stroke="([^"]*)"', text))
+    painted |= {one["colour"] for p in json.loads(block[1])["panels"] for one in p["curves"]}
+    light = {re.sub(r".*(#\w{6}).*", r"\1", colour) for colour in painted}
+    assert len(light) > 4
+    assert {themed(colour) for colour in light} == painted
+    assert all(contrast(DARK.get(colour, colour), "#1c1f23") >= 3.0 for colour in light)
+    assert any(contrast(colour, "#1c1f23") < 3.3 for colour in light)
+    assert all(contrast(colour, "#1c1f23") >= 4.5 for colour in DARK.values())
+
+
+def contrast(first: str, second: str) -> float:
+    """As WCAG defines it, of two colours like #00798c."""
+    parts = [[int(c[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for c in (first, second)]
+    dark, bright = sorted(
+        sum(
+            share * (v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4)
+            for share, v in zip((0.2126, 0.7152, 0.0722), part, strict=True)
+        )
+        for part in parts
+    )
+    return (bright + 0.05) / (dark + 0.05)
 
 
 def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -> None:

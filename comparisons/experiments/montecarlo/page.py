@@ -18,10 +18,10 @@ from comparisons.experiments.montecarlo.statistics import (
 from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.look import script
-from comparisons.report.html.shell import document, number, sortable, table
+from comparisons.report.html.shell import again, document, number, sortable, table
 from comparisons.report.panels import Band, Curve, Panel
 
-_SCRIPTS = ("common.js", "curves.js", "tables.js")
+_SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
 _UNITS = {"position": "m", "heading": "rad", "landmarks": "m"}
 _LEVEL = f"{100 * LEVEL:.0f} %"
 _WHAT = {
@@ -42,6 +42,7 @@ def study_page(outcome: Outcome, remarks: list[str]) -> str:
         f"{study.scenario.steps:,} steps, {outcome.landmarks} landmarks</p></header>",
         f'<p class="note">{escape(study.scenario.description)}</p>',
         f'<ul class="note">{reported}</ul>' if reported else "",
+        again("montecarlo"),
         "<h2>Consistency: mean NEES</h2>",
         _consistency(outcome),
         f'<p class="note">In brackets the exact {_LEVEL} band of the mean over the runs at one '

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.arrays import Array, Index
+from comparisons.report.html.look import themed
 from comparisons.report.panels import Panel
 
 MOST_POINTS = 2000
@@ -45,13 +46,14 @@ def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:
     for curve in panel.curves:
         row = thinned(curve.y)
         curves.append(
-            {"name": curve.name, "colour": curve.colour, "x": rounded(curve.x[row] - start, 3),
-             "y": short(curve.y[row])}
+            {"name": curve.name, "colour": themed(curve.colour),
+             "x": rounded(curve.x[row] - start, 3), "y": short(curve.y[row])}
         )  # fmt: skip
     for band in panel.bands:
         row = thinned(band.low, band.high)
         bands.append(
-            {"name": band.name, "colour": band.colour, "x": rounded(band.x[row] - start, 3),
+            {"name": band.name, "colour": themed(band.colour),
+             "x": rounded(band.x[row] - start, 3),
              "low": short(band.low[row]), "high": short(band.high[row])}
         )  # fmt: skip
     return {

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
+from comparisons.report.html.look import themed
 
 MOST_POINTS = 4000
 MOST_LINES = 3000
@@ -129,9 +130,10 @@ class Drawing:
         self, name: str, colour: str, shapes: str, *, shown: bool = True, kind: str = "layer"
     ) -> None:
         hidden = "" if shown else ' display="none"'
+        paint = escape(themed(colour))
         self.layers.append(
-            f'<g class="{kind}" data-name="{escape(name)}" stroke="{escape(colour)}" '
-            f'fill="{escape(colour)}"{hidden}>{shapes}</g>'
+            f'<g class="{kind}" data-name="{escape(name)}" stroke="{paint}" '
+            f'fill="{paint}"{hidden}>{shapes}</g>'
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -31,7 +32,22 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], bad: Iterable[i
     for number, row in enumerate(rows):
         cells = "".join(f"<td>{escape(str(cell))}</td>" for cell in row)
         body.append(f'<tr class="bad">{cells}</tr>' if number in marked else f"<tr>{cells}</tr>")
-    return f"<table>{top}<tbody>{''.join(body)}</tbody></table>"
+    return f'<div class="held"><table>{top}<tbody>{"".join(body)}</tbody></table></div>'
+
+
+def prose(text: str) -> str:
+    """Any text as HTML; numbers with an exponent are kept in one line."""
+    return re.sub(r"\d[\d.]*e[-+]\d+", r'<span class="whole">\g<0></span>', escape(text))
+
+
+def again(job: str) -> str:
+    """The command that makes the folder's result again, and a button that copies it."""
+    return (
+        f'<div id="again" data-job="{escape(job)}"><p class="note">The command that runs this '
+        f'again<span class="where">, in the folder of this page</span>:</p><p><code tabindex="0">'
+        f'slamcheck {escape(job)} config.toml</code> <button type="button" hidden>Copy</button> '
+        '<span role="status" class="note"></span></p></div>'
+    )
 
 
 def sortable(name: str, head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:

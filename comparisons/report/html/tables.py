@@ -11,6 +11,7 @@ from typing import NamedTuple
 from comparisons.extensions.interface import Row
 from comparisons.report.html.shell import number, sortable
 from comparisons.report.models import BlockResult
+from comparisons.report.settings import SettingLine
 
 
 class LandmarkRow(NamedTuple):
@@ -73,6 +74,42 @@ def landmarks_note(shown: int, every: int, file: str, whose: str) -> str:
     return (
         f"{part}A row finds its landmark on the map, and the other way round. Variances are {whose}"
         " over the smoother's."
+    )
+
+
+def settings(lines: Sequence[SettingLine]) -> str:
+    """All settings; those that are no default, or not a document's, before the others."""
+    shown = [line for line in lines if line.changed or line.document]
+    others = [line for line in lines if not (line.changed or line.document)]
+    count = sum(line.changed for line in lines)
+    words = f"{count} {'differs' if count == 1 else 'differ'} from the default."
+    parts = [f'<p class="note">{words if count else "All are at their defaults."}</p>']
+    if shown:
+        documents = any(line.document for line in shown)
+        parts.append(_setting_table(shown, 4 if documents else 3))
+    title = f"{'The other ' if shown else ''}{len(others)} settings, inputs or at their defaults"
+    parts.append(f"<details><summary>{title}</summary>{_setting_table(others, 2)}</details>")
+    return f'<section id="settings"><h2>Settings that ran</h2>{"".join(parts)}</section>'
+
+
+def _setting_table(lines: Sequence[SettingLine], columns: int) -> str:
+    heads = ("setting", "value", "default", "in a document")[:columns]
+    body = []
+    for line in lines:
+        texts = (line.value, line.default, line.document)[: columns - 1]
+        cells = "".join(
+            f'<td data-name="{name}">{escape(text)}</td>'
+            for name, text in zip(heads[1:], texts, strict=True)
+        )
+        kind = ' class="changed"' if line.changed else ""
+        body.append(
+            f"<tr{kind}><td><b>{escape(line.setting)}</b><div>{escape(line.meaning)}</div></td>"
+            f"{cells}</tr>"
+        )
+    top = "".join(f"<th>{name}</th>" for name in heads)
+    return (
+        f'<div class="held"><table><thead><tr>{top}</tr></thead>'
+        f"<tbody>{''.join(body)}</tbody></table></div>"
     )
 
 
