@@ -54,7 +54,7 @@ def main() -> None:
     print("seed ", *(f"{name:>11}" for name in Row.__dataclass_fields__), "  verdict")
     for seed in map(int, choices.seeds.split(",")):
         log = simulate(np.random.default_rng(seed), scan_slam())
-        c = compare(log, run_config(landmarks="scans", smoother_matcher="own"))
+        c = compare(log, run_config(landmarks="scans", smoother_matcher="generalised-icp"))
         shown = (f"{value:11.3g}" for value in vars(measured(c)).values())
         print(f"{seed:4} ", *shown, f"  {c.verdict.outcome}", flush=True)
 

@@ -1,7 +1,7 @@
 """DenseSLAM between scan landmarks (Nieto 2005, section 6.2.1): layers before and after the loop.
 
     python benchmarks/scan_maps.py [--log scan-slam-maps] [--first 0] [--seeds 3]
-                                   [--templates bare enriched]
+                                   [--matching template map-aided]
 
 Per drive and kind of template: the filter's error at all times and at the end, the largest sigma of
 its position, regions, alignments that began where the surroundings fit, median distances of what
@@ -29,11 +29,11 @@ from comparisons.pipeline.dense_map import map_log
 LAYERS = ("occupancy", "sog")
 
 
-def measured(name: str, seed: int, templates: str) -> str:
+def measured(name: str, seed: int, matching: str) -> str:
     """One drive, as a row."""
     log = open_log(name, choices=SimulationChoices(seed))
     start = time.process_time()
-    between = {"landmarks": "scans", "templates": templates}
+    between = {"landmarks": "scans", "map_aided_matching": matching == "map-aided"}
     extensions = {"scan_landmarks": between, "dense_maps": {"layers": LAYERS}}
     m = map_log(log, MapConfig.of(extensions=extensions))
     cpu_s = time.process_time() - start
@@ -65,16 +65,16 @@ def main() -> None:
     parser.add_argument("--log", default="scan-slam-maps")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--templates", nargs="+", default=["bare", "enriched"])
+    parser.add_argument("--matching", nargs="+", default=["template", "map-aided"])
     choices = parser.parse_args()
     names = ["ate", "end", "sigma", "regions", "enriched"]
     names += [f"{layer} {when}" for layer in ("og", "sog") for when in ("bef.", "aft.")]
     names.append("cpu_s")
-    print("seed templates", " ".join(f"{name:>8}" for name in names))
+    print("seed matching ", " ".join(f"{name:>8}" for name in names))
     for seed in range(choices.first, choices.first + choices.seeds):
-        for templates in choices.templates:
-            row = measured(choices.log, seed, templates)
-            print(f"{seed:4} {templates:9}", row, flush=True)
+        for matching in choices.matching:
+            row = measured(choices.log, seed, matching)
+            print(f"{seed:4} {matching:9}", row, flush=True)
 
 
 if __name__ == "__main__":

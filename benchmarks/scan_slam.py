@@ -72,7 +72,7 @@ def measured(seed: int, seconds: float, *, fuse: bool = False) -> tuple[Row, str
     """One drive, and the verdict."""
     log = simulate(np.random.default_rng(seed), scan_slam())
     start = time.process_time()
-    config = run_config(landmarks="scans", fuse_landmarks=fuse)
+    config = run_config(landmarks="scans", merge_landmarks=fuse)
     c = compare(_until(log, seconds), config)
     cpu_s = time.process_time() - start
     found = c.assessment

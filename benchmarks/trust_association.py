@@ -136,7 +136,7 @@ def _error(found: Comparison) -> float:
 
 def shared_mistake_rows(data: Path, quick: bool) -> Iterator[Row]:
     """Whether mistakes that both estimators share are named, and nothing else is."""
-    names = ("jcbb",) if quick else ("nn", "jcbb", "agreed")
+    names = ("jcbb",) if quick else ("nn", "jcbb", "consensus")
     logs = [log for log in mrclam_pieces(data, quick) if not log.name.endswith("-1")]
     runs = [one for log in logs for one in shared(log, names)]
     agreeing = [one for one in runs if one.headline.startswith("agree")]

@@ -41,6 +41,7 @@ from comparisons.choices import (
 )
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.options import renamed_settings
 
 Needs = Mapping[str, Mapping[str, Any]]
 """Extensions that must take part, with the fields that they must have."""
@@ -74,36 +75,53 @@ class Section(BaseModel):
 
 
 class LogSection(Section):
-    """Which log is read, and how."""
+    """The log: which one is read, and how."""
 
-    source: str = Field("victoria-park", description="a bundled name, or a path")
-    format: str | None = Field(None, description="the log's format; recognised if absent")
-    robot: int = Field(1, description="robot number, for MR.CLAM folders")
+    source: str = Field(
+        "victoria-park", description="Log: a name in `slamcheck logs`, or a path; the argument LOG"
+    )
+    format: str | None = Field(
+        None, description="Format of the log, named as in `slamcheck logs`. Default: recognised"
+    )
+    robot: int = Field(1, description="Robot number in an MR.CLAM folder")
     topics: tuple[str, ...] | None = Field(
-        None, description="of a ROS bag, which to read; of each type the one with most messages"
+        None,
+        description="Topics of a ROS bag to read. Default: per message type, the topic with most "
+        "messages",
     )
     start_s: float | None = Field(
-        None, ge=0.0, allow_inf_nan=False, description="leave out what is before, from its start"
+        None, ge=0.0, allow_inf_nan=False, description="Seconds to skip at the start of the log"
     )
     end_s: float | None = Field(
-        None, gt=0.0, allow_inf_nan=False, description="leave out what is after, from its start"
+        None,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="Last time to read, in seconds after the log's start",
     )
-    seed: int = Field(0, ge=0, lt=2**64, description="seed of a simulated log")
-    loops: int = Field(1, ge=1, le=1000, description="loops of a simulated log")
+    seed: int = Field(0, ge=0, lt=2**64, description="Random seed of a simulated log")
+    loops: int = Field(1, ge=1, le=1000, description="Number of loops of a simulated log")
     noise_scale: float = Field(
         1.0,
         gt=0.0,
         le=1e6,
         allow_inf_nan=False,
-        description="factor on the noise of a simulated log, added and stated alike",
+        description="Factor on the noise of a simulated log and on the sigmas that it states",
     )
-    features: Features = Field("log", description="the log's own, or trunks found in its scans")
+    features: Features = Field(
+        "log",
+        description="Landmark measurements: log, those of the log; trees, tree trunks detected in "
+        "its scans",
+    )
     sigmas: Sigmas = Field(
         "calibrated",
-        description="of the real logs of Nieto's vehicle: found on the logs, or those of his Table "
-        "A.1; other logs have one set",
+        description="Measurement sigmas of the real logs of Nieto's vehicle: calibrated on the "
+        "logs, or published in his Table A.1. Other logs have one set",
     )
-    sha256: str | None = Field(None, description="hash of the log; a run refuses another log")
+    sha256: str | None = Field(
+        None,
+        description="SHA-256 of the log. A log with another hash is refused without "
+        "--allow-changed-log",
+    )
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -115,46 +133,73 @@ class LogSection(Section):
 
 
 class EkfConfig(Section):
-    """The filter. association: None for whichever the log allows."""
+    """The EKF."""
 
-    filter: Filter = Field("full", description="which EKF")
-    association: Association | None = Field(
-        None, description="how measurements find their landmarks; by the log if absent"
+    filter: Filter = Field(
+        "full",
+        description="EKF variant. full: textbook EKF-SLAM; compressed: compressed EKF (Guivant "
+        "2002), equal to full; compressed-suboptimal: its conservative global update; misono: "
+        "direction-cosine EKF as published (Misono 2007); misono-full: with the full Jacobian",
     )
-    attributes: Attributes = Field("off", description="diameters and intensities in association")
-    gps: Gps = Field("off", description="absolute positions to fuse; half holds every second back")
+    association: Association | None = Field(
+        None,
+        description="Data association. known: the log's labels; nn: nearest neighbour; jcbb: joint "
+        "compatibility branch and bound; euclidean: nearest by distance in metres; consensus: only "
+        "the pairs that all likely joint hypotheses share. Default: known where the log has "
+        "labels, else nn",
+    )
+    attributes: Attributes = Field(
+        "off",
+        description="Landmark attributes in association, for nn and jcbb. on: diameter and "
+        "intensity of the measurements; layer: intensities of the surrounding scans, from a dense "
+        "map",
+    )
+    gps: Gps = Field(
+        "off",
+        description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
+        "the others out as a reference",
+    )
     nn_gate: float = Field(
-        13.82, gt=0.0, description="of nearest neighbour association, chi-square of two"
+        13.82,
+        gt=0.0,
+        description="Gate of nearest neighbour association: chi-square of 2 degrees of freedom",
     )
     least_gain: float | None = Field(
         None,
         ge=0.0,
         lt=1.0,
-        description="share of its variance below which compressed-suboptimal spares a state; 1e-4 "
-        "if absent",
+        description="compressed-suboptimal: least share of a state's variance that an update must "
+        "remove to be applied to this state. Default: 1e-4",
     )
     gps_recovery: int | None = Field(
         None,
         ge=2,
-        description="rejected positions in a row, alike in where they lie from the vehicle, after "
-        "which those that follow are fused; never if absent",
+        description="Number of successive rejected absolute positions with the same offset from "
+        "the vehicle after which the next ones are fused. Default: never",
     )
     split_turn_rad: float | None = Field(
-        None, gt=0.0, description="an update that turns the vehicle by more is made in parts"
+        None,
+        gt=0.0,
+        description="Greatest turn of the vehicle by one update in radians; a larger update is "
+        "split. Default: 0.0175 (1 degree) for absolute positions, none for landmarks",
     )
     split_move_m: float | None = Field(
-        None, gt=0.0, description="an update that moves the vehicle by more is made in parts"
+        None,
+        gt=0.0,
+        description="Greatest move of the vehicle by one update in metres; a larger update is "
+        "split. Default: 1 for absolute positions, none for landmarks",
     )
     split_shrink: float | None = Field(
         None,
         gt=0.0,
         lt=1.0,
-        description="an update that takes a larger share of a variance is made in parts",
+        description="Greatest share of a variance that one update removes; a larger update is "
+        "split. Default: none",
     )
 
     @model_validator(mode="after")
     def _take_attributes(self) -> Self:
-        """`known` needs none, `euclidean` knows no likelihood, `agreed` sees discs of several."""
+        """`known` needs none, `euclidean` has no likelihood, `consensus` sees discs of several."""
         if self.attributes != "off" and self.association not in (None, "nn", "jcbb"):
             raise ValueError(
                 f"association '{self.association}' takes no attributes, expected nn or jcbb; "
@@ -180,29 +225,52 @@ class EkfConfig(Section):
 class SmootherConfig(Section):
     """The smoother."""
 
-    method: Method = Field("batch", description="how the smoother works")
-    lag: int = Field(100, ge=1, description="poses that a fixed lag holds")
-    optimiser: Optimiser = Field("levenberg-marquardt", description="of the batch smoother")
-    robust: Robust = Field("none", description="kernel against outliers; changes the marginals")
+    method: Method = Field(
+        "batch",
+        description="Method. batch: all poses at once; isam2: incremental; fixed-lag: the last "
+        "poses alone. The last two are compared with the batch optimum",
+    )
+    lag: int = Field(100, ge=1, description="Number of poses of a fixed-lag smoother")
+    optimiser: Optimiser = Field("levenberg-marquardt", description="Optimiser of method batch")
+    robust: Robust = Field(
+        "none",
+        description="Robust kernel against outliers: none, huber, cauchy, or gnc (graduated "
+        "non-convexity). A kernel changes the marginal covariances",
+    )
     accept_misfit: bool = Field(
-        False, description="verify a minimum although its chi-square is too high"
+        False, description="Accept the lowest minimum as verified although its chi-square is high"
     )
 
 
 class ReportConfig(Section):
-    """What a run's folder holds besides the usual files."""
+    """The output folder."""
 
-    figures: tuple[PictureFormat, ...] = Field((), description="formats of the pictures")
-    trace: bool = Field(False, description="write ekf/trace.npz")
+    figures: tuple[PictureFormat, ...] = Field(
+        (), description="Further formats of the figures; PNG is always written"
+    )
+    trace: bool = Field(
+        False, description="Write the EKF's linearisation points and matrices to ekf/trace.npz"
+    )
 
 
 class FrontEndConfig(Section):
     """The scan front end."""
 
-    guess: Guess = Field("wheels", description="where the alignment of a scan starts")
-    loop_closure: bool = Field(True, description="look for places seen before")
-    matcher: LoopMatcher = Field("surface", description="what aligns scans for loop closure")
-    gps: Gps = Field("off", description="absolute positions to fuse")
+    guess: Guess = Field(
+        "wheels",
+        description="Initial guess of scan matching. wheels: the odometry; none: no motion",
+    )
+    loop_closure: bool = Field(True, description="Detect and close loops")
+    matcher: LoopMatcher = Field(
+        "surface",
+        description="Scan matcher of loop closure: surface (ours), kiss (KISS-ICP), or ICP of "
+        "Open3D, point-to-point, point-to-plane or generalised",
+    )
+    gps: Gps = Field(
+        "off",
+        description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
+        "the others out as a reference",
+    )
 
 
 class ExtensionConfig(Section):
@@ -246,16 +314,20 @@ class JobConfig(Section):
     job: str
     preset: Preset = Field(
         "recommended",
-        description="what settings are where none is given; as-published: at a document's value "
-        "where it states one (docs/settings.md)",
+        description="Default values of all other settings: recommended, or as-published, the value "
+        "of the source document where it states one (docs/settings.md). Over a configuration file, "
+        "settings that differ from the file's preset stay",
     )
     log: LogSection = LogSection()
 
     @model_validator(mode="before")
     @classmethod
     def _published(cls, given: Any) -> Any:
-        """Put the documents' values where nothing was given."""
-        if not isinstance(given, Mapping) or given.get("preset") != "as-published":
+        """Read earlier spellings; put the documents' values where nothing was given."""
+        if not isinstance(given, Mapping):
+            return given
+        given, _ = renamed_settings(given)
+        if given.get("preset") != "as-published":
             return given
         from comparisons.documented.preset import published
 
@@ -331,8 +403,9 @@ class RunConfig(Configured):
     report: ReportConfig = ReportConfig()
     fail_on: Annotated[tuple[FailOn, ...], BeforeValidator(_listed)] = Field(
         (),
-        description="what makes a run fail, besides a disagreement, which always does: "
-        "consistency, truth, association; both is disagreement and consistency",
+        description="Findings that exit with 1. disagreement: always does; consistency: NEES, "
+        "NIS or filter against smoother outside their bands; both: these two; truth: the smoother "
+        "is far from the truth; association: no check of the association was possible",
     )
 
     @model_validator(mode="after")
@@ -349,7 +422,9 @@ class MapConfig(Configured):
     """`slamcheck map`: a dense map beside the filter."""
 
     job: Literal["map"] = "map"
-    cloud: CloudFormat | None = Field(None, description="write the map as a cloud, too")
+    cloud: CloudFormat | None = Field(
+        None, description="Write the map also as a point cloud; needs Open3D"
+    )
 
     def libraries(self) -> dict[str, str]:
         """Clouds are written by Open3D."""
@@ -361,9 +436,15 @@ class SolveConfig(JobConfig):
 
     job: Literal["solve"] = "solve"
     association: SolverAssociation | None = Field(
-        None, description="the log's labels, or the smoother's own; by the log if absent"
+        None,
+        description="Data association. known: the log's labels; own: found by the smoother. "
+        "Default: known where the log has labels, else own",
     )
-    gps: Gps = Field("off", description="absolute positions to fuse")
+    gps: Gps = Field(
+        "off",
+        description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
+        "the others out as a reference",
+    )
     smoother: SmootherConfig = SmootherConfig()
 
 
@@ -375,18 +456,25 @@ class CheckConfig(SolveConfig):
     """`slamcheck check`: an external estimate against the smoother's."""
 
     job: Literal["check"] = "check"  # type: ignore[assignment]
-    estimate: str = Field("", description="a trajectory file, or an estimate folder")
-    times: str | None = Field(None, description="times of a KITTI file")
+    estimate: str = Field(
+        "",
+        description="Trajectory file (TUM, KITTI, CSV), or folder of an estimate (docs/formats.md)",
+    )
+    times: str | None = Field(
+        None, description="Time stamps of a KITTI trajectory. Default: times.txt beside it"
+    )
     require: RequiredGrade | None = Field(
         None,
-        description="least grade that agrees: like an EKF where the estimate calls itself one, "
-        "else plausible, if absent",
+        description="Lowest grade that exits with 0. equal: to the reference EKF; like: within 5 % "
+        "of it; plausible: as near to the optimum as that is certain. Default: like where "
+        'estimate.toml says estimator = "ekf", else plausible',
     )
     min_coverage: float = Field(
         MIN_COVERAGE,
         ge=0.0,
         le=1.0,
-        description="least share of the log's time that the estimate has to cover",
+        description="Least share of the log's time that the estimate must cover; one that covers "
+        "less disagrees",
     )
 
 
@@ -395,7 +483,9 @@ class OdometryConfig(JobConfig):
 
     job: Literal["odometry"] = "odometry"
     front_end: FrontEndConfig = FrontEndConfig()
-    cloud: CloudFormat | None = Field(None, description="write the map as a cloud, too")
+    cloud: CloudFormat | None = Field(
+        None, description="Write the map also as a point cloud; needs Open3D"
+    )
 
     def libraries(self) -> dict[str, str]:
         """Odometry is KISS-ICP's; clouds and all other matchers but `surface` are Open3D's."""

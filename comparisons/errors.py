@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from contextlib import suppress
+
 
 class InputError(ValueError):
     """Unusable input or usage: what, where, what was expected. The command line exits with 2."""
@@ -18,6 +21,12 @@ class RecordError(InputError):
         self.stream, self.row, self.fault = stream, row, fault
         place = stream if row is None else f"{stream}, row {row}"
         super().__init__(f"{place}: {fault}")
+
+
+def note(text: str) -> None:
+    """Print one line on standard error, which changes no result."""
+    with suppress(OSError, ValueError, AttributeError):
+        print(f"slamcheck: {printable(text)}", file=sys.stderr)
 
 
 def printable(text: str) -> str:

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from typing import Any, NamedTuple, get_args
 
 from comparisons import choices
-from comparisons.errors import InputError
+from comparisons.errors import InputError, note
 
 ABSENT = None
 """A setting that takes its section away."""
-FILTER_PANEL, SMOOTHER_PANEL, SCAN_PANEL = "Filter", "Smoother", "Scans and dense maps"
-LOG_PANEL, REPORT_PANEL = "Log", "Report"
+ESTIMATORS, SCANS = "Estimators", "Scans and dense maps"
+GRADE, FRONT_END_PANEL, JOB = "Estimate", "Scan front end", "Log, settings and report"
 _SWITCH: Mapping[Any, Any] = {True: {}, False: ABSENT}
 """Of an extension that is there or not."""
 
@@ -38,13 +39,14 @@ class Flag:
     repeated. settings: what each choice stands for, ABSENT to take the field away; without it
     the value itself. within: what must be asked for as well, for a field of a section that the
     flag alone does not add; neutral: the choice that is the default there, and needs nothing.
-    where: where another value than the default has an effect; see check_applies. panel: of the
-    help that lists it; empty for what people use first. off: a switch that has a --no- form, too.
+    where: where another value than the default has an effect; see check_applies. help: a line for
+    `--help`, the default in brackets; empty where no command lists the option. `slamcheck config`
+    describes every option by its field. panel: of the help. off: a switch that has a --no- form.
     """
 
     option: str
     field: str
-    help: str
+    help: str = ""
     kind: type = str
     metavar: str | None = None
     choices: Any = None
@@ -103,96 +105,130 @@ class Flag:
         return None, frozenset()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Renamed:
+    """An earlier spelling, which is read for one release.
+
+    field: of the configuration, as it is now. was_field: empty where it is the same. option,
+    was_option: the same of the command line. values: earlier values and what they are now.
+    """
+
+    field: str
+    option: str
+    was_field: str = ""
+    was_option: str = ""
+    values: Mapping[Any, Any] = dataclass_field(default_factory=dict)
+
+
+_SCAN_LANDMARKS = "extensions.scan_landmarks"
 # fmt: off
-PRESET = Flag(
-    option="--preset", field="preset", choices=choices.Preset,
-    help="Settings where none is given: ours, or those that a document states at its values "
-    "(docs/settings.md); over a file, what was set beside its preset stays. [recommended]",
+RENAMED = (
+    Renamed(field="ekf.association", option="--association", values={"agreed": "consensus"}),
+    Renamed(
+        field=f"{_SCAN_LANDMARKS}.template_extraction", was_field=f"{_SCAN_LANDMARKS}.pieces",
+        option="--template-extraction", was_option="--pieces",
+        values={"joined": "whole-scan", "single": "per-segment"},
+    ),
+    Renamed(
+        field=f"{_SCAN_LANDMARKS}.map_aided_matching", was_field=f"{_SCAN_LANDMARKS}.templates",
+        option="--map-aided-matching", was_option="--templates",
+        values={"bare": False, "enriched": True},
+    ),
+    Renamed(
+        field=f"{_SCAN_LANDMARKS}.merge_landmarks", was_field=f"{_SCAN_LANDMARKS}.fuse",
+        option="--merge-landmarks", was_option="--fuse-landmarks",
+    ),
+    Renamed(
+        field="extensions.own_matching", option="--smoother-matcher",
+        values={"own": "generalised-icp"},
+    ),
 )
+"""Every earlier spelling, of the command line, of `config.toml` and of Python."""
+
+PRESET = Flag(option="--preset", field="preset", choices=choices.Preset)
 LOG = (
     PRESET,
     Flag(
-        option="--format", panel=LOG_PANEL, field="log.format", metavar="F",
-        help="The log's format; recognised if left out.",
+        option="--format", panel=JOB, field="log.format", metavar="NAME",
+        help="Format of the log, named as in `slamcheck logs`. [recognised]",
     ),
     Flag(
-        option="--robot", panel=LOG_PANEL, field="log.robot", kind=int,
-        help="Robot number, for MR.CLAM folders. [1]",
+        option="--robot", panel=JOB, field="log.robot", kind=int, metavar="N",
+        help="Robot number in an MR.CLAM folder. [1]",
     ),
     Flag(
-        option="--topic", panel=LOG_PANEL, field="log.topics", metavar="NAME", many=True,
-        help="Topic of a ROS bag to read; may be repeated. [of each type the one with most "
-        "messages]",
+        option="--topic", panel=JOB, field="log.topics", metavar="NAME", many=True,
+        help="Topic of a ROS bag to read; repeat it for several. [per message type, the topic "
+        "with most messages]",
     ),
     Flag(
-        option="--start", panel=LOG_PANEL, field="log.start_s", kind=float, metavar="S",
-        help="Leave out the log's first seconds. [0]",
+        option="--start", panel=JOB, field="log.start_s", kind=float, metavar="S",
+        help="Skip the first S seconds of the log. [0]",
     ),
     Flag(
-        option="--end", panel=LOG_PANEL, field="log.end_s", kind=float, metavar="S",
-        help="Leave out what lies so many seconds after the log's start and later. [its end]",
+        option="--end", panel=JOB, field="log.end_s", kind=float, metavar="S",
+        help="Stop S seconds after the log's start. [its end]",
     ),
     Flag(
-        option="--seed", panel=LOG_PANEL, field="log.seed", kind=int,
-        help="Seed of a simulated log. [0]",
+        option="--seed", panel=JOB, field="log.seed", kind=int, metavar="N",
+        help="Random seed of a simulated log. [0]",
     ),
     Flag(
-        option="--loops", panel=LOG_PANEL, field="log.loops", kind=int,
-        help="Loops of a simulated log. [1]",
+        option="--loops", panel=JOB, field="log.loops", kind=int, metavar="N",
+        help="Number of loops of a simulated log. [1]",
     ),
     Flag(
-        option="--noise-scale", panel=LOG_PANEL, field="log.noise_scale", kind=float,
-        help="Factor on the noise of a simulated log, added and stated. [1]",
+        option="--noise-scale", panel=JOB, field="log.noise_scale", kind=float, metavar="X",
+        help="Factor on the noise of a simulated log and on its stated sigmas. [1]",
     ),
 )
-FEATURES = Flag(
-    option="--features", panel=FILTER_PANEL, field="log.features", choices=choices.Features,
-    help="Measurements: the log's, or trunks found in its scans. [log]",
+FEATURES = Flag(option="--features", field="log.features", choices=choices.Features)
+_GPS_HELP = "GPS: off, on, or half (hold out every second one). [off]"
+GPS = Flag(
+    option="--gps", field="gps", choices=choices.Gps, help=_GPS_HELP, panel=ESTIMATORS
 )
-_GPS_HELP = "Fuse absolute positions; half holds every second one back. [off]"
-GPS = Flag(option="--gps", field="gps", choices=choices.Gps, help=_GPS_HELP)
-FRONT_END_GPS = Flag(option="--gps", field="front_end.gps", choices=choices.Gps, help=_GPS_HELP)
+FRONT_END_GPS = Flag(
+    option="--gps", field="front_end.gps", choices=choices.Gps, help=_GPS_HELP,
+    panel=FRONT_END_PANEL,
+)
 EKF = (
-    Flag(option="--filter", field="ekf.filter", choices=choices.Filter, help="Which EKF. [full]"),
+    Flag(
+        option="--filter", field="ekf.filter", choices=choices.Filter, panel=ESTIMATORS,
+        help="EKF variant: full, compressed, compressed-suboptimal, misono or misono-full. [full]",
+    ),
     Flag(
         option="--association", field="ekf.association", choices=choices.Association,
-        help="The log's labels, nearest neighbour, joint compatibility, distance in metres, or "
-        "only what all likely hypotheses agree on. [known where the log has labels, else nn]",
+        panel=ESTIMATORS,
+        help="Association: known (labels), nn (nearest neighbour), jcbb (joint compatibility "
+        "branch and bound), euclidean, consensus (of all likely hypotheses). [known, else nn]",
     ),
-    Flag(option="--gps", field="ekf.gps", choices=choices.Gps, help=_GPS_HELP),
+    Flag(
+        option="--gps", field="ekf.gps", choices=choices.Gps, help=_GPS_HELP, panel=ESTIMATORS
+    ),
     FEATURES,
 )
-ATTRIBUTES = Flag(
-    option="--attributes", panel=FILTER_PANEL, field="ekf.attributes", choices=choices.Attributes,
-    help="Let diameters and intensities tell landmarks apart, too (nn and jcbb); layer: "
-    "intensities of the scans around them, from a dense map. [off]",
-)
+ATTRIBUTES = Flag(option="--attributes", field="ekf.attributes", choices=choices.Attributes)
 SOLVER_ASSOCIATION = Flag(
     option="--association", field="association", choices=choices.SolverAssociation,
-    help="The log's labels, or the smoother's own association.",
+    panel=ESTIMATORS,
+    help="Association: known (labels) or own (found by the smoother). [known, else own]",
 )
 ROBUST = Flag(
-    option="--robust", panel=SMOOTHER_PANEL, field="smoother.robust", choices=choices.Robust,
-    help="Kernel against outliers in the smoother; changes its marginals. [none]",
+    option="--robust", panel=ESTIMATORS, field="smoother.robust", choices=choices.Robust,
+    help="Robust smoother kernel: none, huber, cauchy, gnc. [none]",
 )
-ACCEPT_MISFIT = Flag(
-    option="--accept-misfit", panel=SMOOTHER_PANEL, field="smoother.accept_misfit", kind=bool,
-    help="Verify the lowest minimum even where its chi-square is too high.",
-)
+ACCEPT_MISFIT = Flag(option="--accept-misfit", field="smoother.accept_misfit", kind=bool)
 SMOOTHER = (
     Flag(
-        option="--smoother", panel=SMOOTHER_PANEL, field="smoother.method", choices=choices.Method,
-        help="How the smoother works. [batch]",
+        option="--smoother", panel=ESTIMATORS, field="smoother.method", choices=choices.Method,
+        help="Method: batch, isam2 (incremental) or fixed-lag. [batch]",
     ),
     Flag(
-        option="--lag", panel=SMOOTHER_PANEL, field="smoother.lag",
-        kind=int, help="Poses that a fixed lag holds. [100]",
+        option="--lag", field="smoother.lag", kind=int,
         where=Where("smoother.method", "fixed-lag", "--smoother fixed-lag"),
     ),
     Flag(
-        option="--optimiser", panel=SMOOTHER_PANEL, field="smoother.optimiser",
-        choices=choices.Optimiser,
-        help="Of the batch smoother. [levenberg-marquardt]",
+        option="--optimiser", field="smoother.optimiser", choices=choices.Optimiser,
         where=Where("smoother.method", "batch", "--smoother batch"),
     ),
     ROBUST,
@@ -201,131 +237,111 @@ SMOOTHER = (
 _LANDMARKS = "--landmarks scans or both"
 SCAN_LANDMARKS = (
     Flag(
-        option="--landmarks", field="extensions.scan_landmarks", choices=choices.Landmarks,
+        option="--landmarks", field=_SCAN_LANDMARKS, choices=choices.Landmarks, panel=SCANS,
         settings={"points": ABSENT, "scans": {"landmarks": "scans"}, "both": {"landmarks": "both"}},
-        help="Landmarks: the log's measurements, templates of its raw scans (Scan-SLAM), or both. "
-        "[points]",
+        help="Landmarks: points (of the log), scans (templates of laser scans, Scan-SLAM), or "
+        "both. [points]",
     ),
     Flag(
-        option="--pieces", panel=SCAN_PANEL, field="extensions.scan_landmarks.pieces",
-        choices=choices.Pieces,
-        within=_LANDMARKS,
-        help="All segments of a scan make one scan landmark, or each its own. [joined, but single "
-        "where a dense map is anchored to them]",
+        option="--template-extraction", field=f"{_SCAN_LANDMARKS}.template_extraction",
+        choices=choices.TemplateExtraction, within=_LANDMARKS,
     ),
     Flag(
-        option="--templates", panel=SCAN_PANEL, field="extensions.scan_landmarks.templates",
-        choices=choices.Templates, within=_LANDMARKS, neutral="bare",
-        help="Enriched: align scan landmarks with what the dense map holds around, too. [bare]",
+        option="--map-aided-matching", field=f"{_SCAN_LANDMARKS}.map_aided_matching",
+        kind=bool, off=True, within=_LANDMARKS, neutral=False,
     ),
 )
 RESOLUTION = Flag(
-    option="--resolution", panel=SCAN_PANEL, field="extensions.dense_maps.resolution_m",
-    kind=float, metavar="M",
-    help="Size of the dense map's cells in metres. [0.2]",
+    option="--resolution", panel=SCANS, field="extensions.dense_maps.resolution_m",
+    kind=float, metavar="M", help="Cell size of the dense map in metres. [0.2]",
 )
-_DENSE_HELP = "Keep this layer of a dense map and compare it with the smoother's; may be repeated."
+DYNAMIC = Flag(
+    option="--dynamic", panel=SCANS, field="extensions.dynamic", kind=bool, off=True,
+    settings=_SWITCH,
+    help="Detect moving objects and exclude them from the filter. [off]",
+)
 RUN_EXTENSIONS = (
     *SCAN_LANDMARKS,
     Flag(
-        option="--fuse-landmarks", panel=SCAN_PANEL, field="extensions.scan_landmarks.fuse",
-        kind=bool, off=True,
-        within=_LANDMARKS, neutral=False,
-        help="Fuse scan landmarks that turn out to be one. [off]",
+        option="--merge-landmarks", field=f"{_SCAN_LANDMARKS}.merge_landmarks",
+        kind=bool, off=True, within=_LANDMARKS, neutral=False,
     ),
     Flag(
-        option="--motion", field="extensions.scan_motion", choices=choices.Motion,
+        option="--motion", field="extensions.scan_motion", choices=choices.Motion, panel=SCANS,
         settings={"wheel": ABSENT, "scan": {"motion": "scan"}, "both": {"motion": "both"}},
-        help="What moves both estimators: the odometry or the scans; both adds a third estimate, "
-        "the smoother on scans. [wheel]",
+        help="Motion: wheel (odometry), scan (scan matching), or both (scan matching as a third "
+        "estimate). [wheel]",
     ),
     Flag(
-        option="--smoother-association", panel=SMOOTHER_PANEL, field="extensions.own_association",
-        choices=choices.Peer,
-        settings={"ekf": {"when": "never"}, "own": {"when": "always"}},
-        help="Own: solve for a second time, with the smoother's own association. [own where the "
-        "log has neither labels nor truth and this costs less than the run, else ekf]",
+        option="--smoother-association", field="extensions.own_association",
+        choices=choices.Peer, settings={"ekf": {"when": "never"}, "own": {"when": "always"}},
     ),
     Flag(
-        option="--smoother-matcher", panel=SMOOTHER_PANEL, field="extensions.own_matching",
-        choices=choices.Peer,
-        settings={"ekf": ABSENT, "own": {}},
-        help="Own: solve for a second time, scan landmarks aligned by Open3D's generalised ICP. "
-        "[ekf]",
+        option="--smoother-matcher", field="extensions.own_matching",
+        choices=choices.SmootherMatcher, settings={"ekf": ABSENT, "generalised-icp": {}},
     ),
     Flag(
         option="--dense", field="extensions.dense_maps.layers", choices=choices.Layer, many=True,
-        help=_DENSE_HELP,
+        panel=SCANS,
+        help="Dense map layer (repeatable): points, occupancy, particles, sog (sum of Gaussians) "
+        "or values (intensities).",
     ),
     RESOLUTION,
+    DYNAMIC,
     Flag(
-        option="--dynamic", panel=SCAN_PANEL, field="extensions.dynamic",
-        kind=bool, off=True, settings=_SWITCH,
-        help="Find where things move in the scans, and let the filter ignore these places. [off]",
-    ),
-    Flag(
-        option="--high-level", panel=SCAN_PANEL, field="extensions.high_level",
-        kind=bool, off=True, settings=_SWITCH,
-        help="Landmarks made of what stands in the filter's dense map. [off]",
+        option="--high-level", field="extensions.high_level", kind=bool, off=True,
+        settings=_SWITCH,
     ),
 )
 FAIL_ON = Flag(
-    option="--fail-on", panel=REPORT_PANEL, field="fail_on", metavar="WHAT,...",
-    help="Exit with 1 on these: disagreement (always does), consistency (NEES, NIS or filter "
-    "against smoother outside their bands), both (of these), truth (the smoother is far from it), "
-    "association (nobody has checked it).",
+    option="--fail-on", panel=JOB, field="fail_on", metavar="WHAT,...",
+    help="Exit 1 also on: consistency, truth, association.",
 )
 REPORT = (
     Flag(
-        option="--figures", panel=REPORT_PANEL, field="report.figures",
-        choices=choices.PictureFormat, many=True,
-        help="Write the pictures as PDF as well, with pdf; PNG is always written.",
+        option="--figures", field="report.figures", choices=choices.PictureFormat, many=True,
     ),
-    Flag(
-        option="--trace", panel=REPORT_PANEL, field="report.trace", kind=bool,
-        help="Write ekf/trace.npz: what the EKF linearised where.",
-    ),
+    Flag(option="--trace", field="report.trace", kind=bool),
 )
 REQUIRE = Flag(
-    option="--require", field="require", choices=choices.RequiredGrade,
-    help="Least grade that exits with 0: equal to the reference EKF, like it (5 %), or as near "
-    "to the optimum as that is certain. [like where estimate.toml says estimator = \"ekf\", "
-    "else plausible]",
+    option="--require", field="require", choices=choices.RequiredGrade, panel=GRADE,
+    help="Lowest grade that exits with 0: equal, like or plausible. [like for an EKF, else "
+    "plausible]",
 )
 MIN_COVERAGE = Flag(
-    option="--min-coverage", field="min_coverage", kind=float, metavar="SHARE",
-    help="Least share of the log's time that the estimate covers; one that covers less disagrees. "
-    "[0.95]",
+    option="--min-coverage", field="min_coverage", kind=float, metavar="SHARE", panel=GRADE,
+    help="Least share of the log's time covered. [0.95]",
 )
 ESTIMATE = (
     Flag(
-        option="--estimate", field="estimate", metavar="FOLDER|FILE",
-        help="A trajectory (TUM, KITTI, CSV), or a folder with trajectory.tum and, if there are "
-        "any, landmarks.csv, covariances.npz, estimate.toml, trace.npz.",
+        option="--estimate", field="estimate", metavar="PATH", panel=GRADE,
+        help="Trajectory (TUM, KITTI, CSV) or estimate folder (docs/formats.md).",
     ),
     Flag(
-        option="--times", field="times", metavar="FILE",
-        help="Times of a KITTI file, else times.txt beside it.",
+        option="--times", field="times", metavar="FILE", panel=GRADE,
+        help="Time stamps of a KITTI trajectory. [times.txt beside it]",
     ),
     REQUIRE,
     MIN_COVERAGE,
 )
 CLOUD = Flag(
-    option="--cloud", field="cloud", choices=choices.CloudFormat,
-    help="Write the map as a cloud as well; needs Open3D.",
+    option="--cloud", field="cloud", choices=choices.CloudFormat, panel=JOB,
+    help="Write a point cloud, pcd or ply; needs Open3D.",
 )
 FRONT_END = (
     Flag(
-        option="--guess", field="front_end.guess", choices=choices.Guess,
-        help="Where the alignment of a scan starts. [wheels]",
+        option="--guess", field="front_end.guess", choices=choices.Guess, panel=FRONT_END_PANEL,
+        help="Initial guess of scan matching: wheels (odometry) or none. [wheels]",
     ),
     Flag(
         option="--loop-closure", field="front_end.loop_closure", kind=bool, off=True,
-        help="Look for places seen before. [on]",
+        panel=FRONT_END_PANEL, help="Detect and close loops. [on]",
     ),
     Flag(
         option="--matcher", field="front_end.matcher", choices=choices.LoopMatcher,
-        help="What aligns scans for loop closure; the last three are Open3D's. [surface]",
+        panel=FRONT_END_PANEL,
+        help="Scan matcher of loop closure: surface, kiss, point-to-point, point-to-plane or "
+        "generalised. [surface]",
         where=Where("front_end.loop_closure", True, "--loop-closure"),
     ),
     FRONT_END_GPS,
@@ -334,14 +350,12 @@ FRONT_END = (
 MAP = (
     Flag(
         option="--layer", field="extensions.dense_maps.layers", choices=choices.Layer, many=True,
-        help="Layer to keep; may be repeated. [occupancy]",
+        panel=SCANS,
+        help="Map layer (repeatable): points, occupancy, particles, sog (sum of Gaussians) or "
+        "values (intensities). [occupancy]",
     ),
     RESOLUTION,
-    Flag(
-        option="--dynamic", panel=SCAN_PANEL, field="extensions.dynamic",
-        kind=bool, off=True, settings=_SWITCH,
-        help="Find where things move, let the filter ignore these places, and write that layer.",
-    ),
+    DYNAMIC,
     *SCAN_LANDMARKS,
     CLOUD,
 )
@@ -350,6 +364,74 @@ RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, *LOG, FAIL_ON, *REPORT)
 CHECK = (*ESTIMATE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, ACCEPT_MISFIT, *LOG)
 FLAGS = (*RUN, SOLVER_ASSOCIATION, GPS, *ESTIMATE, *FRONT_END, *MAP)
 """Every command's."""
+
+
+def renamed_settings(config: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return nested mappings with earlier keys and values as they are now, and notes of it.
+
+    A key that stands beside its earlier spelling is kept.
+    """
+    found, notes = dict(config), list[str]()
+    for one in RENAMED:
+        section, _, key = one.field.rpartition(".")
+        was = (one.was_field or one.field).rpartition(".")[2]
+        old = _below(config, section)
+        if not isinstance(old, Mapping) or was not in old:
+            continue
+        value = old[was]
+        new = one.values.get(value, value) if isinstance(value, str) else value
+        if was == key and new == value:
+            continue
+        into = _copied(found, section)
+        del into[was]
+        into.setdefault(key, new)
+        place = section.removeprefix("extensions.")
+        notes.append(f"{place}.{was} = {_toml(value)} is now {place}.{key} = {_toml(new)}")
+    return found, notes
+
+
+def renamed_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return a command line's words with earlier options and values as they are now, and notes."""
+    found, notes, rest = list[str](), list[str](), list(words)
+    while rest:
+        word = rest.pop(0)
+        if word == "--":
+            return [*found, word, *rest], notes
+        option, equals, value = word.partition("=")
+        one = next((r for r in RENAMED if option in _earlier(r)), None)
+        if one is None:
+            found.append(word)
+            continue
+        given = [option]
+        if one.values and (equals or rest):
+            given.append(value if equals else rest.pop(0))
+        now = [f"--no-{one.option[2:]}" if option.startswith("--no-") else one.option]
+        if len(given) > 1:
+            new = one.values.get(given[1], given[1])
+            now = [f"--no-{one.option[2:]}"] if new is False else now
+            now += [] if isinstance(new, bool) else [new]
+        if now != given:
+            notes.append(f"{' '.join(given)} is now {' '.join(now)}")
+        found += now
+    return found, notes
+
+
+def _earlier(one: Renamed) -> tuple[str, ...]:
+    """Return the options that may be spelt as they were."""
+    was = one.was_option
+    return (was, f"--no-{was[2:]}") if was else (one.option,)
+
+
+def _copied(config: dict[str, Any], section: str) -> dict[str, Any]:
+    """Return a section of nested mappings, copied there and on the way to it."""
+    for name in section.split("."):
+        config[name] = dict(config[name])
+        config = config[name]
+    return config
+
+
+def _toml(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else str(value).lower()
 
 
 def lay_over(config: dict[str, Any], flags: Sequence[tuple[Flag, Any]]) -> None:
@@ -374,13 +456,25 @@ def check_applies(config: Mapping[str, Any], usual: Mapping[str, Any]) -> None:
 def options(table: Iterable[Flag], values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
     """Return flags with values by their options' names, as `filter` or `smoother_association`.
 
-    Raises InputError for a name that no flag of the table has.
+    Earlier names and values are read, with a note. Raises InputError for a name that no flag of
+    the table has.
     """
     known = {flag.name.rstrip("_"): flag for flag in table}
-    for name in values:
-        if name not in known:
+    found = []
+    for name, value in values.items():
+        option = f"--{name.replace('_', '-')}"
+        now, new = option, value
+        for one in RENAMED:
+            if option == (one.was_option or one.option):
+                now = one.option
+                new = one.values.get(value, value) if isinstance(value, str) else value
+        flag = known.get(now[2:].replace("-", "_"))
+        if flag is None:
             raise InputError(f"option {name}: is unknown, expected some of {', '.join(known)}")
-    return [(known[name], value) for name, value in values.items()]
+        if (now, new) != (option, value):
+            note(f"{name}={value!r} is now {flag.name.rstrip('_')}={new!r}")
+        found.append((flag, new))
+    return found
 
 
 def _below(config: Mapping[str, Any], path: str) -> Any:

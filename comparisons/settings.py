@@ -8,10 +8,18 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from comparisons.config import RunConfig, Section, merge, shown
-from comparisons.errors import InputError
+from comparisons.errors import InputError, note
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.table import read_toml
-from comparisons.options import PRESET, RUN, Flag, check_applies, lay_over, options
+from comparisons.options import (
+    PRESET,
+    RUN,
+    Flag,
+    check_applies,
+    lay_over,
+    options,
+    renamed_settings,
+)
 
 C = TypeVar("C", bound=Section)
 
@@ -36,7 +44,8 @@ def configure(
     for given, source in ((found, f"{file}: "), (over or {}, "")):
         _check_sections(job, given, source)
     recorded = dict(found.get("log", {})) if "log" in job.model_fields else {}
-    found = merge(found, over or {})
+    source = "" if file is None else f"{file}: "
+    found = merge(_as_now(found, source), _as_now(over or {}))
     named = {setting.partition("=")[0].strip() for setting in settings}
     if "preset" in named or any(flag is PRESET for flag, _ in flags):  # over a file with them all
         from comparisons.documented.preset import without_documented
@@ -44,7 +53,7 @@ def configure(
         found = without_documented(found)
     lay_over(found, flags)
     for setting in settings:
-        found = merge(found, _nested(job, setting))
+        found = merge(found, _as_now(_nested(job, setting), "--set "))
     if "sha256" in recorded and _other_log(found["log"], recorded):
         found["log"].pop("sha256", None)
     try:
@@ -66,6 +75,14 @@ def run_config(**values: Any) -> RunConfig:
 def run_options(values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
     """Return options of a run by name, for `configure`. Raises InputError for an unknown name."""
     return options(RUN, values)
+
+
+def _as_now(given: Mapping[str, Any], source: str = "") -> dict[str, Any]:
+    """Return settings with earlier spellings as they are now, each with a note."""
+    found, notes = renamed_settings(given)
+    for text in notes:
+        note(source + text)
+    return found
 
 
 def _check_sections(job: type[Section], given: Mapping[str, Any], source: str) -> None:

@@ -25,11 +25,13 @@ from comparisons.checks.causes import EXPLANATIONS
 from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
+from comparisons.config import JOBS, Configured
+from comparisons.extensions.registry import config_class
 from comparisons.options import FLAGS
 
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
-_CHOICES = {flag.option: flag.words for flag in FLAGS}
+_FLAGS = {(flag.option, flag.help): flag for flag in FLAGS}
 _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 
 
@@ -56,14 +58,32 @@ def _command_line() -> str:
 
 
 def _command(command: Any) -> str:
+    """Return what a command does, and its options: those of `--help`, then all others."""
     rows = ["| option | meaning |", "|---|---|"]
-    for one in command.params:
+    for one in sorted(command.params, key=lambda param: param.hidden):
         names = one.opts + one.secondary_opts if one.param_type_name == "option" else []
         words = ", ".join(f"`{name}`" for name in names) or f"`{one.metavar or one.name.upper()}`"
-        value = (one.metavar or "\\|".join(_CHOICES.get(one.opts[0], ()))).strip()
+        flag = _FLAGS.get((one.opts[0], (one.help or "").replace("\\[", "[")))
+        value = (one.metavar or "").strip() or "\\|".join(flag.words if flag else ())
         value = value if names and not one.is_flag else ""
-        rows.append(f"| {words}{f' `{value}`' if value else ''} | {_cell(one.help or '')} |")
+        meaning = one.help or (_meaning(flag.field) if flag else "")
+        rows.append(f"| {words}{f' `{value}`' if value else ''} | {_cell(meaning)} |")
     return f"{_text(command.help)}\n\n" + "\n".join(rows)
+
+
+def _meaning(path: str) -> str:
+    """Return what the configuration says of a field, or of an extension's section."""
+    for job in JOBS.values():
+        kind: Any = job
+        names = path.split(".")
+        if names[0] == "extensions" and issubclass(job, Configured):
+            kind, names = config_class(names[1]), names[2:]
+        for name in names:
+            field = kind.model_fields.get(name) if kind else None
+            kind, about = (field.annotation, field.description) if field else (None, "")
+        if kind is not None:
+            return about if names else kind.__doc__.splitlines()[0]
+    return ""
 
 
 def _text(text: str) -> str:

@@ -81,8 +81,8 @@ def test_a_run_leaves_its_folder(scripts: Path, tmp_path: Path) -> None:
         ("odometry scan-loop", "odometry needs KISS-ICP"),
         ("run scan-loop --motion both", "--motion both needs KISS-ICP"),
         (
-            "run scan-slam --landmarks scans --smoother-matcher own",
-            "--smoother-matcher own needs Open3D",
+            "run scan-slam --landmarks scans --smoother-matcher generalised-icp",
+            "--smoother-matcher generalised-icp needs Open3D",
         ),
         ("map scan-loop --cloud pcd", "--cloud needs Open3D"),
         ("reproduce N5.5", "nothing to run: N5.5 needs Open3D"),

@@ -199,7 +199,7 @@ def test_command_lines_are_taken(path: Path, capsys: pytest.CaptureFixture[str])
         "slamcheck run simulated-loop --filter full|comprest",
         "slamcheck run simulated-loop --seed seven",
         "slamcheck run simulated-loop --set ekf.nn_gaet=3",
-        "slamcheck run simulated-loop --smoother-matcher own",
+        "slamcheck run simulated-loop --smoother-matcher generalised-icp",
         "slamcheck baseline safe my-log my-log.json",
         "slamcheck export",
     ],

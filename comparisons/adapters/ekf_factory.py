@@ -213,7 +213,7 @@ def _rule(choices: EkfConfig, attributes: Attributes, log: Log) -> Association:
         from ekf_reference.association.joint_compatibility import JointCompatibility
 
         return JointCompatibility(attributes=attributes)
-    if name == "agreed":
+    if name == "consensus":
         from ekf_reference.association.consensus import ConsensusAssociation
 
         return ConsensusAssociation()

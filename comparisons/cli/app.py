@@ -15,31 +15,53 @@ from typing import Annotated, Any
 
 import typer
 
+from comparisons.cli.flags import Command
 from comparisons.cli.support import BROKEN, INTERRUPTED, UNUSABLE, fail
+from comparisons.errors import note
+from comparisons.options import renamed_words
 
-COMMANDS = {
-    "run": "run:run",
-    "solve": "solve:solve",
-    "check": "check:check",
-    "odometry": "odometry:odometry",
-    "map": "map:map_command",
-    "baseline": "baseline:baseline",
-    "compare": "compare:compare",
-    "config": "config:config",
-    "logs": "logs:logs",
-    "convert": "logs:convert",
-    "new-log": "new_log:new_log",
-    "export": "export:export",
-    "montecarlo": "montecarlo:montecarlo",
-    "reproduce": "reproduce:reproduce",
+PANELS = {
+    "Main": {
+        "run": "run:run",
+        "compare": "compare:compare",
+        "logs": "logs:logs",
+        "config": "config:config",
+    },
+    "Your own data and filter": {
+        "new-log": "new_log:new_log",
+        "convert": "logs:convert",
+        "check": "check:check",
+        "baseline": "baseline:baseline",
+        "export": "export:export",
+    },
+    "One estimator alone": {
+        "solve": "solve:solve",
+        "odometry": "odometry:odometry",
+        "map": "map:map_command",
+    },
+    "Experiments": {
+        "montecarlo": "montecarlo:montecarlo",
+        "reproduce": "reproduce:reproduce",
+    },
 }
-"""Names, and where each command is found in this package."""
+"""Names of commands by panel of the help, and where each is found in this package."""
+COMMANDS = {name: place for panel in PANELS.values() for name, place in panel.items()}
 PROGRAM = "slamcheck"
 STOPS = (signal.SIGTERM, signal.SIGHUP)
 AGAIN_S = 10.0
 """An exit that a signal asked for is tried again after so long."""
 _USAGE: type[Any] = typer.BadParameter.__bases__[0]
 """What every misuse of the command line is raised as."""
+
+
+class _Panels(typer.core.TyperGroup):
+    """The commands under the titles of their panels, without rich."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the panels."""
+        for title, names in PANELS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, self.commands[name].short_help) for name in names])
 
 
 def build(name: str | None = None, *, whole: bool = False) -> Any:
@@ -50,9 +72,10 @@ def build(name: str | None = None, *, whole: bool = False) -> Any:
     """
     app = typer.Typer(
         name=PROGRAM,
-        help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
-        epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unverified, "
-        "70 a fault of slamcheck itself, 128 + n stopped by signal n (130 Ctrl-C).",
+        cls=None if name or whole else _Panels,
+        help="Run an EKF-SLAM and a GTSAM smoother on one log and report whether they agree.",
+        epilog="Options of a command: slamcheck COMMAND --help. Exit codes: 0 agree, 1 disagree, "
+        "2 unusable input or usage, 3 unverified, 70 internal error, 130 interrupted.",
         rich_markup_mode="rich" if name or whole else None,
         pretty_exceptions_enable=False,
     )
@@ -63,11 +86,11 @@ def build(name: str | None = None, *, whole: bool = False) -> Any:
         several = isinstance(command, typer.Typer)
         if name is None and not whole:
             about = command.info.help if several else command.__doc__
-            app.command(one, help=about, short_help=(about or "").split("\n\n")[0])(_unasked)
+            app.command(one, help=about, short_help=(about or "").splitlines()[0])(_unasked)
         elif several:
             app.add_typer(command, name=one)
         else:
-            app.command(one)(command)
+            app.command(one, cls=Command)(command)
     found: Any = typer.main.get_command(app)
     if name is not None:
         found = found.commands[name]
@@ -95,6 +118,9 @@ def _tidy(command: Any) -> None:
         parameter.help = parameter.help and parameter.help.replace("[", r"\[")
         if getattr(parameter, "is_flag", False):
             parameter.metavar = " "
+    if any(getattr(one, "hidden", False) and one.name != "log" for one in command.params):
+        job = "" if command.name in ("run", "save") else f" {command.name}"
+        command.epilog = f"All other options and settings: slamcheck config{job}"
     for below in getattr(command, "commands", {}).values():
         _tidy(below)
 
@@ -134,6 +160,9 @@ def main() -> None:
         else:
             whole = f"_{PROGRAM.upper()}_COMPLETE" in os.environ
             name, command, words = PROGRAM, build(whole=whole), sys.argv[1:]
+        words, notes = renamed_words(words)
+        for text in notes:
+            note(text)
         code = command(args=words, prog_name=name, standalone_mode=False)
         sys.exit(code if isinstance(code, int) else 0)
     except (KeyboardInterrupt, typer.Abort):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.flags import Command, Given, from_flags
 from comparisons.cli.jobs import read_job
 from comparisons.cli.support import AGREE, DISAGREE, guarded, progress_bar
 from comparisons.errors import InputError
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from comparisons.logs.log import Log
 
 baseline = typer.Typer(
-    help="Keep what was found on a log, and compare what is found later with it.",
+    help="Keep the figures of a run; compare later runs with them.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -29,19 +29,27 @@ baseline = typer.Typer(
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The baseline, a JSON file.")]
 RunsOption = Annotated[
     int | None,
-    typer.Option(help="Repetitions that measure the noise floor. [2]", show_default=False),
+    typer.Option(
+        metavar="N",
+        help="Number of runs, whose spread sets the tolerances. [2]",
+        show_default=False,
+    ),
 ]
 
 
-@baseline.command()
-@from_flags((*RUN, *ESTIMATE), shown=False, file=(FileArgument,), runs=(RunsOption, None))
+_SHOWN = "--estimate --require --filter --association --seed"
+
+
+@baseline.command(
+    cls=Command, short_help="Keep the figures of a run or of a check, with tolerances."
+)
+@from_flags((*RUN, *ESTIMATE), _SHOWN, prints=False, file=(FileArgument,), runs=(RunsOption, None))
 def save(given: Given) -> None:
-    """Keep the figures of a run, or of a check of --estimate, each with a tolerance.
+    """Keep the figures of a run, or of a check of --estimate, with tolerances.
 
     \b
     Examples:
       slamcheck baseline save my-log my-log.json --estimate mine
-      slamcheck baseline save my-log my-log.json --estimate mine --require like
       slamcheck baseline save my-log our-ekf.json
       slamcheck baseline save our-run/config.toml our-ekf.json
     """
@@ -72,29 +80,33 @@ def save(given: Given) -> None:
         typer.echo(f"{target}: {figures}, verdict {kept.verdict}{grade}")
 
 
-@baseline.command()
+@baseline.command(cls=Command)
 def compare(
-    log: Annotated[str, typer.Argument(metavar="LOG", help="The baseline's log, by name or path.")],
+    log: Annotated[
+        str, typer.Argument(metavar="LOG", help="Log of the baseline, a name or a path.")
+    ],
     file: FileArgument,
     estimate: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER|FILE", help="The estimate, if the baseline is of one."),
+        typer.Option(metavar="PATH", help="Estimate to check, for a baseline of an estimate."),
     ] = None,
     times: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Times of a KITTI file, else times.txt beside it."),
+        typer.Option(
+            metavar="FILE", help="Time stamps of a KITTI trajectory. [times.txt beside it]"
+        ),
     ] = None,
     junit: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a JUnit report there.")
+        Path | None, typer.Option(metavar="FILE", help="Write a JUnit report to this file.")
     ] = None,
     update: Annotated[
-        bool, typer.Option("--update", help="Keep the new figures; exits with 0.")
+        bool, typer.Option("--update", help="Replace the baseline's figures, exit with 0.")
     ] = False,
 ) -> None:
-    """Compare what is found now with a baseline, by its settings.
+    """Run a baseline's settings again and compare the figures.
 
-    Exits with 0 where nothing is worse, else with 1. What is better by more than its tolerance is
-    reported, and fails nothing. --update keeps tolerances that were changed by hand.
+    Exit code 0: no figure is worse than its tolerance; 1: some are. Better figures are reported
+    only. --update keeps tolerances that were changed by hand.
 
     \b
     Examples:

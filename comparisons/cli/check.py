@@ -10,13 +10,16 @@ from comparisons.cli.support import VERDICTS, guarded, print_result, progress_ba
 from comparisons.errors import InputError
 from comparisons.options import CHECK
 
+_SHOWN = "--estimate --require --min-coverage --association --gps --robust --seed"
 
-@from_flags(CHECK)
+
+@from_flags(CHECK, _SHOWN)
 def check(given: Given) -> None:
-    """Grade another system's estimate: equal to a reference EKF, like it, plausible, or wrong.
+    """Grade an external estimate against EKF and smoother.
 
-    Exits with 0 where the grade is what --require asks for, with 1 below it, with 3 where that
-    needs an optimum which is not verified.
+    Grades: equal to the reference EKF, like it (5 %), plausible (as near to the smoother's optimum
+    as that is certain), or wrong. Exit code 0: the grade that --require asks for; 1: a lower one;
+    3: the smoother's optimum is not verified.
 
     \b
     Examples:

@@ -12,25 +12,25 @@ from comparisons.cli.support import AGREE, guarded
 
 def compare(
     folders: Annotated[
-        list[Path], typer.Argument(metavar="FOLDER...", help="Folders that jobs left.")
+        list[Path], typer.Argument(metavar="FOLDER...", help="Output folders to compare.")
     ],
     only: Annotated[
         list[str],
         typer.Option(
             metavar="PATTERN",
-            help="Figures of these names, as accuracy or agreement.*_sigma, whether they differ "
-            "or not; may be repeated.",
+            help="Show figures of this name, as accuracy or agreement.*_sigma, also where they "
+            "are equal; repeat it for several.",
         ),
     ] = [],  # noqa: B006
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the table as well: .csv, .tex or .html."),
+        typer.Option(metavar="FILE", help="Write the table also to a .csv, .tex or .html file."),
     ] = None,
 ) -> None:
-    """Put results side by side: verdicts, causes, and the figures that differ. Exits with 0.
+    """Put the results of several runs side by side.
 
-    Takes the folders of run, solve, check, odometry, map and montecarlo, also mixed: what
-    different jobs call by the same name stands in one row.
+    The table shows verdicts, causes and the figures that differ. The folders may be of run, solve,
+    check, odometry, map and montecarlo, also mixed: equal names share a row.
 
     \b
     Examples:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from comparisons.cli.support import guarded
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pydantic import BaseModel
 
     from comparisons.config import Section
+
+
+_WIDTH = 78
+"""Characters of a comment's line."""
 
 
 class JobName(StrEnum):
@@ -28,18 +34,22 @@ class JobName(StrEnum):
 
 
 def config(
-    job: Annotated[JobName, typer.Argument(help="Whose settings.")] = JobName.RUN,
+    job: Annotated[
+        JobName, typer.Argument(metavar="JOB", help="Command whose settings to list.")
+    ] = JobName.RUN,
     schema: Annotated[
-        bool, typer.Option("--schema", help="The JSON schema of the configuration instead.")
+        bool, typer.Option("--schema", help="Print the JSON schema of the configuration instead.")
     ] = False,
 ) -> None:
-    """Print a job's settings with their defaults and meanings, as TOML that can be used.
+    """List every setting with its default, meaning and option.
+
+    The list is a valid configuration file (TOML) that holds the defaults.
 
     \b
     Examples:
       slamcheck config > my.toml
       slamcheck run my-log --config my.toml --set dense_maps.resolution_m=0.4
-      slamcheck config --schema
+      slamcheck config check
     """
     with guarded():
         from comparisons.config import Configured, json_schema
@@ -49,11 +59,14 @@ def config(
         if schema:
             typer.echo(json.dumps(json_schema(kind), indent=2))
             return
-        lines = [f'job = "{job.value}"', *_fields(kind)]
+        command = _command(job.value)
+        options = _options(command)
+        lines = [f'job = "{job.value}"', *_fields(kind, options)]
         if issubclass(kind, Configured):
-            lines.append("\n# Extensions take part where their section is there.")
+            lines.append("\n# Extensions: each takes part where its section is present.")
             for name in EXTENSIONS:
-                lines += _section(f"extensions.{name}", config_class(name), aside=True)
+                lines += _section(f"extensions.{name}", config_class(name), options, aside=True)
+        lines += _others(command)
         typer.echo("\n".join(lines))
 
 
@@ -67,7 +80,25 @@ def _kind(job: JobName) -> type[Section]:
     return JOBS[job.value]
 
 
-def _fields(kind: type[BaseModel]) -> list[str]:
+def _command(job: str) -> Any:
+    from comparisons.cli.app import build
+
+    return build(job)
+
+
+def _options(command: Any) -> dict[str, str]:
+    """Return the options of a command by the field or section that each sets, with its values."""
+    from comparisons.options import FLAGS
+
+    names = {name for one in command.params for name in one.opts}
+    return {
+        flag.field: " ".join([flag.option, "|".join(flag.words)]).strip()
+        for flag in FLAGS
+        if flag.option in names
+    }
+
+
+def _fields(kind: type[BaseModel], options: Mapping[str, str]) -> list[str]:
     from pydantic import BaseModel
 
     simple, sections = [], []
@@ -75,35 +106,69 @@ def _fields(kind: type[BaseModel]) -> list[str]:
         if name in ("job", "extensions"):
             continue
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            sections += _section(name, field.annotation)
+            sections += _section(name, field.annotation, options)
         else:
-            simple.append(_line(name, kind))
+            simple += _lines(name, kind, options.get(name, ""))
     return simple + sections
 
 
-def _section(name: str, kind: type[BaseModel], *, aside: bool = False) -> list[str]:
-    first = (kind.__doc__ or "").strip().splitlines()[0]
-    lines = [f"[{name}]", *(_line(one, kind) for one in kind.model_fields)]
+def _section(
+    name: str, kind: type[BaseModel], options: Mapping[str, str], *, aside: bool = False
+) -> list[str]:
+    about = (kind.__doc__ or "").strip().splitlines()[0]
+    option = [f"# {options[name]}"] if name in options else []
+    lines = [f"[{name}]"]
+    for one in kind.model_fields:
+        lines += _lines(one, kind, options.get(f"{name}.{one}", ""))
     if aside:
-        lines = [f"# {line.removeprefix('# ')}" for line in lines]
-    return ["", f"# {first}", *lines]
+        lines = [line if line.startswith("#") else f"#{line}" for line in lines]
+    return ["", *_comment(about), *option, *lines]
 
 
-def _line(name: str, kind: type[BaseModel]) -> str:
+def _lines(name: str, kind: type[BaseModel], option: str) -> list[str]:
+    """Return a setting's meaning, choices and option as comments, and its default."""
     import tomli_w
+
+    from comparisons.config import choices_of
 
     field = kind.model_fields[name]
     value = field.get_default(call_default_factory=True)
-    meaning = field.description or ""
-    choices = _choices(kind, name)
-    meaning += f" ({choices})" if choices else ""
+    if not option:
+        option = " | ".join(choices_of(field.annotation))
+    comment = [*_comment(_sentence(field.description or "")), *(option and [f"# {option}"])]
     if value is None:
-        return f'# {name} = ""    # {meaning}'
+        return [*comment, f'#{name} = ""']
     plain = list(value) if isinstance(value, tuple) else value
-    return f"{tomli_w.dumps({name: plain}).strip()}    # {meaning}"
+    return [*comment, tomli_w.dumps({name: plain}).strip()]
 
 
-def _choices(kind: type[BaseModel], name: str) -> str:
-    from comparisons.config import choices_of
+def _others(command: Any) -> list[str]:
+    """Return what `--help` does not list and no setting is."""
+    from comparisons.options import FLAGS
 
-    return " | ".join(choices_of(kind.model_fields[name].annotation))
+    settings = {flag.option for flag in FLAGS}
+    lines = [
+        line
+        for one in command.params
+        if getattr(one, "hidden", False) and one.help and one.opts[0].startswith("--")
+        and one.opts[0] not in settings
+        for line in _comment(f"{one.opts[0]}{_metavar(one)}: {one.help}")
+    ]  # fmt: skip
+    return ["", "# Options of the command line that are no settings:", *lines] if lines else []
+
+
+def _metavar(one: Any) -> str:
+    return f" {one.metavar}" if (one.metavar or "").strip() else ""
+
+
+def _sentence(text: str) -> str:
+    return text if not text or text[-1] in ".:" else f"{text}."
+
+
+def _comment(text: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(
+        text.replace("\\[", "["), _WIDTH, initial_indent="# ", subsequent_indent="# ",
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip

@@ -13,23 +13,28 @@ from comparisons.errors import InputError
 
 def export(
     estimate: Annotated[
-        Path, typer.Argument(metavar="ESTIMATE", help="An estimate's folder, or a trajectory.")
+        Path,
+        typer.Argument(metavar="ESTIMATE", help="Folder of an estimate, or a trajectory file."),
     ],
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The new file to write.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="New trajectory file.")],
     format_name: Annotated[
         str | None,
         typer.Option(
             "--format",
             metavar="tum|kitti|csv",
-            help="What to write, where the file's suffix does not say.",
+            help="Format of the new file. [by its suffix]",
         ),
     ] = None,
     times: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Times of a KITTI file, else times.txt beside it."),
+        typer.Option(
+            metavar="FILE", help="Time stamps of a KITTI trajectory. [times.txt beside it]"
+        ),
     ] = None,
 ) -> None:
-    """Write an estimate's trajectory in another format; KITTI also writes times.txt beside it.
+    """Write a trajectory as TUM, KITTI or CSV.
+
+    KITTI files have no time stamps; they are written to times.txt beside the file.
 
     \b
     Examples:

@@ -11,10 +11,26 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from comparisons.cli.support import Output, chosen_output
-from comparisons.options import LOG_PANEL, REPORT_PANEL, Flag
+from comparisons.options import JOB, Flag
 
-_WIDE = 12
-"""Characters of the choices that stand beside an option's name; longer ones end its help."""
+
+class Command(typer.core.TyperCommand):
+    """A command whose help is dense: narrow columns, and `--help` beside the job's options."""
+
+    def get_help_option(self, ctx: Any) -> Any:
+        """Return it, in the panel of the job's own options."""
+        option: Any = super().get_help_option(ctx)
+        option.metavar = " "
+        if any(getattr(one, "rich_help_panel", None) == JOB for one in self.params):
+            option.rich_help_panel = JOB
+        return option
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help."""
+        from typer import rich_utils
+
+        rich_utils.STYLE_OPTIONS_TABLE_PADDING = (0, 1, 0, 0)  # type: ignore[assignment]
+        super().format_help(ctx, formatter)
 
 
 class Given(NamedTuple):
@@ -38,14 +54,16 @@ class Given(NamedTuple):
 
 
 def from_flags(
-    flags: Iterable[Flag], *, shown: bool = True, **extra: Any
+    flags: Iterable[Flag], shown: str, *, prints: bool = True, **extra: Any
 ) -> Callable[[Callable[[Given], None]], Callable[..., None]]:
     """Make a function of what was given into one whose parameters typer reads.
 
-    shown: the command prints a result, as one of OUTPUT asks. extra: annotation and default, if
-    any, of further parameters, which set nothing in the configuration.
+    shown: options that `--help` lists, in this order; all others are valid and stand in
+    `slamcheck config`. prints: the command prints a result, as one of OUTPUT asks. extra:
+    annotation and default, if any, of further parameters, which set nothing in the configuration.
     """
-    table = tuple(flags)
+    listed = {option: place for place, option in enumerate(shown.split())}
+    table = sorted(flags, key=lambda flag: listed.get(flag.option, len(listed)))
 
     def decorate(job: Callable[[Given], None]) -> Callable[..., None]:
         def command(**values: Any) -> None:
@@ -64,18 +82,19 @@ def from_flags(
                     values["out"],
                     values["replace"],
                     values["log_file"],
-                    {name: values[name] for name in OUTPUT if shown},
+                    {name: values[name] for name in OUTPUT if prints},
                     {name: values[name] for name in extra},
                 )
             )
 
-        parameters = [_LOG, *(of_flag(flag) for flag in table)]
+        parameters = [_LOG, *(of_flag(flag, hidden=flag.option not in listed) for flag in table)]
         parameters += [
             _parameter(name, annotation, *default) for name, (annotation, *default) in extra.items()
         ]
-        parameters += (*_COMMON, *(OUTPUT.values() if shown else ()))
+        parameters += (*_COMMON, *(OUTPUT.values() if prints else ()))
         set_parameters(command, *parameters)
-        command.__doc__, command.__name__ = job.__doc__, job.__name__
+        command.__doc__ = (job.__doc__ or "").replace("\n    \b", f"    {_LOG_HELP}\n\n    \b", 1)
+        command.__name__ = job.__name__
         return command
 
     return decorate
@@ -99,16 +118,17 @@ def argument(
     return _parameter(name, Annotated[kind, option])
 
 
-def of_flag(flag: Flag) -> inspect.Parameter:
-    """Return an option as typer reads it."""
+def of_flag(flag: Flag, *, hidden: bool = False) -> inspect.Parameter:
+    """Return an option as typer reads it; the help of one with choices names them."""
     kind: Any = _words(flag) if flag.words else flag.kind
     names = f"{flag.option}/--no-{flag.option[2:]}" if flag.off else flag.option
-    short, listed = flag.metavar, "|".join(flag.words)
-    text = flag.help
-    if len(listed) > _WIDE:
-        short, text = "WORD", f"{text} ({', '.join(flag.words)})"
     option = typer.Option(
-        names, help=text, metavar=short, show_default=False, rich_help_panel=flag.panel or None
+        names,
+        help=flag.help,
+        metavar=" " if flag.words else flag.metavar,
+        show_default=False,
+        rich_help_panel=flag.panel or None,
+        hidden=hidden,
     )
     if flag.many:
         return _parameter(flag.name, Annotated[list[kind], option], [])
@@ -139,89 +159,79 @@ def log_names(incomplete: str) -> list[str]:
     return [name for name in NAMED if name.startswith(incomplete)]
 
 
+_LOG_HELP = "LOG: a name in `slamcheck logs`, a path, or the config.toml of an earlier run."
 _LOG = _parameter(
     "log",
     Annotated[
         str | None,
         typer.Argument(
             metavar="LOG",
-            help="A bundled name (see `slamcheck logs`), a path, or the config.toml of an earlier "
-            "run.",
+            help=_LOG_HELP.replace("LOG: a", "A"),
+            hidden=True,
             show_default=False,
             autocompletion=log_names,
         ),
     ],
     None,
 )
+
+
+def _common(
+    name: str, kind: Any, default: Any, *names: str, hidden: bool = False, **words: str
+) -> inspect.Parameter:
+    option = typer.Option(*names, rich_help_panel=JOB, hidden=hidden, **words)  # type: ignore[arg-type]
+    return _parameter(name, Annotated[kind, option], default)
+
+
 _COMMON = (
-    _parameter(
+    _common(
         "config",
-        Annotated[
-            Path | None,
-            typer.Option("--config", metavar="FILE", help="Settings; flags go over them."),
-        ],
+        Path | None,
         None,
+        "--config",
+        metavar="FILE",
+        help="Configuration file; options override it.",
     ),
-    _parameter(
+    _common(
         "settings",
-        Annotated[
-            list[str],
-            typer.Option(
-                "--set",
-                metavar="SECTION.KEY=VALUE",
-                help="Any setting, see `slamcheck config`; may be repeated.",
-            ),
-        ],
+        list[str],
         [],
+        "--set",
+        metavar="KEY=VALUE",
+        help="Any setting, as listed by `slamcheck config`.",
     ),
-    _parameter(
+    _common(
         "allow_changed_log",
-        Annotated[
-            bool,
-            typer.Option(
-                "--allow-changed-log",
-                help="Use a log that is not the configuration's.",
-                rich_help_panel=LOG_PANEL,
-            ),
-        ],
+        bool,
         False,
+        "--allow-changed-log",
+        hidden=True,
+        help="Use a log whose content has changed since the configuration file was written.",
     ),
-    _parameter(
+    _common(
         "out",
-        Annotated[
-            Path | None,
-            typer.Option(
-                "--out",
-                metavar="DIR",
-                help="Folder to write. [slamcheck-COMMAND-LOG-SETTINGS, with what is not as usual]",
-            ),
-        ],
+        Path | None,
         None,
+        "--out",
+        metavar="DIR",
+        help="Output folder. [slamcheck-COMMAND-LOG-SETTINGS]",
     ),
-    _parameter(
+    _common(
         "replace",
-        Annotated[
-            bool,
-            typer.Option(
-                "--replace",
-                help="Replace a folder that holds another run.",
-                rich_help_panel=REPORT_PANEL,
-            ),
-        ],
+        bool,
         False,
+        "--replace",
+        hidden=True,
+        help="Replace an output folder that holds another run.",
     ),
-    _parameter(
+    _common(
         "log_file",
-        Annotated[
-            Path | None,
-            typer.Option(
-                "--log",
-                metavar="FILE",
-                help="Write warnings of libraries to a file.",
-                rich_help_panel=REPORT_PANEL,
-            ),
-        ],
+        Path | None,
         None,
+        "--log",
+        metavar="FILE",
+        hidden=True,
+        help="Write warnings of libraries to a file.",
     ),
 )
 _OUTPUT_HELP = {
@@ -230,14 +240,7 @@ _OUTPUT_HELP = {
     "quiet": ("--quiet", "-q", "Print nothing; the exit code tells the outcome."),
 }
 OUTPUT = {
-    name: _parameter(
-        name,
-        Annotated[
-            bool,
-            typer.Option(*filter(None, names), help=text, rich_help_panel=REPORT_PANEL),
-        ],
-        False,
-    )
+    name: _common(name, bool, False, *filter(None, names), help=text)
     for name, (*names, text) in _OUTPUT_HELP.items()
 }
 """Options of every command that prints a result, which set nothing in the configuration."""

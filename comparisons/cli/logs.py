@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,21 @@ from comparisons.options import LOG
 
 
 def logs() -> None:
-    """List the logs that can be named, and the formats that can be read."""
+    """List the bundled logs and the formats that can be read."""
     from comparisons.logs.bundled import NAMED
     from comparisons.logs.readers import READERS
 
-    typer.echo("Logs by name:")
-    for name, entry in NAMED.items():
-        options = f" ({', '.join(entry.takes)})" if entry.takes else ""
-        typer.echo(f"  {name:16} {entry.kind}: {entry.what}{options}")
-    typer.echo("Formats of logs by path (--format):")
+    most = max((entry.takes for entry in NAMED.values()), key=len)
+    for kind, entries in groupby(NAMED.items(), lambda item: item[1].kind):
+        takes = f" ({', '.join(most)})" if kind == "simulated" else ""
+        typer.echo(f"Logs by name, {kind}{takes}:")
+        for name, entry in entries:
+            less = [option for option in most if takes and option not in entry.takes]
+            typer.echo(f"  {name:16} {entry.what}{''.join(f'; no {one}' for one in less)}")
+    typer.echo("Logs by path; the format is recognised, or given by --format:")
     for name, reader in READERS.items():
         typer.echo(f"  {name:16} {reader.what}")
-    typer.echo("CSV files of your own: slamcheck new-log")
+    typer.echo("CSV files: slamcheck new-log --help")
 
 
 def convert(log: str, folder: Path, **given: Any) -> None:
@@ -53,7 +57,7 @@ def convert(log: str, folder: Path, **given: Any) -> None:
 _FLAGS = [flag for flag in LOG if flag.field.startswith("log.")]
 set_parameters(
     convert,
-    argument("log", str, "LOG", "A bundled name (see `slamcheck logs`) or a path.", log_names),
-    argument("folder", Path, "FOLDER", "The log folder to write."),
+    argument("log", str, "LOG", "Name in `slamcheck logs`, or path.", log_names),
+    argument("folder", Path, "FOLDER", "Log folder to write, new or empty."),
     *map(of_flag, _FLAGS),
 )

@@ -10,16 +10,19 @@ from comparisons.options import EKF, LOG, MAP
 _DEFAULT = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
 
 
-@from_flags((*MAP, *EKF, *LOG))
+_SHOWN = "--filter --association --gps --layer --resolution --dynamic --landmarks --cloud --seed"
+
+
+@from_flags((*MAP, *EKF, *LOG), _SHOWN)
 def map_command(given: Given) -> None:
-    """Map what the scanner saw, between the filter's landmarks (DenseSLAM). Exits with 0.
+    """Build a dense map of laser scans beside the EKF (DenseSLAM).
 
     \b
     Examples:
-      slamcheck map occupancy-loop                    simulated scans, with true surfaces
-      slamcheck map path/to/acfr_car_park --layer points --layer occupancy --resolution 0.4
-      slamcheck map dynamic-places --dynamic          and where something has changed
-      slamcheck map scan-slam --landmarks scans --layer occupancy --layer sog
+      slamcheck map occupancy-loop                  with true surfaces
+      slamcheck map path/to/acfr_car_park --layer points --layer occupancy
+      slamcheck map dynamic-places --dynamic        with moved objects
+      slamcheck map scan-slam --landmarks scans --layer sog
     """
     with guarded(log_file=given.log_file):
         with progress_bar(given.output) as progress:

@@ -22,18 +22,21 @@ class _Given(NamedTuple):
         str | None,
         typer.Argument(
             metavar="SCENARIO",
-            help="circle, circle-range-bearing, bailey-loop, nieto-loop, a TOML file, or the "
-            "config.toml of an earlier study. [circle]",
+            help="Scenario: circle, circle-range-bearing, bailey-loop, nieto-loop, a scenario "
+            "file, or the config.toml of an earlier study. [circle]",
             show_default=False,
         ),
     ] = None
     runs: Annotated[
-        int | None, typer.Option(metavar="N", help="Runs; a run's number is its seed. [50]")
+        int | None, typer.Option(metavar="N", help="Number of runs; run n has seed n. [50]")
     ] = None
     filters: Annotated[
         str | None,
         typer.Option(
-            metavar="NAMES", help="Some of ekf, fej, oc, riekf, ideal, with commas. [all]"
+            metavar="NAMES",
+            help="EKF variants, with commas: ekf, fej (first-estimates Jacobian), oc "
+            "(observability constrained), riekf (right-invariant), ideal (true linearisation). "
+            "[all]",
         ),
     ] = None
     command: Annotated[
@@ -41,37 +44,48 @@ class _Given(NamedTuple):
         typer.Option(
             metavar="[NAME=]COMMAND",
             help="Your filter: a program that reads the log folder {log} and writes the estimate "
-            "folder {out}; run without a shell, may be repeated. [NAME is mine]",
+            "folder {out}; repeat it for several. [NAME: mine]",
             show_default=False,
         ),
     ] = []  # noqa: RUF012
     timeout: Annotated[
-        float, typer.Option(metavar="S", help="Seconds that one run of a command may take.")
+        float,
+        typer.Option(
+            metavar="S", hidden=True, help="Time limit of one run of a --command in seconds."
+        ),
     ] = 600.0
     reuse: Annotated[
         bool,
         typer.Option(
-            "--reuse", help="Use a command's earlier results, if its words and files are the same."
+            "--reuse",
+            hidden=True,
+            help="Use the earlier results of a --command whose text and files are unchanged.",
         ),
     ] = False
     keep: Annotated[
         int | None,
-        typer.Option(metavar="SEED", min=0, help="Leave this run's log in logs/ to try it on."),
+        typer.Option(metavar="SEED", min=0, hidden=True, help="Keep the log of this run in logs/."),
     ] = None
-    workers: Annotated[int, typer.Option(metavar="W", help="Processes on this machine.")] = 1
+    workers: Annotated[
+        int, typer.Option(metavar="W", help="Number of parallel processes. [1]", show_default=False)
+    ] = 1
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="A Dask scheduler's, to compute on its cluster."),
+        typer.Option(
+            metavar="ADDRESS", hidden=True, help="Address of a Dask scheduler to compute on."
+        ),
     ] = None
     allow_changed_scenario: Annotated[
         bool,
         typer.Option(
-            "--allow-changed-scenario", help="Use a scenario that is not the configuration's."
+            "--allow-changed-scenario",
+            hidden=True,
+            help="Use a scenario that has changed since the configuration file was written.",
         ),
     ] = False
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder to write [slamcheck-montecarlo-SCENARIO]."),
+        typer.Option(metavar="DIR", help="Output folder. [slamcheck-montecarlo-SCENARIO]"),
     ] = None
     verbose: bool = False
     json: bool = False
@@ -79,16 +93,15 @@ class _Given(NamedTuple):
 
 
 def montecarlo(**values: Any) -> None:
-    """Run your filter and variants of our EKF many times in simulation. Exits with 0.
+    """Run filters many times in simulation; test their consistency.
 
-    A killed job goes on when the same command is given again; more runs or filters are added.
-    A filter of yours runs again each time, unless --reuse is given.
+    The same command given again continues an interrupted study, or adds runs and filters to it.
 
     \b
     Examples:
-      slamcheck montecarlo circle                     50 runs, five filters
-      slamcheck montecarlo my-scenario.toml --runs 1000 --filters ekf,fej --workers 8
-      slamcheck montecarlo nieto-loop --filters ekf --command 'python my_ekf.py {log} {out}'
+      slamcheck montecarlo circle                   50 runs, five filters
+      slamcheck montecarlo my-scenario.toml --runs 1000 --workers 8
+      slamcheck montecarlo nieto-loop --command 'python my_ekf.py {log} {out}'
       slamcheck montecarlo circle --runs 10000 --scheduler tcp://head:8786
       slamcheck montecarlo slamcheck-montecarlo-circle/config.toml --out again
     """

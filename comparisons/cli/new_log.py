@@ -19,29 +19,33 @@ if TYPE_CHECKING:
 _Number = float | None
 _File = Path | None
 _OPTIONS: dict[str, tuple[Any, str, str]] = {
-    "odometry": (Path, "FILE", "Speed and yaw rate, speed and steering angle, poses, or motions."),
-    "measurements": (Path, "FILE", "Range and bearing of landmarks, and their labels if known."),
-    "sigma_range": (_Number, "M", "Standard deviation of a range, unless a column says."),
-    "sigma_bearing": (_Number, "RAD", "Of a bearing, unless a column says."),
-    "sigma_speed": (_Number, "M/S", "Of a speed."),
-    "sigma_turn": (_Number, "RAD", "Of a yaw rate [rad/s], a steering angle, or a motion's turn."),
-    "sigma_move": (_Number, "M", "Of a motion, forward and sideways. [grows with the way]"),
-    "wheelbase": (_Number, "M", "Of the vehicle, for steering angles."),
-    "positions": (_File, "FILE", "Absolute positions, such as GPS, in the frame of the start."),
-    "sigma_position": (_Number, "M", "Of a position, unless columns say."),
-    "truth": (_File, "FILE", "True poses, as CSV or TUM."),
+    "odometry": (Path, "FILE", "Velocities, poses, or relative poses."),
+    "measurements": (Path, "FILE", "Ranges and bearings, with labels if known."),
+    "positions": (_File, "FILE", "GPS positions in the start frame."),
+    "truth": (_File, "FILE", "True poses, CSV or TUM."),
     "truth_landmarks": (_File, "FILE", "True landmarks: id, x, y."),
-    "prior_pose": (str | None, "X,Y,RAD", "Where the vehicle starts. [truth, else 0,0,0]"),
-    "kind": (str | None, "KIND", "velocity, steering, poses or relative-poses. [by the columns]"),
-    "degrees": (bool, "", "Angles whose header names no unit are degrees."),
+    "sigma_range": (_Number, "M", "Sigma of ranges without a column."),
+    "sigma_bearing": (_Number, "RAD", "Sigma of bearings without a column."),
+    "sigma_speed": (_Number, "M/S", "Sigma of speeds."),
+    "sigma_turn": (_Number, "RAD", "Sigma of turn rates, steering, turns."),
+    "sigma_move": (_Number, "M", "Sigma of relative positions. [by distance]"),
+    "sigma_position": (_Number, "M", "Sigma of GPS positions without a column."),
+    "wheelbase": (_Number, "M", "Wheelbase, for steering angles."),
+    "prior_pose": (str | None, "X,Y,RAD", "Start pose. [truth, else 0,0,0]"),
+    "kind": (
+        str | None,
+        "KIND",
+        "Odometry: velocity, steering, poses or relative-poses. [by the columns]",
+    ),
+    "degrees": (bool, "", "Angles without a unit are degrees."),
 }
 
 
 def new_log(folder: Path, **given: Any) -> None:
-    """Make a log folder of CSV files: columns in any order, text labels, units in the headers.
+    """Make a log folder from CSV files.
 
-    Names of columns: time, v, omega (or steering; x, y, yaw; dx, dy, dyaw); time, range,
-    bearing, label. Units: SI and radians, or bearing_deg, t_ns, range_mm, v_kmh, ...
+    Columns, in any order: time, v, omega (or steering; x, y, yaw; dx, dy, dyaw) and time, range,
+    bearing, label. Units: SI and radians, or in the header: bearing_deg, t_ns, range_mm, v_kmh.
 
     \b
     Example:
@@ -121,6 +125,6 @@ def _option(name: str, kind: Any, metavar: str, text: str) -> inspect.Parameter:
 
 set_parameters(
     new_log,
-    argument("folder", Path, "FOLDER", "The log folder to write, new or empty."),
+    argument("folder", Path, "FOLDER", "Log folder to write, new or empty."),
     *(_option(name, *words) for name, words in _OPTIONS.items()),
 )

@@ -8,13 +8,15 @@ from comparisons.cli.support import VERDICTS, guarded, print_result, progress_ba
 from comparisons.options import FRONT_END, LOG
 
 
-@from_flags((*FRONT_END, *LOG))
+@from_flags((*FRONT_END, *LOG), "--guess --loop-closure --matcher --gps --cloud --seed")
 def odometry(given: Given) -> None:
-    """Run the scan front end alone: odometry, loop closure, scan pose graph. Exits as solve does.
+    """Run the scan front end alone: odometry and loop closure.
+
+    Exit code 0: the optimum of the scan pose graph is verified; 3: it is not.
 
     \b
     Examples:
-      slamcheck odometry scan-loop-fine               simulated scans, with truth
+      slamcheck odometry scan-loop-fine             simulated scans, with truth
       slamcheck odometry path/to/acfr_car_park --cloud pcd
     """
     with guarded(log_file=given.log_file):

@@ -13,30 +13,30 @@ from comparisons.cli.support import AGREE, DISAGREE, guarded, print_text, progre
 def reproduce(
     figures: Annotated[
         list[str] | None,
-        typer.Argument(metavar="FIGURE...|all", help="Their names; lists them if left out."),
+        typer.Argument(metavar="FIGURE...|all", help="Figures to reproduce, as N3.5."),
     ] = None,
     data: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Holds victoria_park/, acfr_car_park/ or mrclam/, the real logs of some figures.",
+            help="Folder of the real logs: victoria_park/, acfr_car_park/, mrclam/.",
         ),
     ] = None,
     drives: Annotated[
-        int, typer.Option(metavar="N", help="Simulated drives behind a claim about many.")
+        int, typer.Option(metavar="N", help="Number of simulated drives per statistical claim.")
     ] = 10,
-    workers: Annotated[int, typer.Option(metavar="W", help="Processes on this machine.")] = 1,
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write.")] = Path(
+    workers: Annotated[int, typer.Option(metavar="W", help="Number of parallel processes.")] = 1,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Output folder.")] = Path(
         "slamcheck-reproduction"
     ),
 ) -> None:
-    """Draw figures of the source documents anew and check what the documents claim by them.
+    """Reproduce figures and claims of the source documents.
 
-    Exits with 0 when all claims hold, with 1 when one does not. Without names it lists the figures.
+    Without names it lists the figures. Exit code 0: all claims hold; 1: some do not.
 
     \b
     Examples:
-      slamcheck reproduce                             what there is
+      slamcheck reproduce                           list the figures
       slamcheck reproduce N3.5 N3.12
       slamcheck reproduce all --workers 2 --out figures
       slamcheck reproduce all --data path/to/logs

@@ -10,49 +10,37 @@ import typer
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import DISAGREE, VERDICTS, guarded, print_result, progress_bar
-from comparisons.options import REPORT_PANEL, RUN
+from comparisons.options import RUN
 
 if TYPE_CHECKING:
     from comparisons.pipeline.compare import Comparison
 
 LiveOption = Annotated[
     bool,
-    typer.Option(
-        "--live",
-        help="Then replay the run in rerun's viewer; needs rerun.",
-        rich_help_panel=REPORT_PANEL,
-    ),
+    typer.Option("--live", hidden=True, help="Replay the run in the rerun viewer; needs rerun."),
 ]
 RecordOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.rrd",
-        help="Write that replay to a file for the viewer.",
-        rich_help_panel=REPORT_PANEL,
+        hidden=True,
+        help="Write a replay of the run for the rerun viewer; needs rerun.",
     ),
 ]
+_SHOWN = "--filter --association --gps --robust --landmarks --motion --dense --seed --fail-on"
 
 
-@from_flags(RUN, live=(LiveOption, False), record=(RecordOption, None))
+@from_flags(RUN, _SHOWN, live=(LiveOption, False), record=(RecordOption, None))
 def run(given: Given) -> None:
-    """Run both estimators on a log, check one against the other, write a report folder.
+    """Run EKF and smoother on a log, compare them, write a report.
 
     \b
     Examples:
-      slamcheck run                               the bundled Victoria Park log
-      slamcheck run simulated-loop --loops 2 --seed 7
+      slamcheck run                                 the bundled Victoria Park log
+      slamcheck run simulated-loop --filter compressed --association jcbb
+      slamcheck run path/to/MRCLAM_Dataset6 --robot 2 --out report
+      slamcheck run path/to/acfr_car_park --motion both --dense points
       slamcheck run slamcheck-simulated-loop/config.toml --out again
-      slamcheck run path/to/MRCLAM_Dataset6 --robot 2
-      slamcheck run my-log-folder --association nn --out report
-      slamcheck run simulated-loop --association jcbb --fail-on truth,consistency
-      slamcheck run path/to/acfr_car_park --motion both
-      slamcheck run scan-loop --dense points --dense occupancy
-      slamcheck run scan-loop --dense sog --set dense_maps.d_min_m=0.1
-      slamcheck run scan-slam --landmarks scans
-      slamcheck run scan-slam --landmarks scans --smoother-matcher own
-      slamcheck run occupancy-loop --loops 2 --high-level
-      slamcheck run simulated-loop --figures pdf --record run.rrd
-      slamcheck run dynamic-lanes --dynamic
     """
     with guarded(log_file=given.log_file):
         live, record = bool(given.extra["live"]), given.extra["record"]

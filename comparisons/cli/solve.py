@@ -7,14 +7,18 @@ from comparisons.cli.jobs import start_job
 from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
 from comparisons.options import FEATURES, GPS, LOG, SMOOTHER, SOLVER_ASSOCIATION
 
+_FLAGS = (SOLVER_ASSOCIATION, FEATURES, GPS, *SMOOTHER, *LOG)
 
-@from_flags((SOLVER_ASSOCIATION, FEATURES, GPS, *SMOOTHER, *LOG))
+
+@from_flags(_FLAGS, "--association --gps --smoother --robust --seed")
 def solve(given: Given) -> None:
-    """Run the smoother alone; write its estimate and its graph. Exits with 0 when verified, else 3.
+    """Run the smoother alone; write its estimate and its graph.
+
+    Exit code 0: the optimum is verified; 3: it is not.
 
     \b
     Examples:
-      slamcheck solve                                 Victoria Park from dead reckoning
+      slamcheck solve                               the bundled log
       slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
     """
     with guarded(log_file=given.log_file):

@@ -22,13 +22,13 @@ _TEMPLATES = (
     Documented(
         place="N 5.2.2, 5.7",
         what="what becomes one landmark: each segment of a scan",
-        value="single",
-        at="scan_landmarks.pieces",
-        absent="joined (all segments of a scan), single under a dense map",
+        value="per-segment",
+        at="scan_landmarks.template_extraction",
+        absent="whole-scan, per-segment under a dense map",
         reason="a segment alone tells too little: by all settings of the thesis 11 or 12 "
         "landmarks a drive, a path 0.94 as wrong as odometry's (median of seeds 0 to 2 of"
-        " scan-slam) and one loop of three closed; joined 0.08 and all three. On the car "
-        "park 11 landmarks and 0.69 m from GPS (median), joined 0.20 m, odometry 0.74 m",
+        " scan-slam) and one loop of three closed; whole scan 0.08 and all three. On the car "
+        "park 11 landmarks and 0.69 m from GPS (median), whole scan 0.20 m, odometry 0.74 m",
     ),
     Documented(
         place="N 5.7",
@@ -36,9 +36,9 @@ _TEMPLATES = (
         value=100,
         at="scan_landmarks.least_returns",
         defaults=(f"{_SEGMENTS}.least_points", f"{_EXTRACTION}:JoinedSegments.least"),
-        absent="50 joined, 15 single",
-        reason="4 segments have 100 in the first 60 s of Table 5.1's drive, seed 0; joined, the "
-        "ATE is 0.43 m with 100 returns instead of 0.34 with 50",
+        absent="50 (whole-scan), 15 (per-segment)",
+        reason="4 segments have 100 in the first 60 s of Table 5.1's drive, seed 0; whole scan, "
+        "the ATE is 0.43 m with 100 returns instead of 0.34 with 50",
     ),
     Documented(
         place="N 5.7",
@@ -60,9 +60,9 @@ _TEMPLATES = (
         value=1,
         at="scan_landmarks.every",
         defaults=(f"{_EXTRACTION}:JoinedSegments.every", f"{_EXTRACTION}:SingleSegments.every"),
-        absent="5 joined, 2 single",
-        reason="a landmark in each scan is one too many: joined, 56 instead of 43 and an ATE of "
-        "0.75 m instead of 0.34 (the first 60 s of Table 5.1's drive, seed 0)",
+        absent="5 (whole-scan), 2 (per-segment)",
+        reason="a landmark in each scan is one too many: whole scan, 56 instead of 43 and an ATE "
+        "of 0.75 m instead of 0.34 (the first 60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
         place="N 5.2.2",
@@ -70,7 +70,7 @@ _TEMPLATES = (
         value=0,
         at="scan_landmarks.tried",
         defaults=(f"{_EXTRACTION}:SingleSegments.tried",),
-        reason="to save time: single, the same 26 landmarks with all tried (the first 60 s of "
+        reason="to save time: per segment, the same 26 landmarks with all tried (the first 60 s of "
         "Table 5.1's drive, seed 0)",
     ),
     Documented(
@@ -80,7 +80,7 @@ _TEMPLATES = (
         at="scan_landmarks.trials",
         defaults=(f"{_SEGMENTS}.trials",),
         reason="the worse of 2 is asked for, so that one lucky displacement lets nothing in; "
-        "joined, 4 scans are rejected with 2 as with 1 (the first 60 s of Table 5.1's drive, "
+        "whole scan, 4 scans are rejected with 2 as with 1 (the first 60 s of Table 5.1's drive, "
         "seed 0: ATE 0.20 m with 1, 0.34 with 2, which one drive cannot tell apart)",
     ),
     Documented(
@@ -95,9 +95,9 @@ _TEMPLATES = (
         value=0.1,
         at="scan_landmarks.residual",
         defaults=(f"{_SEGMENTS}.residual",),
-        reason="joined it decides nothing, 4 rejected by 0.15 and by 0.1; single, 0.1 rejects 40 "
-        "instead of 27 with an ATE of 1.42 m instead of 2.02, in one drive: the thesis' may be "
-        "the better one there (the first 60 s of Table 5.1's drive, seed 0)",
+        reason="whole scan it decides nothing, 4 rejected by 0.15 and by 0.1; per segment, 0.1 "
+        "rejects 40 instead of 27 with an ATE of 1.42 m instead of 2.02, in one drive: the "
+        "thesis' may be the better one there (the first 60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
         place="N 5.7",
@@ -105,9 +105,9 @@ _TEMPLATES = (
         value=0,
         at="scan_landmarks.open_directions",
         reason="a wall alone tells its distance and its heading, and R says that it tells no more; "
-        "joined it decides nothing, 4 rejected by both; single, 0 rejects 77 instead of 27 with an "
-        "ATE of 1.64 m instead of 2.02, in one drive: the thesis' may be the better one there (the "
-        "first 60 s of Table 5.1's drive, seed 0)",
+        "whole scan it decides nothing, 4 rejected by both; per segment, 0 rejects 77 instead of "
+        "27 with an ATE of 1.64 m instead of 2.02, in one drive: the thesis' may be the better "
+        "one there (the first 60 s of Table 5.1's drive, seed 0)",
     ),
 )
 _OBSERVATION = (
@@ -121,8 +121,8 @@ _OBSERVATION = (
             f"{_EXTRACTION}:SingleSegments.share",
             "ekf_reference.scan_landmarks.templates:View.share",
         ),
-        absent="0.5 joined, 0.9 single",
-        reason="the view changes sooner than one object's: joined, 0.9 gives 56 "
+        absent="0.5 (whole-scan), 0.9 (per-segment)",
+        reason="the view changes sooner than one object's: whole scan, 0.9 gives 56 "
         "landmarks and an ATE of 0.51 m, 0.5 gives 43 and 0.34 m (the first 60 s of Table 5.1's "
         "drive, seed 0)",
     ),
@@ -138,8 +138,8 @@ _OBSERVATION = (
         value=0,
         at="scan_landmarks.aligned",
         defaults=(f"{_SLAM}:ScanSlamOptions.aligned",),
-        reason="to save time: joined, all give 1,180 measurements, 5 give 1,179 (the first 60 s "
-        "of Table 5.1's drive, seed 0)",
+        reason="to save time: whole scan, all give 1,180 measurements, 5 give 1,179 (the first "
+        "60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
         place="N 5.5, with 2.4",

@@ -78,7 +78,7 @@ def test_diameters_that_say_nothing_change_nothing_when_off() -> None:
     ("options", "message"),
     [
         ({"association": "known", "attributes": "on"}, "'known' takes no attributes"),
-        ({"association": "agreed", "attributes": "on"}, "'agreed' takes no attributes"),
+        ({"association": "consensus", "attributes": "on"}, "'consensus' takes no attributes"),
         ({"attributes": "on"}, "hold no diameter and no intensity"),
         ({"attributes": "yes"}, "ekf.attributes is 'yes': .* 'off', 'on' or 'layer'"),
     ],

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from comparisons.cli.app import PANELS
 from comparisons.estimates.folder import read_estimate
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.models import Result
@@ -137,7 +138,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         ("run", "simulated-loop", "--gps", "on"): "holds no positions to fuse; use --gps off",
         ("run", "simulated-loop", "--attributes", "on"): "hold no diameter and no intensity; use",
         ("run", "simulated-loop", "--gps", "maybe"): "'--gps': 'maybe' is not one of 'off', 'on'",
-        ("run", "simulated-loop", "--fuse-landmarks"): "--fuse-landmarks goes with --landmarks",
+        ("run", "simulated-loop", "--merge-landmarks"): "--merge-landmarks goes with --landmarks",
         ("run", "victoria-park", "--seed", "5"): "--seed 5 does not apply; --seed is for simulated",
         ("run", "simulated-loop", "--robot", "2"): "--robot 2 does not apply; it takes --seed, ",
         ("run", "waypoint-run", "--loops", "2"): "--loops 2 does not apply; it takes --seed, --n",
@@ -302,14 +303,20 @@ def test_lists_and_help(tmp_path: Path) -> None:
         assert name in listed.stdout
     helped = slamcheck("run", "--help", cwd=tmp_path)
     assert helped.returncode == 0
-    assert "slamcheck run path/to/MRCLAM_Dataset6 --robot 2" in helped.stdout
-    for panel in ("Options", "Filter", "Scans and dense maps", "Smoother", "Log", "Report"):
+    assert "slamcheck run simulated-loop --filter compressed" in helped.stdout
+    for panel in ("Estimators", "Scans and dense maps", "Log, settings and report"):
         assert f"\u2500 {panel} \u2500" in helped.stdout
-    assert "Which EKF. [full] (full, compressed" in flat(helped.stdout)
+    assert "EKF variant: full, compressed, compressed-suboptimal" in flat(helped.stdout)
+    assert "--optimiser" not in helped.stdout
+    assert "All other options and settings: slamcheck config" in helped.stdout
     assert "\b" not in helped.stdout
     top = slamcheck("--help", cwd=tmp_path).stdout
-    assert "Exit codes" in top
-    assert "..." not in top.partition("Commands:")[2]  # no first line is cut
+    assert "Exit codes" in flat(top)
+    for panel in PANELS:
+        assert f"\n{panel}:\n" in top
+    for line in top.partition("Main:")[2].partition("Options of")[0].splitlines():
+        assert len(line) < 80
+        assert "..." not in line  # no first line is cut
     for command in ("convert", "check"):  # examples after one paragraph, and after two
         assert f"\n   slamcheck {command} " in slamcheck(command, "--help", cwd=tmp_path).stdout
     assert "slamcheck new-log" in listed.stdout

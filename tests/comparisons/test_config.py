@@ -92,8 +92,8 @@ def everything() -> list[JobConfig]:
         run_config(),
         run_config(filter="compressed", association="jcbb", gps="half", seed=7, robust="gnc"),
         run_config(motion="both", smoother_association="own", dense=["points"], dynamic=True),
-        run_config(landmarks="both", pieces="single", smoother_matcher="own", attributes="layer",
-                   association="nn"),
+        run_config(landmarks="both", template_extraction="per-segment", attributes="layer",
+                   smoother_matcher="generalised-icp", association="nn"),
         RunConfig.of(extensions={"high_level": {"cell_m": 0.4}},
                      report={"figures": ["pdf"], "trace": True}),
         MapConfig.of(extensions={"dense_maps": {"layers": ["values"], "known_m": 0.5}}),
@@ -187,10 +187,16 @@ def test_what_is_wrong_is_named_in_one_line(setting: str, words: str) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"smoother_matcher": "own"}, "--smoother-matcher own goes with --landmarks scans or both"),
-        ({"pieces": "single"}, "--pieces single goes with --landmarks scans or both"),
-        ({"templates": "enriched"}, "--templates enriched goes with --landmarks"),
-        ({"fuse_landmarks": True}, "--fuse-landmarks goes with --landmarks"),
+        (
+            {"smoother_matcher": "generalised-icp"},
+            "--smoother-matcher generalised-icp goes with --landmarks scans or both",
+        ),
+        (
+            {"template_extraction": "per-segment"},
+            "--template-extraction per-segment goes with --landmarks scans or both",
+        ),
+        ({"map_aided_matching": True}, "--map-aided-matching goes with --landmarks"),
+        ({"merge_landmarks": True}, "--merge-landmarks goes with --landmarks"),
         ({"landmarks": "scans", "motion": "both"}, "--motion both compares landmarks that are"),
         (
             {"landmarks": "scans", "smoother_association": "own"},
@@ -198,8 +204,14 @@ def test_what_is_wrong_is_named_in_one_line(setting: str, words: str) -> None:
         ),
         ({"landmarks": "scans", "attributes": "on"}, "--attributes on tells points apart"),
         ({"landmarks": "both", "high_level": True}, "--high-level goes with --landmarks points"),
-        ({"landmarks": "both", "fuse_landmarks": True, "dense": ["sog"]}, "hang on scan landmarks"),
-        ({"landmarks": "both", "fuse_landmarks": True, "dynamic": True}, "hang on scan landmarks"),
+        (
+            {"landmarks": "both", "merge_landmarks": True, "dense": ["sog"]},
+            "anchored to scan landmarks",
+        ),
+        (
+            {"landmarks": "both", "merge_landmarks": True, "dynamic": True},
+            "anchored to scan landmarks",
+        ),
         ({"landmarks": "both", "trace": True}, "--trace is for"),
         ({"filter": "misono", "trace": True}, "--trace is for"),
         ({"attributes": "on", "association": "euclidean"}, "takes no attributes"),
@@ -222,7 +234,7 @@ def test_what_does_not_go_together_is_refused(options: dict[str, object], words:
         {"landmarks": "both", "motion": "both", "smoother_association": "own"},
         {"lag": 100},
         {"smoother": "fixed-lag", "lag": 5},
-        {"templates": "bare", "fuse_landmarks": False},
+        {"map_aided_matching": False, "merge_landmarks": False},
         {"dynamic": True, "resolution": 0.4},
     ],
 )
@@ -277,8 +289,9 @@ def test_the_command_prints_settings_that_can_be_used(tmp_path: Path) -> None:
         assert printed.returncode == 0, printed.stderr
         assert JOBS[name].of(**tomllib.loads(printed.stdout)) == JOBS[name].of()
     printed = slamcheck("config", cwd=tmp_path)
-    assert 'filter = "full"    # which EKF (full | compressed' in printed.stdout
-    assert "# resolution_m = 0.2" in printed.stdout
+    assert "# --filter full|compressed|" in printed.stdout
+    assert '\nfilter = "full"\n' in printed.stdout
+    assert "\n#resolution_m = 0.2\n" in printed.stdout
     schema = slamcheck("config", "--schema", cwd=tmp_path)
     assert json.loads(schema.stdout)["title"] == "RunConfig"
 

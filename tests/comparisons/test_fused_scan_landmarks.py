@@ -101,7 +101,7 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
 
     That one has templates of one scan each: fused ones are of two, and leave gaps in the numbers.
     """
-    config = run_config(landmarks="both", fuse_landmarks=True, smoother_matcher="own")
+    config = run_config(landmarks="both", merge_landmarks=True, smoother_matcher="generalised-icp")
     prepared = prepare(log(), config, required=REQUIRED)
     for one in prepared.extensions:
         if isinstance(one, ScanLandmarksExtension):
@@ -115,11 +115,11 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
     )
     assert own.reasons["initialised"] == initialised
     assert own.ekf.landmarks == len(slam.landmarks)
-    with pytest.raises(InputError, match="--fuse-landmarks goes with --landmarks scans or both"):
-        compared(log(), fuse_landmarks=True)
-    with pytest.raises(InputError, match="regions of a map hang on scan landmarks for good"):
-        compared(log(), landmarks="scans", fuse_landmarks=True, dynamic=True)
-    with pytest.raises(InputError, match="and --templates enriched"):
-        compared(log(), landmarks="scans", fuse_landmarks=True, templates="enriched")
+    with pytest.raises(InputError, match="--merge-landmarks goes with --landmarks scans or both"):
+        compared(log(), merge_landmarks=True)
+    with pytest.raises(InputError, match="regions of a map anchored to scan landmarks for good"):
+        compared(log(), landmarks="scans", merge_landmarks=True, dynamic=True)
+    with pytest.raises(InputError, match="and --map-aided-matching"):
+        compared(log(), landmarks="scans", merge_landmarks=True, map_aided_matching=True)
     with pytest.raises(InputError, match="goes without --dense"):
-        compared(log(), landmarks="scans", fuse_landmarks=True, dense=["points"])
+        compared(log(), landmarks="scans", merge_landmarks=True, dense=["points"])

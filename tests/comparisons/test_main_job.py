@@ -71,7 +71,7 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
 @pytest.mark.parametrize(("robot", "recall"), [(1, 0.93), (2, 0.97), (3, 0.97)])
 def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: float) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    score = compared(log, association="agreed").assessment.association
+    score = compared(log, association="consensus").assessment.association
     assert score is not None
     assert score.clusters is not None
     assert score.clusters.precision > 0.99

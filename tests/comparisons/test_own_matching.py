@@ -47,7 +47,12 @@ log = partial(scenario, "scan-slam", seed=3, seconds=14.0)
 
 @cache
 def matched() -> Comparison:
-    return compared(log(), landmarks="scans", pieces="single", smoother_matcher="own")
+    return compared(
+        log(),
+        landmarks="scans",
+        template_extraction="per-segment",
+        smoother_matcher="generalised-icp",
+    )
 
 
 def planted(
@@ -62,7 +67,12 @@ def planted(
         return replace(found, pose=found.pose + shift) if chosen(first) else found
 
     monkeypatch.setattr("ekf_reference.scan_landmarks.templates.scan_align", wrong)
-    return compared(log(), landmarks="scans", pieces="single", smoother_matcher="own")
+    return compared(
+        log(),
+        landmarks="scans",
+        template_extraction="per-segment",
+        smoother_matcher="generalised-icp",
+    )
 
 
 def best_seen() -> tuple[int, Array]:
@@ -93,7 +103,7 @@ def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
 @pytest.mark.slow
 def test_joined_segments_are_seen_by_both(open3d_library: ModuleType) -> None:
     """Of which half may be out of view."""
-    c = compared(log(), landmarks="scans", smoother_matcher="own")
+    c = compared(log(), landmarks="scans", smoother_matcher="generalised-icp")
     own = c.find(OwnMatchingFinding).own
     assert c.verdict.outcome == "agree"
     assert own.agrees
@@ -161,7 +171,7 @@ def test_a_blank_scan_is_no_alignment(open3d_library: ModuleType) -> None:
     blank[7] = np.nan  # no return
     blank[12, 3:] = np.nan  # too few
     blanked = replace(short, scans=replace(short.scans, range_m=blank))
-    c = compared(blanked, landmarks="scans", smoother_matcher="own")
+    c = compared(blanked, landmarks="scans", smoother_matcher="generalised-icp")
     own = c.find(OwnMatchingFinding).own
     seen = c.ekf.timeline.epoch_time_s[own.alignments.pose]
     assert len(np.unique(seen)) > 10
@@ -169,9 +179,13 @@ def test_a_blank_scan_is_no_alignment(open3d_library: ModuleType) -> None:
 
 
 def test_what_cannot_be_used_is_said_in_a_line() -> None:
-    with pytest.raises(InputError, match="--smoother-matcher own goes with --landmarks scans"):
-        compared(simulated(), smoother_matcher="own")
-    with pytest.raises(InputError, match="--smoother-matcher is 'kiss', expected ekf or own"):
+    with pytest.raises(
+        InputError, match="--smoother-matcher generalised-icp goes with --landmarks scans"
+    ):
+        compared(simulated(), smoother_matcher="generalised-icp")
+    with pytest.raises(
+        InputError, match="--smoother-matcher is 'kiss', expected ekf or generalised-icp"
+    ):
         compared(log(), landmarks="scans", smoother_matcher="kiss")
 
 

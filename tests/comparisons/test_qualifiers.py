@@ -336,7 +336,7 @@ def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path
     """From 190 to 340 s MR.CLAM's robot 1 is seen 0.4 m off by both; with labels 0.13 m."""
     whole = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=1)
     log = between(whole, 190.0, 340.0)
-    for association in ("jcbb", "agreed"):
+    for association in ("jcbb", "consensus"):
         found = compared(log, association=association)
         assert TRUTH_GAP in found.verdict.qualifiers, association
         held = found.assessment.truth_gap

@@ -197,7 +197,10 @@ def test_a_logs_name_is_no_path(name: str, folder: str) -> None:
         ({"seed": 0, "filter": "full"}, ""),
         ({"association": "jcbb", "gps": "half"}, "-association-jcbb-gps-half"),
         ({"motion": "scan"}, "-motion-scan"),
-        ({"landmarks": "scans", "pieces": "single"}, "-landmarks-scans-pieces-single"),
+        (
+            {"landmarks": "scans", "template_extraction": "per-segment"},
+            "-landmarks-scans-template-extraction-per-segment",
+        ),
         ({"attributes": "layer"}, "-attributes-layer"),
         ({"dense": ["points", "sog"], "resolution": 0.4}, "-dense-points-sog-resolution-0.4"),
         ({"smoother_association": "ekf"}, "-smoother-association-ekf"),

@@ -1,4 +1,4 @@
-"""Dense maps that hang on scan landmarks, in the jobs (Nieto 2005, section 6.2)."""
+"""Dense maps that anchored to scan landmarks, in the jobs (Nieto 2005, section 6.2)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def asked(landmarks: str) -> MapConfig:
     )
 
 
-def source(**options: str) -> ScanSlamSource:
+def source(**options: str | bool) -> ScanSlamSource:
     """As it stands beside the filter before the start."""
     prepared, setup = prepare(log(), run_config(**options)), FilterSetup()
     for extension in prepared.extensions:
@@ -53,7 +53,9 @@ def source(**options: str) -> ScanSlamSource:
 
 @pytest.mark.slow
 def test_the_filter_does_not_feel_the_map() -> None:
-    alone, _ = run_filter(prepare(log(), run_config(landmarks="scans", pieces="single")))
+    alone, _ = run_filter(
+        prepare(log(), run_config(landmarks="scans", template_extraction="per-segment"))
+    )
     ours = with_map().ekf
     for a, b in (
         (alone.departed, ours.departed),
@@ -99,23 +101,24 @@ def test_it_is_told_by_the_scan_landmarks_names() -> None:
 
 
 def test_a_map_to_enrich_templates_from_hangs_on_the_same_landmarks() -> None:
-    kept = source(landmarks="both", templates="enriched").map_of
+    kept = source(landmarks="both", map_aided_matching=True).map_of
     assert kept is not None
     assert kept.run().kinds == (POINT, POSE)
     assert source(landmarks="scans").map_of is None
 
 
 def test_what_cannot_be_asked_for_is_said_in_a_line() -> None:
-    with pytest.raises(InputError, match=r"scan_landmarks\.templates is 'rich': .*'bare' or 'enr"):
-        run_config(landmarks="scans", templates="rich")
     with pytest.raises(
-        InputError, match=r"scan_landmarks\.pieces is 'all': .*'joined' or 'single'"
+        InputError,
+        match=r"scan_landmarks\.template_extraction is 'all': .*'whole-scan' or 'per-segment'",
     ):
-        run_config(landmarks="scans", pieces="all")
-    with pytest.raises(InputError, match="--pieces single goes with --landmarks scans or both"):
-        run_config(pieces="single")
+        run_config(landmarks="scans", template_extraction="all")
+    with pytest.raises(
+        InputError, match="--template-extraction per-segment goes with --landmarks scans or both"
+    ):
+        run_config(template_extraction="per-segment")
     with pytest.raises(InputError, match="goes with --landmarks scans or both"):
-        run_config(templates="enriched")
+        run_config(map_aided_matching=True)
     with pytest.raises(
         InputError, match=r"scan_landmarks\.landmarks is 'walls': .*'scans' or 'both'"
     ):

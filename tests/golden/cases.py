@@ -10,7 +10,7 @@ from comparisons.logs.log_folder import write_log_folder
 from tests.scenarios import scenario
 
 FILTERS = ("full", "compressed", "compressed-suboptimal", "misono", "misono-full")
-ASSOCIATIONS = ("known", "nn", "jcbb", "euclidean", "agreed")
+ASSOCIATIONS = ("known", "nn", "jcbb", "euclidean", "consensus")
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,11 @@ CASES = {
         Case("mrclam-2-nn", f"run {MRCLAM} --robot 2 --association nn"),
         Case(
             "scan-slam-own",
-            "run {work}/short --landmarks scans --smoother-matcher own --pieces single",
+            "run {work}/short --landmarks scans --smoother-matcher generalised-icp "
+            "--template-extraction per-segment",
         ),
-        Case("scan-slam-fused", "run {work}/short --landmarks scans --fuse-landmarks"),
-        Case("scan-slam-enriched", "run {work}/short --landmarks scans --templates enriched"),
+        Case("scan-slam-fused", "run {work}/short --landmarks scans --merge-landmarks"),
+        Case("scan-slam-enriched", "run {work}/short --landmarks scans --map-aided-matching"),
         Case("scan-slam-maps", "run scan-slam-maps --landmarks scans --dense occupancy"),
         Case("scan-loop-dense", "run scan-loop-fine --dense points --dense sog --resolution 0.4"),
         Case("high-level", "run occupancy-loop --high-level"),

@@ -21,15 +21,30 @@ class MonteCarloConfig(Section):
     """
 
     job: Literal["montecarlo"] = "montecarlo"
-    scenario: str = Field("circle", description="a bundled name, or a path")
-    runs: int = Field(50, ge=1, le=1_000_000, description="a run's number is its seed")
-    filters: tuple[FilterName, ...] = Field(get_args(FilterName), description="what runs")
+    scenario: str = Field(
+        "circle",
+        description="Scenario: circle, circle-range-bearing, bailey-loop, nieto-loop, or a "
+        "scenario file; the argument SCENARIO",
+    )
+    runs: int = Field(
+        50, ge=1, le=1_000_000, description="Number of runs; run n has seed n. Option: --runs"
+    )
+    filters: tuple[FilterName, ...] = Field(
+        get_args(FilterName),
+        description="EKF variants: ekf (standard), fej (first-estimates Jacobian), oc "
+        "(observability constrained), riekf (right-invariant), ideal (linearised at the truth). "
+        "Option: --filters",
+    )
     sha256: str | None = Field(
-        None, description="hash of the scenario; a study refuses another scenario"
+        None,
+        description="SHA-256 of the scenario. A scenario with another hash is refused without "
+        "--allow-changed-scenario",
     )
 
     commands: dict[str, str] = Field(
-        {}, description="external filters by name; recorded, but run only when --command gives them"
+        {},
+        description="External filters by name: recorded, and run only if --command gives them "
+        "again",
     )
 
     @field_validator("filters")

@@ -40,63 +40,84 @@ BARE: Mapping[str, Any] = {"detect_motion": False, "attribute_values": False, "c
 
 
 class DenseMapsConfig(ExtensionConfig):
-    """Keep what the scanner saw between the filter's landmarks (DenseSLAM, Nieto 2005, chapter 3).
+    """Dense map in triangles of the filter's landmarks (DenseSLAM, Nieto 2005, chapter 3).
 
     Lengths in metres. The map is compared with the smoother's where layers are asked for; it may
     also serve others: detect_motion looks for what moves, attribute_values keeps the values that
     association goes by.
     """
 
-    layers: tuple[Layer, ...] = Field((), description="kept, and compared with the smoother's")
-    resolution_m: _Cell = Field(0.2, description="size of cells")
-    d_min_m: _Cell = Field(0.2, description="least distance of two Gaussians, of two particles")
+    layers: tuple[Layer, ...] = Field(
+        (),
+        description="Layers to build and to compare with those of the smoother. sog: sum of "
+        "Gaussians; values: intensities",
+    )
+    resolution_m: _Cell = Field(0.2, description="Cell size in metres")
+    d_min_m: _Cell = Field(
+        0.2, description="Least distance of two Gaussians or particles in metres"
+    )
     p_occupied: float = Field(
-        0.65, gt=0.5, lt=1.0, description="of a grid's cell, given one return from it"
+        0.65,
+        gt=0.5,
+        lt=1.0,
+        description="Probability that a grid cell is occupied, given one return",
     )
     p_free: float = Field(
-        0.45, gt=0.0, lt=0.5, description="of occupancy of a grid's cell, given one look past it"
+        0.45,
+        gt=0.0,
+        lt=0.5,
+        description="Probability that a grid cell is occupied, given one ray through it",
     )
     least_correlation: float = Field(
-        0.9, ge=-1.0, le=1.0, description="of each two landmarks of a region"
+        0.9, ge=-1.0, le=1.0, description="Least correlation of any two landmarks of a region"
     )
     known_apart_m: float | None = Field(
         None,
         ge=0.0,
-        description="relative sigma up to which any correlation will do, 0 for none; if absent, "
-        "0.5, on scan landmarks alone 1.5",
+        description="Relative sigma in metres below which two landmarks may share a region at any "
+        "correlation; 0: none. Default: 0.5, on scan landmarks alone 1.5",
     )
     longest_edge_m: float | None = Field(
-        None, description="of a region; if absent, 35, on scan landmarks alone 60"
+        None,
+        description="Longest edge of a region in metres. Default: 35, on scan landmarks alone 60",
     )
     flip_test: FlipTest = Field(
         "joint",
-        description="whether a region may turn over: by its corners' joint covariance, or by the "
-        "ellipse of each alone",
+        description="Test whether a triangle may flip. joint: joint covariance of its corners; "
+        "ellipses: the error ellipse of each corner",
     )
     coarsening: Coarsening | None = Field(
-        None, description="of the occupancy layer's almost empty regions"
+        None,
+        description="Coarser cells in almost empty regions of the occupancy layer. Default: none",
     )
     known_m: float = Field(
-        math.inf, description="the vehicle's relative sigma up to which its scans are taken in"
+        math.inf,
+        description="Greatest relative sigma of the vehicle, in metres, at which its scans are "
+        "mapped",
     )
     reach_m: float | None = Field(
         None,
-        description="how far from the vehicle returns are taken in; if absent, 35, on scan "
-        "landmarks alone 50",
+        description="Greatest range of mapped returns in metres. Default: 35, on scan landmarks "
+        "alone 50",
     )
-    delayed: bool = Field(True, description="keep returns until there is a region for them")
-    virtual_landmarks: bool = Field(True, description="allow regions with a virtual corner")
+    delayed: bool = Field(True, description="Buffer returns until a region for them exists")
+    virtual_landmarks: bool = Field(
+        True, description="Allow regions with a virtual landmark as a corner"
+    )
     patience: int | None = Field(
         None,
-        description="scans that returns wait for a third landmark; if absent, 16, on scan "
-        "landmarks alone 64",
+        description="Number of scans for which buffered returns wait for a third landmark. "
+        "Default: 16, on scan landmarks alone 64",
     )
     capacity: int | None = Field(
         None,
-        description="returns that may wait; if absent, 5,000, on scan landmarks alone 20,000",
+        description="Greatest number of buffered returns. Default: 5000, on scan landmarks alone "
+        "20000",
     )
-    detect_motion: bool = Field(False, description="look for what moves")
-    attribute_values: bool = Field(False, description="keep values for association")
+    detect_motion: bool = Field(False, description="Detect moving objects (set by --dynamic)")
+    attribute_values: bool = Field(
+        False, description="Keep intensities for association (set by --attributes layer)"
+    )
 
     @field_validator("layers")
     @classmethod

@@ -1,4 +1,4 @@
-"""Settings of the rejection of what moves."""
+"""Settings of dynamic-object rejection."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ if TYPE_CHECKING:
 
 
 class DynamicConfig(ExtensionConfig):
-    """Find where things move, and let the filter ignore these places (Nieto 2005, section 6.3)."""
+    """Dynamic-object rejection: exclude where objects move (Nieto 2005, section 6.3)."""
 
-    look_s: float = Field(0.25, gt=0.0, description="seconds between two differentiations of maps")
+    look_s: float = Field(0.25, gt=0.0, description="Seconds between two map differences")
     threshold: float = Field(
-        0.3, gt=0.0, lt=1.0, description="least change of occupancy of what moves fast"
+        0.3, gt=0.0, lt=1.0, description="Least change of occupancy of a fast object"
     )
     slow_threshold: float = Field(
-        0.35, gt=0.0, lt=1.0, description="the same of what is brought or taken away"
+        0.35,
+        gt=0.0,
+        lt=1.0,
+        description="Least change of occupancy of an object that was added or removed",
     )
 
     def needs(self) -> Needs:

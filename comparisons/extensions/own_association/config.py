@@ -14,10 +14,12 @@ if TYPE_CHECKING:
 
 
 class OwnAssociationConfig(ExtensionConfig):
-    """Solve for a second time, with the smoother's own association."""
+    """Second solution, with an association found by the smoother itself."""
 
     when: When = Field(
-        "always", description="never: not even where a run would ask for it by itself"
+        "always",
+        description="When to solve. never: not even where a run would do it by default, for a "
+        "log without labels and truth whose second solution costs less than the run",
     )
 
     def build(self, config: Configured) -> OwnAssociation:

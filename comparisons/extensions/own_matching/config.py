@@ -11,16 +11,18 @@ if TYPE_CHECKING:
 
 
 class OwnMatchingConfig(ExtensionConfig):
-    """Solve for a second time, scan landmarks seen by Open3D's generalised ICP."""
+    """Second solution, with scan landmarks matched by Open3D's generalised ICP."""
 
     def check_with(self, config: Configured) -> None:
         """There must be scan landmarks to match."""
         if "scan_landmarks" not in config.extensions:
-            raise ValueError("--smoother-matcher own goes with --landmarks scans or both")
+            raise ValueError(
+                "--smoother-matcher generalised-icp goes with --landmarks scans or both"
+            )
 
     def libraries(self) -> dict[str, str]:
         """The matcher is Open3D's."""
-        return {"open3d": "--smoother-matcher own"}
+        return {"open3d": "--smoother-matcher generalised-icp"}
 
     def build(self, config: Configured) -> OwnMatching:
         """Return the extension."""

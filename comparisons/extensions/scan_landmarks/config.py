@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from comparisons.choices import Pieces, Templates
+from comparisons.choices import TemplateExtraction
 from comparisons.config import Configured, ExtensionConfig
 
 if TYPE_CHECKING:
@@ -16,50 +16,80 @@ _MAPPED = "dense_maps"
 
 
 class ScanLandmarksConfig(ExtensionConfig):
-    """Landmarks made of raw scans (Scan-SLAM, Nieto 2005, chapter 5)."""
+    """Landmarks that are templates of laser scans (Scan-SLAM, Nieto 2005, chapter 5)."""
 
     landmarks: Literal["scans", "both"] = Field(
-        "scans", description="in place of the log's measurements, or beside them"
+        "scans", description="Use. scans: in place of the log's landmarks; both: beside them"
     )
-    pieces: Pieces | None = Field(
+    template_extraction: TemplateExtraction | None = Field(
         None,
-        description="all segments of a scan make one landmark, or each its own; if absent, joined, "
-        "but single where a dense map is anchored to them",
+        description="Template extraction. whole-scan: all segments of a scan make one landmark; "
+        "per-segment: each segment makes its own. Default: whole-scan, but per-segment where a "
+        "dense map is anchored to the landmarks",
     )
-    templates: Templates = Field(
-        "bare", description="enriched: align with what the dense map holds around, too"
+    map_aided_matching: bool = Field(
+        False,
+        description="Match a template together with the dense map around it (Nieto 2005, section "
+        "6.2)",
     )
-    fuse: bool = Field(False, description="fuse landmarks that turn out to be one")
+    merge_landmarks: bool = Field(
+        False, description="Merge scan landmarks that turn out to be the same"
+    )
     least_returns: int | None = Field(
-        None, ge=3, le=10**6, description="of a template; if absent, 50 joined, 15 single"
+        None,
+        ge=3,
+        le=10**6,
+        description="Least number of returns of a template. Default: 50 (whole-scan), 15 "
+        "(per-segment)",
     )
     residual: float = Field(
-        0.15, gt=0.0, le=1.0, description="greatest error of a trial over its displacement"
+        0.15,
+        gt=0.0,
+        le=1.0,
+        description="Greatest error of a trial alignment, as a share of its displacement",
     )
     open_directions: int = Field(
-        2, ge=0, le=2, description="of x, y and heading, that a template may leave open"
+        2,
+        ge=0,
+        le=2,
+        description="Number of directions (x, y, heading) that a template may leave undetermined",
     )
-    trials: int = Field(2, ge=1, le=100, description="copies that a candidate is tried with")
+    trials: int = Field(
+        2, ge=1, le=100, description="Number of trial alignments of a template candidate"
+    )
     tried: int = Field(
-        2, ge=0, le=10**4, description="single segments of a scan that are tried, 0 for all"
+        2,
+        ge=0,
+        le=10**4,
+        description="Number of segments of a scan that are tried as templates (per-segment); 0: "
+        "all",
     )
     every: int | None = Field(
         None,
         ge=1,
         le=10**6,
-        description="scans from one that may initialise landmarks to the next; if absent, 5 "
-        "joined, 2 single",
+        description="Number of scans between two that may initialise landmarks. Default: 5 "
+        "(whole-scan), 2 (per-segment)",
     )
     in_view: float | None = Field(
         None,
         gt=0.0,
         le=1.0,
-        description="share of a template that must be in view; if absent, 0.5 joined, 0.9 single",
+        description="Share of a template that must be in view to be matched. Default: 0.5 "
+        "(whole-scan), 0.9 (per-segment)",
     )
     aligned: int = Field(
-        5, ge=0, le=10**6, description="templates that a scan is aligned with, 0 for all in view"
+        5,
+        ge=0,
+        le=10**6,
+        description="Greatest number of templates that are matched in one scan; 0: all in view",
     )
-    gate: float = Field(11.345, gt=0.0, le=1e6, description="of measurements, chi-square of three")
+    gate: float = Field(
+        11.345,
+        gt=0.0,
+        le=1e6,
+        description="Gate of a template measurement: chi-square of 3 degrees of freedom",
+    )
 
     def check_with(self, config: Configured) -> None:
         """Raise ValueError for what does not go together."""
@@ -78,11 +108,11 @@ class ScanLandmarksConfig(ExtensionConfig):
             )
         if "high_level" in config.extensions:
             raise ValueError("--high-level goes with --landmarks points only")
-        if self.fuse and (_MAPPED in config.extensions or self.templates == "enriched"):
-            # Regions anchored to a landmark that was fused would stay behind.
+        if self.merge_landmarks and (_MAPPED in config.extensions or self.map_aided_matching):
+            # Regions anchored to a landmark that was merged would stay behind.
             raise ValueError(
-                "--fuse-landmarks goes without --dense, --dynamic, --attributes layer and "
-                "--templates enriched: regions of a map hang on scan landmarks for good"
+                "--merge-landmarks goes without --dense, --dynamic, --attributes layer and "
+                "--map-aided-matching: regions of a map anchored to scan landmarks for good"
             )
 
     def build(self, config: Configured) -> ScanLandmarksExtension:

@@ -62,9 +62,9 @@ class ScanLandmarksExtension(Extension):
             raise InputError("scan landmarks: the log was not prepared")
         setup.kinds = LANDMARKS[self._config.landmarks]
         enriching = None
-        if self._config.templates == "enriched":
+        if self._config.map_aided_matching:
             enriching = DenseWatcher(prepared.log, self._dense, kinds=setup.kinds)
-        fusing = FusingOptions() if self._config.fuse else None
+        fusing = FusingOptions() if self._config.merge_landmarks else None
         setup.source = ScanSlamSource(self._scans, self.options, enriching, fusing)
         setup.offers.append(setup.source)
 

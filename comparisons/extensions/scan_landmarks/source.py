@@ -38,8 +38,9 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 LANDMARKS = {"scans": (POSE,), "both": (POINT, POSE)}
 """Kinds of landmarks that regions of a dense map are anchored to, by width."""
-PIECES: dict[str, TemplateExtraction] = {
-    one.name: one for one in (JoinedSegments(), SingleSegments())
+EXTRACTION: Mapping[str, TemplateExtraction] = {
+    "whole-scan": JoinedSegments(),
+    "per-segment": SingleSegments(),
 }
 """Which returns of a scan become one landmark."""
 ENRICH_M = 1.0
@@ -70,9 +71,9 @@ class _Telling:
 
 def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamOptions:
     """Return what is asked for. mapped: a dense map is anchored to the landmarks."""
-    richer = config.templates == "enriched"
     # A map's regions need landmarks that stand among objects.
-    usual = PIECES[config.pieces or ("single" if richer or mapped else "joined")]
+    segments = mapped or config.map_aided_matching
+    usual = EXTRACTION[config.template_extraction or ("per-segment" if segments else "whole-scan")]
     trial = replace(
         usual.segmentation,
         residual=config.residual,

@@ -13,11 +13,12 @@ if TYPE_CHECKING:
 
 
 class ScanMotionConfig(ExtensionConfig):
-    """Let the log's scans move the estimators, or a third one beside them."""
+    """Motion by scan matching (KISS-ICP)."""
 
     motion: Literal["scan", "both"] = Field(
         "both",
-        description="scan: in place of the odometry; both: a third estimate, the smoother on scans",
+        description="Use. scan: in place of the odometry; both: odometry, and a third estimate "
+        "by scan matching",
     )
 
     def libraries(self) -> dict[str, str]:

@@ -42,34 +42,28 @@ class Reader(NamedTuple):
 _HERE = "comparisons.logs.readers"
 READERS: dict[str, Reader] = {
     "log-folder": Reader(
-        "comparisons.logs.log_folder", "this project's own format, a folder with log.toml"
+        "comparisons.logs.log_folder", "folder with log.toml, the format of this project"
     ),
-    "gtsam-2d": Reader(
-        f"{_HERE}.gtsam_2d", "text with ODOMETRY and LANDMARK lines, as gtsam's victoria_park.txt"
-    ),
-    "g2o": Reader(
-        f"{_HERE}.g2o", "g2o, TORO and iSAM text: planar poses, closures, landmarks as points"
-    ),
-    "mrclam": Reader(f"{_HERE}.mrclam", "a UTIAS MR.CLAM folder; see --robot", robots=True),
+    "gtsam-2d": Reader(f"{_HERE}.gtsam_2d", "text with ODOMETRY and LANDMARK lines, as in gtsam"),
+    "g2o": Reader(f"{_HERE}.g2o", "g2o, TORO or iSAM text: planar poses, loops, landmarks"),
+    "mrclam": Reader(f"{_HERE}.mrclam", "UTIAS MR.CLAM folder (--robot N)", robots=True),
     "acfr-car-park": Reader(
-        f"{_HERE}.acfr_car_park", "the ACFR car park folder: data_set.mat and beac_juan3.mat"
+        f"{_HERE}.acfr_car_park", "ACFR car park folder: data_set.mat, beac_juan3.mat"
     ),
     "victoria-park": Reader(
-        f"{_HERE}.victoria_park", "Victoria Park detections: measurements.dat, inputs.dat, gps.dat"
+        f"{_HERE}.victoria_park", "Victoria Park detections: measurements.dat and others"
     ),
     "aa3": Reader(
         f"{_HERE}.aa3",
-        "Victoria Park's raw scans: aa3_dr.mat, aa3_lsr2.mat, aa3_gpsx.mat; see --features trees",
+        "Victoria Park raw scans: aa3_*.mat (--features trees)",
     ),
-    "carmen": Reader(f"{_HERE}.carmen", "CARMEN text: FLASER or ROBOTLASER1 lines with raw scans"),
+    "carmen": Reader(f"{_HERE}.carmen", "CARMEN text: FLASER or ROBOTLASER1 lines"),
     "rosbag": Reader(
         f"{_HERE}.rosbag",
-        "ROS bags of scans, clouds or detections: .mcap, .bag, rosbag2 folders (extra ros)",
+        "ROS bag: .mcap, .bag, rosbag2 (--topic; slamcheck[ros])",
         topics=True,
     ),
-    "rawlog": Reader(
-        f"{_HERE}.rawlog", "MRPT .rawlog: range-bearing measurements, planar scans, 2D odometry"
-    ),
+    "rawlog": Reader(f"{_HERE}.rawlog", "MRPT .rawlog: range-bearing, planar scans, 2D odometry"),
 }
 
 

@@ -1,0 +1,303 @@
+"""What the program says of itself: help, the list of settings, and earlier spellings."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from comparisons.cli.app import COMMANDS, build, main
+from comparisons.cli.config import JobName, _kind
+from comparisons.cli.flags import Command, Given, from_flags
+from comparisons.config import JOBS, RunConfig
+from comparisons.errors import InputError
+from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.options import FLAGS, RENAMED, RUN, renamed_words
+from comparisons.report.folder import check_free
+from comparisons.settings import configure, run_config
+
+MOST_LINES = 46
+"""Of the help of a command, with 80 columns."""
+GROUPS = ("baseline save", "baseline compare")
+HELPS = ("", *COMMANDS, *GROUPS)
+
+
+def commands() -> Iterator[tuple[str, Any]]:
+    """Every command by its name."""
+    whole: Any = build(whole=True)
+    for name, command in whole.commands.items():
+        below = getattr(command, "commands", {})
+        if not below:
+            yield name, command
+        for part in below.values():
+            yield f"{name} {part.name}", part
+
+
+def printed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    name = arguments[0] if arguments and arguments[0] in COMMANDS else None
+    words = arguments[1:] if name else arguments
+    prog = f"slamcheck {name}" if name else "slamcheck"
+    build(name)(args=list(words), prog_name=prog, standalone_mode=False)
+    return capsys.readouterr().out
+
+
+@pytest.fixture(autouse=True)
+def _terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+@pytest.mark.parametrize("name", HELPS)
+def test_help_is_short(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = printed(capsys, *name.split(), "--help").splitlines()
+    assert 5 < len(lines) <= MOST_LINES
+    assert max(map(len, lines)) <= 80
+
+
+def test_a_help_with_all_options_is_too_long(capsys: pytest.CaptureFixture[str]) -> None:
+    import typer
+
+    @from_flags(RUN, " ".join(flag.option for flag in RUN))
+    def run(given: Given) -> None:
+        """Run."""
+
+    app = typer.Typer()
+    app.command(cls=Command)(run)
+    typer.main.get_command(app)(args=["--help"], standalone_mode=False)
+    assert len(capsys.readouterr().out.splitlines()) > MOST_LINES
+
+
+def undocumented(command: Any, text: str) -> set[str]:
+    """Options of a command that a text does not name."""
+    options = {one for param in command.params for one in param.opts if one.startswith("--")}
+    return options - set(re.findall(r"--[a-z][a-z-]*", text))
+
+
+@pytest.mark.parametrize("job", [*JobName], ids=str)
+def test_what_help_hides_the_list_of_settings_has(
+    job: JobName, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command: Any = build(job.value)
+    helped = printed(capsys, job.value, "--help")
+    listed = printed(capsys, "config", job.value)
+    assert not undocumented(command, helped + listed)
+    hidden = sorted(undocumented(command, helped))
+    cut = re.sub(rf"{hidden[0]}\b", "", helped + listed)
+    assert hidden[0] in undocumented(command, cut)
+
+
+def test_what_only_saving_a_baseline_hides_is_listed_too(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    command = dict(commands())["baseline save"]
+    texts = [printed(capsys, "baseline", "save", "--help")]
+    texts += [printed(capsys, "config", job) for job in ("run", "check")]
+    assert not undocumented(command, "".join(texts))
+    assert undocumented(command, texts[0] + texts[1]) >= {"--times", "--min-coverage"}
+
+
+def test_the_list_has_each_setting_with_its_meaning(capsys: pytest.CaptureFixture[str]) -> None:
+    for job in JobName:
+        listed = printed(capsys, "config", job.value)
+        lines = listed.splitlines()
+        assert max(map(len, lines)) <= 80
+        for above, line in pairwise(lines):
+            if re.match(r"#?[a-z_]+ = ", line):
+                assert above.startswith("# "), line
+        if job.value in JOBS:
+            kind = JOBS[job.value]
+            assert kind.of(**tomllib.loads(listed)) == kind.of()
+
+
+def unclear(text: str) -> bool:
+    """Whether a text is no sentence and no noun phrase that stands by itself."""
+    fragment = re.match(r"(Of|The same|Which|Then|Whether|With it|Their|Its)\b", text)
+    return not (text[:1].isupper() or text[:1].isdigit()) or text[-1] not in ".]" or bool(fragment)
+
+
+def test_every_line_of_help_stands_by_itself() -> None:
+    for name, command in commands():
+        assert not unclear(command.help.split("\n\n")[0]), name
+        for one in command.params:
+            text = (one.help or "").strip()
+            assert not text or not unclear(text), f"{name} {one.opts}: {text}"
+    for job in JobName:
+        kinds: list[type[BaseModel]] = [_kind(job), *(config_class(name) for name in EXTENSIONS)]
+        while kinds:
+            kind = kinds.pop()
+            for name, field in kind.model_fields.items():
+                if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+                    kinds.append(field.annotation)
+                elif name not in ("job", "extensions"):
+                    text = (field.description or "").removeprefix("compressed-suboptimal: ")
+                    assert text, name
+                    assert not unclear(f"{text[0].upper()}{text[1:]}."), name
+                    assert text[0].isupper() or text != field.description, f"{name}: {text}"
+    assert unclear("Of a speed.")
+    assert unclear("Which EKF. [full]")
+    assert unclear("leave out what is before")
+
+
+def test_help_names_every_choice_and_the_default() -> None:
+    usual = [kind.of().model_dump() for kind in JOBS.values()]
+    for flag in FLAGS:
+        if not flag.help:
+            continue
+        for word in flag.words:
+            assert re.search(rf"\b{re.escape(word)}\b", flag.help), f"{flag.option} {word}"
+        found = re.search(r"\[(\S+)\]$", flag.help)
+        for config in usual if found else ():
+            value: Any = config
+            for part in flag.field.split("."):
+                value = value.get(part) if isinstance(value, dict) else None
+            if isinstance(value, bool):
+                value = "on" if value else "off"
+            if found and value not in (None, ()):
+                assert str(value).removesuffix(".0") == found[1], flag.option
+
+
+def test_the_help_of_all_commands_needs_neither_rich_nor_pydantic() -> None:
+    import subprocess
+    import sys
+
+    code = (
+        "import sys\nfrom comparisons.cli.app import main\nsys.argv[1:] = ['--help']\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "assert not {'rich', 'pydantic', 'numpy'} & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+EARLIER = {
+    "--association agreed": "--association consensus",
+    "--association=agreed": "--association consensus",
+    "--fuse-landmarks": "--merge-landmarks",
+    "--no-fuse-landmarks": "--no-merge-landmarks",
+    "--pieces joined": "--template-extraction whole-scan",
+    "--pieces=single": "--template-extraction per-segment",
+    "--templates enriched": "--map-aided-matching",
+    "--templates bare": "--no-map-aided-matching",
+    "--smoother-matcher own": "--smoother-matcher generalised-icp",
+}
+
+
+@pytest.mark.parametrize("earlier", EARLIER)
+def test_earlier_options_are_read(earlier: str) -> None:
+    words, notes = renamed_words(["simulated-loop", *shlex.split(earlier), "--seed", "1"])
+    assert words == ["simulated-loop", *EARLIER[earlier].split(), "--seed", "1"]
+    assert notes == [f"{earlier.replace('=', ' ')} is now {EARLIER[earlier]}"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--association", "jcbb"],
+        ["--association"],
+        ["--out", "agreed", ""],
+        ["--", "--pieces", "joined"],
+        *(shlex.split(now) for now in set(EARLIER.values())),
+    ],
+)
+def test_other_words_stay(words: list[str]) -> None:
+    assert renamed_words(words) == (words, [])
+
+
+def test_the_command_line_reads_them_with_a_line_on_standard_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["slamcheck", "run", "no-such-log", "--fuse-landmarks"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "slamcheck: --fuse-landmarks is now --merge-landmarks"
+    assert "--merge-landmarks goes with --landmarks scans or both" in second
+
+
+NOW: dict[str, Any] = {"landmarks": "both", "template_extraction": "per-segment",
+                       "map_aided_matching": True, "association": "consensus"}  # fmt: skip
+OLD_FILE = """
+job = "run"
+[ekf]
+association = "agreed"
+[extensions.scan_landmarks]
+landmarks = "both"
+pieces = "single"
+templates = "enriched"
+fuse = false
+"""
+
+
+def test_an_earlier_runs_file_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(OLD_FILE)
+    found = configure(RunConfig, path)
+    assert found == run_config(**NOW)
+    assert capsys.readouterr().err.splitlines() == [
+        f'slamcheck: {path}: ekf.association = "agreed" is now ekf.association = "consensus"',
+        f'slamcheck: {path}: scan_landmarks.pieces = "single" is now '
+        'scan_landmarks.template_extraction = "per-segment"',
+        f'slamcheck: {path}: scan_landmarks.templates = "enriched" is now '
+        "scan_landmarks.map_aided_matching = true",
+        f"slamcheck: {path}: scan_landmarks.fuse = false is now "
+        "scan_landmarks.merge_landmarks = false",
+    ]
+    written = found.toml()
+    assert not {"agreed", "pieces", "templates", "fuse"} & set(re.findall(r"[a-z_]+", written))
+    path.write_text(written)
+    assert configure(RunConfig, path) == found
+    assert capsys.readouterr().err == ""
+
+
+def test_flags_and_settings_lie_over_an_earlier_file(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(OLD_FILE)
+    flags = [(flag, "whole-scan") for flag in RUN if flag.option == "--template-extraction"]
+    found = configure(RunConfig, path, flags, ["scan_landmarks.templates=bare"])
+    section = found.model_dump()["extensions"]["scan_landmarks"]
+    assert (section["template_extraction"], section["map_aided_matching"]) == ("whole-scan", False)
+
+
+def test_an_earlier_runs_folder_is_known(tmp_path: Path) -> None:
+    """As one of the same settings, which may be written again, or as of others."""
+    (tmp_path / "config.toml").write_text(OLD_FILE)
+    (tmp_path / "result.json").write_text('{"files": ["config.toml", "result.json"]}')
+    check_free(tmp_path, run_config(**NOW))
+    with pytest.raises(InputError, match=r"scan_landmarks\.template_extraction per-segment, not"):
+        check_free(tmp_path, run_config(**{**NOW, "template_extraction": "whole-scan"}))
+
+
+def test_python_reads_them(capsys: pytest.CaptureFixture[str]) -> None:
+    found = run_config(landmarks="both", pieces="single", templates="enriched",
+                       association="agreed", fuse_landmarks=False)  # fmt: skip
+    assert found == run_config(**NOW)
+    assert "slamcheck: pieces='single' is now template_extraction='per-segment'" in (
+        capsys.readouterr().err.splitlines()
+    )
+
+
+def test_what_is_in_no_table_is_unknown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The file is read by the table and nothing else."""
+    path = tmp_path / "config.toml"
+    path.write_text(OLD_FILE)
+    kept = tuple(one for one in RENAMED if not one.was_field.endswith("pieces"))
+    monkeypatch.setattr("comparisons.options.RENAMED", kept)
+    with pytest.raises(InputError, match=r"scan_landmarks\.pieces: is unknown"):
+        configure(RunConfig, path)
+
+
+def test_the_table_leads_to_what_there_is() -> None:
+    options = {flag.option: flag for flag in RUN}
+    for one in RENAMED:
+        flag = options[one.option]
+        assert flag.field == one.field
+        assert one.was_option not in options
+        for value in one.values.values():
+            assert isinstance(value, bool) or value in flag.words
