@@ -235,7 +235,7 @@ _COMMON = (
     ),
 )
 _OUTPUT_HELP = {
-    "verbose": ("--verbose", "-v", "Then print all figures, causes and notes."),
+    "verbose": ("--verbose", "-v", "Print all figures, causes and notes as well."),
     "json": ("--json", "", "Print the result as JSON and nothing else."),
     "quiet": ("--quiet", "-q", "Print nothing; the exit code tells the outcome."),
 }
