@@ -22,6 +22,7 @@ from collections import Counter
 import numpy as np
 from scipy.stats import beta
 
+from comparisons.checks.causes import FITTED
 from comparisons.experiments.bands.coverage import figures_of
 from comparisons.experiments.defects.registry import REGISTRY, named_first, run_defect
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -37,10 +38,10 @@ def interval(count: int, total: int) -> tuple[float, float]:
 
 def short(evidence: str, hint: str) -> str:
     """What tells most: the known mistake, else what differs, else the evidence."""
-    if hint.startswith("the records are as if: "):
-        return hint.removeprefix("the records are as if: ")
+    if hint.startswith(FITTED):
+        return hint.removeprefix(FITTED)
     parts = evidence.split("; ")
-    return parts[1] if len(parts) > 1 and "where rounding allows" in parts[0] else parts[0]
+    return parts[1] if len(parts) > 1 and "rounding allows" in parts[0] else parts[0]
 
 
 def defects(seed: int, only: str, *, table: bool) -> None:

@@ -27,6 +27,7 @@ from trust_row import Row, print_table  # type: ignore[import-not-found]
 
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.arrays import Array
+from comparisons.checks.causes import ALGEBRA_HINT, FITTED, MODEL_HINT
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import read_external
 from comparisons.experiments.defects.logs import open_case
@@ -38,8 +39,6 @@ from comparisons.pipeline.external_trace import TraceCheck, check_trace
 from comparisons.pipeline.prepare import Prepared, prepare
 from graphslam.smoother import SmootherOptions
 
-AS_IF = "the records are as if: "
-GENERAL = "look for "
 IN_SINGLE = "computes in single precision"
 
 
@@ -96,13 +95,13 @@ def hint_parts(check: TraceCheck) -> list[str]:
     """What the hints of the filter's own gaps say in particular; nothing for general advice."""
     parts: list[str] = []
     for cause in check.verdict.causes:
-        if "is wrong, the other is right" in cause.hint:
+        if "is wrong, the other row is right" in cause.hint:
             continue  # right, and little more than general advice
         if cause.gap == "data":
             parts.append(cause.evidence)
-        elif cause.gap == "model" and cause.hint.startswith(AS_IF):
-            parts += cause.hint.removeprefix(AS_IF).split("; ")
-        elif cause.gap in ("model", "algebra") and not cause.hint.startswith(GENERAL):
+        elif cause.gap == "model" and cause.hint.startswith(FITTED):
+            parts += cause.hint.removeprefix(FITTED).split("; ")
+        elif cause.gap in ("model", "algebra") and cause.hint not in (ALGEBRA_HINT, MODEL_HINT):
             parts.append(cause.hint)
     return parts
 

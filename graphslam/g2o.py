@@ -101,7 +101,7 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
     """
     problem, poses, landmarks, _ = contents
     if problem.pose_landmarks.count:
-        raise ValueError("pose landmarks cannot be told from poses in g2o")
+        raise ValueError("g2o cannot distinguish pose landmarks from poses")
     if not holds(problem):
         raise ValueError("g2o has no edge for positions of an antenna away from the pose")
     count = problem.pose_count
@@ -157,7 +157,7 @@ class _Nodes:
         for record in given:
             if record.ids[0] in self.values:
                 raise ValueError(
-                    f"{path}:{record.line}: {record.written} {record.ids[0]} is there already"
+                    f"{path}:{record.line}: {record.written} {record.ids[0]} is defined twice"
                 )
             self.values[record.ids[0]] = record.numbers
         self.ids = sorted(self.values or set(named))
@@ -169,7 +169,7 @@ class _Nodes:
             if record.ids[position] not in self._number:
                 raise ValueError(
                     f"{self.path}:{record.line}: {record.written} names {record.ids[position]}, "
-                    f"which is no {self.what}"
+                    f"which is not a {self.what}"
                 )
         return np.array([self._number[r.ids[position]] for r in records], dtype=np.intp)
 
@@ -285,7 +285,7 @@ def _numbers(place: str, tag: str, words: list[str]) -> list[float]:
     try:
         numbers = [float(word) for word in words]
     except ValueError:
-        raise ValueError(f"{place}: {tag} holds what is no number") from None
+        raise ValueError(f"{place}: {tag} contains a word that is not a number") from None
     if not all(map(math.isfinite, numbers)):
         raise ValueError(f"{place}: {tag} holds a number that is not finite")
     return numbers

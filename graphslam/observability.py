@@ -26,7 +26,7 @@ def explain_singularity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values)
     touched = set(graph.keyVector())
     never = [key for key in keys if key not in touched]
     if never:
-        return f"no measurement says anything of {_listed(never)}"
+        return f"no measurement constrains {_listed(never)}"
     width = np.array([2 if gtsam.symbolChr(key) == _POINT else 3 for key in keys])
     first = np.concatenate(([0], np.cumsum(width)))
     row, column, value = graph.linearize(values).sparseJacobian_()
@@ -40,7 +40,7 @@ def explain_singularity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values)
     nothing = np.flatnonzero(length == 0.0)
     if len(nothing):
         which = np.unique(np.searchsorted(first, nothing, side="right") - 1)
-        return f"no measurement says anything of {_listed([keys[i] for i in which])}"
+        return f"no measurement constrains {_listed([keys[i] for i in which])}"
     scaled = (jacobian @ diags(1.0 / length)).tocsc()
     direction = _weakest(scaled)
     if float(np.linalg.norm(scaled @ direction) ** 2) > _FREE:
@@ -48,11 +48,14 @@ def explain_singularity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values)
     share = np.add.reduceat(direction**2, first[:-1])
     moving = np.flatnonzero(share > 0.05 * share.max())
     if len(moving) > 0.5 * len(keys):
-        return "the whole map may move: no prior, position or survey fixes the frame"
+        return "the whole map can move: no prior, position or known landmark fixes the frame"
     weakest = [keys[i] for i in moving[np.argsort(-share[moving])]]
     count = sum(weakest[0] in graph.at(i).keys() for i in range(graph.size()))  # noqa: SIM118
     said = "one measurement leaves" if count == 1 else f"{count} measurements leave"
-    return f"{_listed(weakest)} may move freely: {said} {_name(weakest[0])} a direction open"
+    return (
+        f"{_listed(weakest)} can move freely: {said} one direction of {_name(weakest[0])} "
+        "undetermined"
+    )
 
 
 def _weakest(scaled: Array) -> Array:

@@ -153,10 +153,10 @@ class Optimality:
         """The first condition that does not hold, in words; empty when all do."""
         test, explored = self.chi_square, self.exploration
         if not self.stationarity.holds:
-            return "the smoother ended where the error is not at a strict local minimum"
+            return "the smoother did not end at a strict local minimum"
         if self.distance_sigma > DISTANCE_LIMIT:
             return (
-                f"the estimate along the way is {self.distance_sigma:.2g} sigma from the optimum, "
+                f"the running estimate is {self.distance_sigma:.2g} sigma from the optimum, "
                 f"expected at most {DISTANCE_LIMIT}"
             )
         if test.reading == "too high" and not self.accept_misfit:
@@ -166,12 +166,16 @@ class Optimality:
             )
         if not explored.complete:
             return (
-                f"the search ended before its time with {len(explored.minima)} minima found, by "
+                f"the search for other minima reached its limit with {len(explored.minima)} "
+                "minima found by "
                 f"{explored.hops} hops and {explored.draws} random starts"
             )
         if len(explored.minima) > 1 and same_error(*(m.error for m in explored.minima[:2])):
             other = explored.minima[1]
             return f"another minimum, {other.furthest_m:.3g} m away, has the same error"
         if not self.agreed:
-            return f"only {', '.join(self.agreeing)} reached the lowest error"
+            return (
+                f"only the start {', '.join(self.agreeing)} reached the lowest error, "
+                "expected independent starts"
+            )
         return ""

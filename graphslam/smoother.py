@@ -183,7 +183,9 @@ def smooth(
     options = options or SmootherOptions()
     reach = int(np.abs(problem.loop_closures.first - problem.loop_closures.second).max(initial=0))
     if options.method == "fixed-lag" and reach > options.lag:
-        raise ValueError(f"lag is {options.lag}, expected {reach} at least: so far closures reach")
+        raise ValueError(
+            f"lag is {options.lag}, expected at least {reach}, the span of the loop closures"
+        )
     rejected, closed = NOTHING_REJECTED, problem.loop_closures
     reached = np.union1d(problem.steps + 1, closed.last)
     alone = np.setdiff1d(np.arange(1, problem.pose_count), reached)
@@ -193,11 +195,15 @@ def smooth(
             "those before it"
         )
     if options.robust == "gnc" and problem.lever_m != (0.0, 0.0) and len(problem.position):
-        raise ValueError("robust is gnc, which cannot weigh positions of an antenna off the pose")
+        raise ValueError(
+            "robust is gnc, which does not support positions of an antenna away from the pose"
+        )
     if options.robust == "gnc" and len(closed.first) and closed.kernel == "none":
-        raise ValueError("robust is gnc, which does not weigh closures, expected huber or cauchy")
+        raise ValueError(
+            "robust is gnc, which does not support loop closures, expected huber or cauchy"
+        )
     if options.robust == "gnc":
-        progress("smoother, wild observations")
+        progress("smoother, outlier detection")
         graph = build_graph(problem)
         problem, rejected = reject_outliers(problem, graph, track(problem, graph)[0])
     graph = build_graph(problem, options.kernel)
@@ -210,8 +216,8 @@ def smooth(
         followed = _follow(problem, graph, options, search)
     except RuntimeError:  # gtsam's, of many lines
         raise SingularProblemError(
-            f"{options.method} came to a system without a solution on its way; raise the smallest "
-            "sigmas of the log, or take the batch smoother"
+            f"{options.method} reached a singular system; raise the smallest sigmas of the log, or "
+            "use the batch smoother"
         ) from None
     if not search.attempts or not search.agreed:
         search.attempt("tracked", "sequential", *track(problem, graph))

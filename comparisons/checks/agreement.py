@@ -242,7 +242,9 @@ def _positive(covariance: Array) -> bool:
 def _difference(first: Gaussian, second: Gaussian) -> Array:
     """Of the means, headings wrapped. Raises ValueError where they mean different things."""
     if first.pose_landmarks != second.pose_landmarks:
-        raise ValueError(f"{first.pose_landmarks} pose landmarks against {second.pose_landmarks}")
+        raise ValueError(
+            f"{first.pose_landmarks} pose landmarks compared with {second.pose_landmarks}"
+        )
     difference, turns = first.mean - second.mean, second.headings
     difference[turns] = wrap_angle(difference[turns])
     return difference

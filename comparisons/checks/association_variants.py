@@ -128,11 +128,10 @@ class AssociationCheck:
             f"({d.begin_s:.1f} to {d.end_s:.1f} s)"
             for d in found[:_NAMED]
         )
-        more = f"; and of {len(found) - _NAMED} more landmarks" if len(found) > _NAMED else ""
+        more = f"; others of {len(found) - _NAMED} more landmarks" if len(found) > _NAMED else ""
         return (
-            f"the association depends on how it was made: with {one.name} the poses are "
-            f"{one.apart_m:.2f} m ({one.apart_sigma:.1f} sigma) elsewhere; measurements in "
-            "dispute: "
+            f"the association is ambiguous: associating with {one.name} moves the poses by "
+            f"{one.apart_m:.2f} m ({one.apart_sigma:.1f} sigma); disputed measurements: "
             f"{named}{more}"
         )
 

@@ -33,6 +33,16 @@ if TYPE_CHECKING:
 
 GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
 """Causes that are gaps between the estimates; other causes explain one, or stand beside."""
+FITTED = "check for these model errors, which were fitted to the trace: "
+"""Begins a hint that names known model errors; they follow, separated by semicolons."""
+ALGEBRA_HINT = (
+    "check prediction, update and landmark initialisation for a covariance block that is dropped, "
+    "outdated or not transposed"
+)
+MODEL_HINT = (
+    "check the signs of the Jacobians, the wrapping of the innovation, the noise for a sigma that "
+    "is squared twice, and the conventions of steering and bearing"
+)
 _NAMED = 3
 """So many differences of the models are named."""
 _GREW = 3.0
@@ -91,7 +101,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "The filter linearised at the wrong points",
         "The filter's algebra and models are right, but its result differs from the optimum of the "
         "relinearised smoother. The cause is that the filter evaluated its Jacobians at estimates "
-        "that later proved wrong. This is a property of the EKF, not a programming error.",
+        "that turned out to be wrong. This is a property of the EKF, not a programming error.",
         "Reduce the heading uncertainty. Local maps, an iterated update or relinearisation help.",
     ),
     "noise": Explanation(
@@ -251,14 +261,15 @@ class Cause:
 
 
 def _apart(gap: Gap, allowed: Allowed) -> str:
-    limit = f"rounding allows {ROUNDING:g}"
+    limit = f"rounding allows {ROUNDING:g} in both"
     if allowed.stored:
         limit = (
-            f"storing in single precision allows {allowed.sigma:.2g} and {allowed.covariance:.2g}"
+            f"storage in single precision allows {allowed.sigma:.2g} sigma and "
+            f"{allowed.covariance:.2g}"
         )
     return (
-        f"differ by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} in the "
-        f"covariance, where {limit}"
+        f"by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} (relative) in the "
+        f"covariance ({limit})"
     )
 
 
@@ -273,17 +284,13 @@ def algebra(
     single: how the gap grows, if computing in single precision explains it.
     """
     named = "; ".join(map(str, operations[:_NAMED]))
-    hint = (
-        "look for a covariance block that is dropped, stale or not transposed: prediction, update, "
-        "augmentation"
-    )
     return Cause(
         "algebra",
-        f"the filter and the solution of its own linear equations {_apart(gap, allowed)}"
+        f"the filter differs from the solution of its own linear equations {_apart(gap, allowed)}"
         + (f"; {named}" if named else ""),
-        f"look at {operations[0].operation}: {operations[0].block}"
+        f"check how {operations[0].operation} computes {operations[0].block}"
         if operations
-        else single or hint,
+        else single or ALGEBRA_HINT,
     )
 
 
@@ -295,20 +302,17 @@ def model(
 ) -> Cause:
     """F1 against F2. explanations: known mistakes that reproduce what was recorded."""
     named = "; ".join(map(str, differences[:_NAMED]))
-    hint = (
-        "look for a Jacobian's sign, an unwrapped innovation, a sigma squared twice, a steering or "
-        "bearing convention"
-    )
+    hint = MODEL_HINT
     if differences and differences[0].absent:
         hint = (
-            f"complete {differences[0].quantity}: its columns are zero in the filter, and the "
-            "observation does depend on it"
+            f"complete {differences[0].quantity}: its columns are zero in the filter, but the "
+            "measurement depends on these states"
         )
     if known_model_errors:
-        hint = f"the records are as if: {'; '.join(known_model_errors)}"
+        hint = FITTED + "; ".join(known_model_errors)
     return Cause(
         "model",
-        "the filter's and the smoother's equations, linearised at the same points, "
+        "the filter's models differ from the smoother's, linearised at the same points, "
         f"{_apart(gap, allowed)}" + (f"; {named}" if named else ""),
         hint,
     )
@@ -317,16 +321,15 @@ def model(
 def unverified(optimality: Optimality) -> Cause:
     """The optimum is not verified, and what the check lacks."""
     if optimality.distance_sigma > DISTANCE_LIMIT:
-        hint = "use the batch, or a longer lag"
+        hint = "use the batch smoother, or a longer lag"
     elif optimality.chi_square.reading == "too high":
         hint = (
-            "check the noise figures and the association; --accept-misfit takes the lowest minimum "
-            "all the same"
+            "check the stated noise and the association; --accept-misfit accepts the lowest "
+            "minimum "
+            "despite its chi-square"
         )
     else:
-        hint = (
-            "the smoother may sit in a local minimum: check the noise figures and the association"
-        )
+        hint = "check the stated noise and the association: the smoother may be in a local minimum"
     return Cause("oracle", optimality.lacks, hint)
 
 
@@ -344,8 +347,10 @@ def linearisation(
         worst = max(far, key=lambda i: blocks[i].distance)
         block = blocks[worst]
         parts.append(
-            f"{len(far)} of {len(names)} landmarks are too far off, {names[worst]} by "
-            f"{block.difference_m:.2f} m ({block.distance:.1f} sigma)"
+            f"{len(far)} of {len(names)} landmarks are more than {LARGEST_DISTANCE:g} sigma "
+            "from the "
+            f"optimum; {names[worst]} differs most, by {block.difference_m:.2f} m "
+            f"({block.distance:.1f} sigma)"
         )
     unsure = [i for i in off if i not in far]
     if unsure:
@@ -354,39 +359,37 @@ def linearisation(
             key=lambda pair: max(pair[1], 1.0 / max(pair[1], 1e-300)),
         )
         parts.append(
-            f"{len(unsure)} of {len(names)} landmarks have a wrong covariance, {names[worst]} "
-            f"{ratio:.2g} times the justified variance"
+            f"{len(unsure)} of {len(names)} landmarks have a wrong covariance; the variance of "
+            f"{names[worst]} is {ratio:.2g} times the smoother's"
         )
     if agreement.pose.distance > LARGEST_DISTANCE:
         parts.append(
-            f"the last pose is off by {agreement.pose.difference_m:.2f} m "
+            f"the last pose differs by {agreement.pose.difference_m:.2f} m "
             f"({agreement.pose.distance:.1f} sigma)"
         )
     if agreement.whole.distance > LARGEST_DISTANCE:
-        parts.append(f"map and pose together are off by {agreement.whole.distance:.1f} sigma")
+        parts.append(f"map and last pose together differ by {agreement.whole.distance:.1f} sigma")
     if agreement.whole.least < LEAST_VARIANCE_RATIO:
         parts.append(
-            f"the filter claims {100 * agreement.whole.least:.2g} % of the justified variance in "
-            "its most optimistic direction"
+            f"in the most optimistic direction the filter's variance is "
+            f"{100 * agreement.whole.least:.2g} % of the smoother's"
         )
     if agreement.whole.largest > 1.0 / LEAST_VARIANCE_RATIO:
         parts.append(
-            f"it claims {agreement.whole.largest:.1f} times the justified variance in its most "
-            "pessimistic direction"
+            f"in the most pessimistic direction the filter's variance is "
+            f"{agreement.whole.largest:.1f} times the smoother's"
         )
     sigma, reached = np.sqrt(run.estimate.pose_covariance[:, 2, 2]), ""
     if np.isfinite(sigma).any():
         k = int(np.nanargmax(sigma))
-        reached = (
-            f"the heading's sigma reached {_degrees(sigma[k])} at {run.estimate.time_s[k]:.1f} s; "
-        )
+        reached = f" (its sigma reached {_degrees(sigma[k])} at {run.estimate.time_s[k]:.1f} s)"
     if growth is not None and growth.total > 0.0:
         parts.append(_grew(growth, run, sigma))
     return Cause(
         "linearisation",
         "; ".join(parts),
-        f"algebra and model are right, so the linearisation points are not: {reached}smaller "
-        "heading uncertainty, local maps or relinearisation would help",
+        "algebra and models are right, so the linearisation points are the reason: reduce the "
+        f"heading uncertainty{reached}, or use local maps or relinearisation",
     )
 
 
@@ -406,9 +409,9 @@ def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
         seen = f" of landmark {index if template else run.estimate.landmark_id[index]}"
     around = _degrees(sigma[max(at - 1, 0) : at + 1].max())
     return (
-        f"its equations miss the optimum's the most by {growth.kind}{seen} at {time_s[at]:.1f} s "
-        f"({growth.sigma:.1f} sigma of its noise; the heading's sigma was {around}), "
-        f"and half of all they miss had come together by {time_s[growth.reached(0.5)]:.1f} s"
+        f"the largest linearisation error is that of {growth.kind}{seen} at {time_s[at]:.1f} s "
+        f"({growth.sigma:.1f} sigma of its noise; the heading's sigma was {around}), and half of "
+        f"the total linearisation error arose before {time_s[growth.reached(0.5)]:.1f} s"
     )
 
 
@@ -428,12 +431,13 @@ def noise(test: ChiSquareTest, consistency: Consistency | None) -> list[Cause]:
     return [
         Cause(
             "noise",
-            f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is too high, and so is "
+            f"the smoother's chi-square is too high, {test.chi2:.0f} for {test.dof} degrees of "
+            "freedom; these mean NIS are too high as well: "
             + ", ".join(
-                f"the NIS of {name}' {nis.name}, {nis.mean:.3g} of {nis.dof}" for nis, name in off
+                f"{name}' {nis.name} {nis.mean:.3g} (expected {nis.dof})" for nis, name in off
             ),
-            f"look at the sigmas of {of}' {worst.name}, about {worst.mean**0.5:.2g} times too "
-            "small if they alone are wrong, or at what is taken for which landmark",
+            f"check the sigma of the {of}' {worst.name}: if nothing else is wrong, it is about "
+            f"{worst.mean**0.5:.2g} times too small; also check the association",
         )
     ]
 
@@ -443,30 +447,31 @@ def dropout(dropouts: Dropouts | None) -> list[Cause]:
     worst = None if dropouts is None else dropouts.worst
     if dropouts is None or worst is None or worst.growth < _GREW:
         return []
-    refused = f", {worst.refused} measurements refused" if worst.refused else ""
+    refused = f", {worst.refused} measurements rejected" if worst.refused else ""
     before, after = worst.sigma_heading_rad
     return [
         Cause(
             "dropout",
-            f"no observation was used from {worst.begin_s:.1f} to {worst.end_s:.1f} s "
+            f"the filter used no measurement from {worst.begin_s:.1f} to {worst.end_s:.1f} s "
             f"({worst.way_m:.1f} m driven{refused}): the position's sigma grew from "
             f"{worst.sigma_m[0]:.2g} to {worst.sigma_m[1]:.2g} m, the heading's from "
-            f"{_degrees(before)} to {_degrees(after)}, and the filter arrived "
-            f"{worst.error_m:.2f} m from the smoother ({dropouts.error_outside_m:.2f} m RMS "
-            "outside such stretches, which are "
-            f"{100.0 * (1.0 - dropouts.coverage):.0f} % of the time)",
-            "look for a blind or silent sensor, lost messages, or a gate that refuses everything",
+            f"{_degrees(before)} to {_degrees(after)}, and at the end of it the filter was "
+            f"{worst.error_m:.2f} m from the smoother; such stretches are "
+            f"{100.0 * (1.0 - dropouts.coverage):.0f} % of the time, and outside them the RMS "
+            f"difference is {dropouts.error_outside_m:.2f} m",
+            "check for a silent or blocked sensor, for lost messages, and for a gate that rejects "
+            "every measurement",
         )
     ]
 
 
 def coverage(evidence: str, least: float, hint: str = "") -> Cause:
-    """Too little of the log's time in an external estimate. least: share that is asked for."""
+    """Too little of the log's time in an external estimate. least: share that is required."""
     return Cause(
         "coverage",
-        f"{evidence}; asked for are {100.0 * least:.4g} %",
+        f"{evidence}; at least {100.0 * least:.4g} % is required",
         hint
-        or "look whether the filter stopped or lost poses; hand in the whole path, or give "
+        or "check whether the filter stopped or lost poses; supply the whole trajectory, or lower "
         "--min-coverage",
     )
 

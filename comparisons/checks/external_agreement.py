@@ -117,12 +117,12 @@ class Coverage:
         where, inner = [], []
         for start, stop in self.holes_s.tolist():
             if self.first_s == self.last_s:
-                where = [f"it has one pose, at {self.first_s:.1f} s"]
+                where = [f"it has a single pose, at {self.first_s:.1f} s"]
             elif stop <= self.first_s:
                 where.append(f"it begins at {self.first_s:.1f} s")
             elif start >= self.last_s:
-                ends = "its pose stays the same from" if self.repeated else "it ends at"
-                where.append(f"{ends} {self.last_s:.1f} s" + self.repeated * " on")
+                ends = "its pose does not change after" if self.repeated else "it ends at"
+                where.append(f"{ends} {self.last_s:.1f} s")
             else:
                 inner.append((start, stop))
         if inner:
@@ -130,7 +130,7 @@ class Coverage:
             what = "no poses" if len(inner) == 1 else f"{len(inner)} holes, the longest"
             where.append(f"it has {what} from {start:.1f} to {stop:.1f} s")
         whole = self.span_s[1] - self.span_s[0]
-        seconds = f"covers {whole - self._missing_s:.1f} of {whole:.1f} s"
+        seconds = f"the estimate covers {whole - self._missing_s:.1f} of {whole:.1f} s"
         return f"{seconds}: {', '.join(where)}" if where else seconds
 
 
@@ -218,9 +218,9 @@ def within_log(given: ExternalEstimate, smoothed: Estimate) -> NDArray[np.bool_]
     inside: NDArray[np.bool_] = (given.time_s >= first - 1e-4) & (given.time_s <= last + 1e-4)
     if not inside.any():
         raise InputError(
-            f"the estimate's times, {given.time_s[0]:.3f} to {given.time_s[-1]:.3f} s, lie outside "
-            f"the log's, {first:.3f} to {last:.3f} s{clock_words(given.time_s, (first, last))}; "
-            "expected the log's own clock"
+            f"the estimate's times ({given.time_s[0]:.3f} to {given.time_s[-1]:.3f} s) lie outside "
+            f"the log's ({first:.3f} to {last:.3f} s){clock_words(given.time_s, (first, last))}; "
+            "expected times of the log's clock"
         )
     return inside
 
@@ -231,10 +231,10 @@ def clock_words(time_s: Array, span_s: tuple[float, float]) -> str:
     whole, own = last - first, float(time_s[-1] - time_s[0])
     for unit, factor in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
         if abs(own - factor * whole) <= _SAME_LENGTH * factor * whole:
-            return f", as if in {unit}"
+            return f"; they look like {unit}"
     if abs(own - whole) <= _SAME_LENGTH * whole:
         offset = float(time_s[0]) - first
-        return f", as if all were {abs(offset):.1f} s too {'late' if offset > 0.0 else 'early'}"
+        return f"; they look {abs(offset):.1f} s too {'late' if offset > 0.0 else 'early'}"
     return ""
 
 
@@ -316,13 +316,15 @@ def _map_faults(
     """What is not plausible of the last pose and the map."""
     parts, blocks = [], found.landmarks
     if found.unmatched and not blocks and len(smoothed.landmark):
-        parts.append(f"none of the {found.unmatched} landmarks given is one of the log's")
+        parts.append(f"none of the estimate's {found.unmatched} landmarks is a landmark of the log")
     far = [k for k, block in enumerate(blocks) if not block.near]
     if far:
         worst = max(far, key=lambda k: blocks[k].distance)
         parts.append(
-            f"{len(far)} of {len(blocks)} landmarks are too far from the optimum, landmark "
-            f"{found.landmark_id[worst]} by {blocks[worst].difference_m:.2f} m "
+            f"{len(far)} of {len(blocks)} landmarks are more than {LARGEST_DISTANCE:g} sigma "
+            "from the "
+            f"optimum, landmark {found.landmark_id[worst]} most, by "
+            f"{blocks[worst].difference_m:.2f} m "
             f"({blocks[worst].distance:.1f} sigma)"
         )
     last = found.last
@@ -343,7 +345,7 @@ def _map_faults(
         ratios = [r for b in unsure for r in (b.least, b.largest) if r is not None]
         worst_ratio = max(ratios, key=lambda r: abs(float(np.log(max(r, 1e-300)))))
         parts.append(
-            f"covariances of last pose and map are up to {worst_ratio:.3g} times the optimum's, "
+            f"the variances of last pose and map are up to {worst_ratio:.3g} times the optimum's, "
             f"expected {found.band.least:.2g} to {found.band.largest:.2g}"
         )
     return parts
@@ -359,7 +361,8 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[
     far = float(np.mean(square > LARGEST_DISTANCE**2))
     if far > _MOST_OUTSIDE:
         parts.append(
-            f"{100.0 * far:.0f} % of the poses are more than a sigma from those of {peer.name}, "
+            f"{100.0 * far:.0f} % of the poses differ by more than 1 sigma from those of "
+            f"{peer.name}, by "
             f"{rms(difference[:, :2]):.2f} m and "
             f"{np.degrees(rms(difference[:, 2:])):.2f} degrees (RMS)"
         )
@@ -368,7 +371,7 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[
         bad = float(np.mean((least < band.least) | (largest > band.largest)))
         if bad > _MOST_OUTSIDE:
             parts.append(
-                f"{100.0 * bad:.0f} % of the pose covariances are not {band.least:.2g} to "
+                f"{100.0 * bad:.0f} % of the pose covariances are outside {band.least:.2g} to "
                 f"{band.largest:.2g} times those of {peer.name}"
             )
     return parts
@@ -380,13 +383,16 @@ def _path_alone(found: ExternalAgreement, peer_rms_m: float) -> list[str]:
         if found.outside <= _MOST_OUTSIDE:
             return []
         return [
-            f"{100.0 * found.outside:.0f} % of the poses lie beyond their own 99.9 % region, "
-            f"{found.rms_m:.2f} m off (RMS)"
+            f"{100.0 * found.outside:.0f} % of the poses lie outside their own 99.9 % region; "
+            f"their RMS difference from the optimum is {found.rms_m:.2f} m"
         ]
     expected_m = _GENEROUS * peer_rms_m + _FLOOR_M
     if found.rms_m <= expected_m:
         return []
-    return [f"the poses are {found.rms_m:.2f} m off (RMS), where {expected_m:.2f} m could be"]
+    return [
+        f"the RMS difference of the poses from the optimum is {found.rms_m:.2f} m, expected at "
+        f"most {expected_m:.2f} m"
+    ]
 
 
 def _landmark_blocks(

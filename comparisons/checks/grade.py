@@ -292,11 +292,15 @@ def _missing(reference: Reference) -> Sequence[str]:
     """What of the path the estimate has not, whose times the reference's are."""
     (begin, end), missing = reference.span_s, []
     if reference.time_s[0] - begin > max(MOST_LATE_S, 0.05 * (end - begin)):
-        missing.append(f"the path begins at {reference.time_s[0]:.1f} s, the log at {begin:.1f} s")
+        missing.append(
+            f"the trajectory starts at {reference.time_s[0]:.1f} s, the log at {begin:.1f} s"
+        )
     if end - reference.time_s[-1] > MOST_LATE_S:
-        missing.append(f"the path ends at {reference.time_s[-1]:.1f} s, the log at {end:.1f} s")
+        missing.append(
+            f"the trajectory ends at {reference.time_s[-1]:.1f} s, the log at {end:.1f} s"
+        )
     if not reference.known.any():
-        missing.append("no pose lies at an instant of the log's observations")
+        missing.append("no pose has the time of a measurement of the log")
     return missing
 
 
@@ -306,7 +310,10 @@ def _unmapped(given: ExternalEstimate, reference: Reference, ours: Index) -> Seq
     if given.landmark is not None:
         lacking, more = len(reference.landmark) - len(ours), len(given.landmark) - len(ours)
         if lacking:
-            missing.append(f"{lacking} of {len(reference.landmark)} landmarks are not in the map")
+            missing.append(
+                f"{lacking} of {len(reference.landmark)} landmarks of the log are missing in "
+                "the map"
+            )
         if more:
-            missing.append(f"{more} landmarks of the map are not those of {reference.name}")
+            missing.append(f"{more} landmarks of the map are unknown to {reference.name}")
     return missing

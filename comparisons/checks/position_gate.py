@@ -58,10 +58,10 @@ class RejectedFixes:
             return []
         return [
             f"the filter's gate rejected {count} of {self.given} positions, {self.in_streaks} of "
-            f"them in streaks of {self.LONG} or more (longest {self.longest}): {fit} fit the "
-            "smoother's optimum, where the filter was locked out (ekf.gps_recovery re-admits); "
-            f"{self.unfit_count} do not, and are wrong or worse than stated, or the smoother is "
-            "wrong there, too"
+            f"them in series of {self.LONG} or more in a row (longest {self.longest}); {fit} of "
+            "the rejected positions fit the smoother's optimum, so the filter should have used "
+            "them (ekf.gps_recovery re-admits such positions); "
+            f"{self.unfit_count} do not fit it, so these positions or the smoother are wrong"
         ]
 
 

@@ -83,14 +83,14 @@ class TruthGap:
     measurement_m: standard deviation of the place that a single measurement gives, the scale in
     metres.
     lost: no landmark is near a true one. association: of the filter, against the log's labels.
-    reference: where the smoother should be.
+    reference: what the smoother is compared with.
     """
 
     distances: tuple[Distance, ...]
     measurement_m: float
     lost: bool = False
     association: AssociationScore | None = None
-    reference: str = "the truth is"
+    reference: str = "the truth"
 
     @property
     def stands(self) -> bool:
@@ -187,12 +187,12 @@ def _against_smoother(smoothed: FilterAgainstSmoother) -> list[str]:
     found, mean, band = [], smoothed.mean_per_dof, smoothed.band
     if mean is not None and band is not None and not band.holds(mean):
         found.append(
-            f"filter against smoother {mean:.2g} per degree of freedom, band {band.low:.2g} to "
+            f"filter-smoother difference {mean:.2g} per degree of freedom, band {band.low:.2g} to "
             f"{band.high:.2g}"
         )
     if len(smoothed.overconfident) > _SURER * len(smoothed.time_s):
         found.append(
-            f"filter surer than the smoother at {len(smoothed.overconfident)} of "
+            f"filter more certain than the smoother at {len(smoothed.overconfident)} of "
             f"{len(smoothed.time_s)} epochs"
         )
     return found
@@ -241,31 +241,31 @@ def qualified(
 
 def _cause(gap: TruthGap) -> Cause:
     parts = [
-        f"its {d.what} are {d.error_m:.2g} m off (rms), {d.sigma:.1f} times what its covariance "
-        "allows for"
-        + (f", with the log's labels {d.labels_m:.2g} m" if d.labels_m is not None else "")
+        f"the RMS error of its {d.what} is {d.error_m:.2g} m, {d.sigma:.1f} times what its "
+        "covariance states"
+        + (f" (with the log's labels {d.labels_m:.2g} m)" if d.labels_m is not None else "")
         for d in gap.distances
         if d.off
     ]
     if gap.lost:
-        parts.append("none of its landmarks stands near a true one")
-    hint = "EKF and smoother share what is wrong: look at the stated noise, the model and the start"
+        parts.append("none of its landmarks lies near a true landmark")
+    hint = "check the stated noise, the models and the start pose, which EKF and smoother share"
     if gap.association is not None:
         pairs = gap.association.landmarks
         parts.append(
-            f"of the pairs of measurements put together {100.0 * pairs.precision:.1f} % belong "
-            f"together by the log's labels, and {100.0 * pairs.recall:.1f} % of those that do were "
-            "put together"
+            f"of the pairs of measurements that the association assigns to one landmark, "
+            f"{100.0 * pairs.precision:.1f} % have the same label, and it finds "
+            f"{100.0 * pairs.recall:.1f} % of the pairs with the same label"
         )
         hint = (
-            "EKF and smoother share the association: take the log's labels, or a stricter "
-            "association, and see --smoother-association own"
+            "check the association, which EKF and smoother share: use the log's labels or a "
+            "stricter "
+            "association, and compare with --smoother-association own"
         )
-    about = "a single measurement errs by" if not gap.lost else "one measurement's sigma is"
     return Cause(
         "truth",
-        f"the smoother is not where {gap.reference}: {'; '.join(parts)}; {about} "
-        f"{gap.measurement_m:.2g} m",
+        f"the smoother is far from {gap.reference}: {'; '.join(parts)}; the sigma of a single "
+        f"measurement is {gap.measurement_m:.2g} m",
         hint,
     )
 
@@ -273,7 +273,8 @@ def _cause(gap: TruthGap) -> Cause:
 def _rough(gap: TruthGap) -> str:
     worst = max(gap.distances, key=lambda d: d.sigma / d.limit)
     return (
-        f"the smoother's {worst.what} are {worst.error_m:.2g} m from the truth, less than one "
-        f"measurement errs by ({gap.measurement_m:.2g} m), but {worst.sigma:.1f} times what its "
-        "covariance allows for: the stated sigmas are too small"
+        f"the RMS error of the smoother's {worst.what} is {worst.error_m:.2g} m: less than the "
+        f"sigma of a single measurement ({gap.measurement_m:.2g} m), but {worst.sigma:.1f} times "
+        "what "
+        "its covariance states, so the stated sigmas are too small"
     )

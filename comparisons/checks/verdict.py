@@ -57,7 +57,10 @@ class Verdict:
         """The outcome with its qualifiers, and whether the filter is consistent, with figures."""
         found = self.inconsistent
         if not found:
-            return f"{self.headline}; filter {'consistent' if found == () else 'not judged'}"
+            return (
+                f"{self.headline}; filter "
+                f"{'consistent' if found == () else 'consistency not judged'}"
+            )
         *others, last = (self.outcome, *self.qualifiers)
         more = len(found) - _SHOWN
         shown = "; ".join(found[:_SHOWN]) + (f"; {more} more" if more > 0 else "")
@@ -116,11 +119,11 @@ def judge(
     algebra = agreement.algebra
     if conservative and not algebra.within(ROUNDING):
         remarks.append(
-            f"the filter is conservative as meant: its covariance exceeds the exact one by up to "
-            f"{algebra.covariance:.2g}, its mean differs by {algebra.sigma:.2g} sigma"
+            f"the filter is conservative by design: its covariance exceeds the exact one by up to "
+            f"{algebra.covariance:.2g} (relative), its mean differs by {algebra.sigma:.2g} sigma"
         )
     if run.breakdown and found[0].gap != "breakdown":
-        remarks.insert(0, f"{run.breakdown}; everything is compared up to there")
+        remarks.insert(0, f"{run.breakdown}; all comparisons end at that time")
     return Verdict(outcome=outcome, causes=tuple(found), remarks=tuple(remarks))
 
 
@@ -146,8 +149,8 @@ def _red(
             Cause(
                 "breakdown",
                 run.breakdown,
-                "gaps are compared up to there; look at the measurements and sigmas of that "
-                "instant",
+                "check the measurements and their sigmas at that time; the gaps are computed "
+                "up to it",
             )
         )
     return found
@@ -175,11 +178,12 @@ def _by_optimum(
 def _on_robust(robust: str) -> list[str]:
     if robust in ("huber", "cauchy"):
         return [
-            f"the smoother's {robust} kernel lowers the weight of what fits badly: its covariances "
-            "are the weighted problem's, and chi-square is not tested"
+            f"the smoother's {robust} kernel reduces the weight of measurements that fit "
+            "badly: its "
+            "covariances are those of the weighted problem, and chi-square is not tested"
         ]
     if robust == "gnc":
-        return ["the smoother left out what it found to be outliers; the filter did not"]
+        return ["the smoother excluded outliers; the filter did not exclude them"]
     return []
 
 
@@ -193,11 +197,11 @@ def misfit_remarks(optimality: Optimality) -> list[str]:
     if test.reading == "plausible":
         return []
     meaning = {
-        "too high": "noise is larger than stated, or the model or the association is wrong",
-        "too low": "the stated noise is conservative",
+        "too high": "the noise is larger than stated, or the models or the association are wrong",
+        "too low": "the actual noise is smaller than stated",
     }[test.reading]
     if test.reading == "too high" and optimality.accept_misfit:
-        meaning += "; accepted as --accept-misfit asks"
+        meaning += "; --accept-misfit accepts it"
     chi2, lower, upper = map(rounded, (test.chi2, test.lower, test.upper))
     return [
         f"chi-square {chi2} for {test.dof} degrees of freedom is {test.reading} "
@@ -222,17 +226,17 @@ def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:
         from ekf_reference.association.joint_compatibility import JointCompatibility
 
         remarks.append(
-            f"joint compatibility was cut off at {JointCompatibility.most_nodes:,} nodes in "
-            f"{run.cut_off:,} scans: there the best set so far was taken"
+            f"joint compatibility reached its limit of {JointCompatibility.most_nodes:,} nodes in "
+            f"{run.cut_off:,} scans and used the best association found until then"
         )
     if len(run.deactivated):
         names = ", ".join(str(i) for i in run.estimate.landmark_id[run.deactivated].tolist())
         if len(run.deactivated) == len(run.estimate.landmark):
             remarks.append(
-                "every landmark is in motion: in the end odometry alone moves the filter"
+                "every landmark is deactivated: at the end the filter uses odometry alone"
             )
         remarks.append(
-            f"landmarks {names} stand where something moves: they stay as they were last seen, and "
-            "nothing is matched with them any more"
+            f"landmarks {names} are deactivated because something moves at their position: their "
+            "estimates no longer change, and no measurement is associated with them"
         )
     return remarks

@@ -106,7 +106,7 @@ class ExternalEstimate:
                 (self.landmark, "landmarks"),
                 (self.pose_covariance, "pose covariances"),
                 (self.landmark_covariance, "landmark covariances"),
-                (self.joint_covariance, "the joint covariance"),
+                (self.joint_covariance, "joint covariance"),
             )
             if value is None
         ]

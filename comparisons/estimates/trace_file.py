@@ -221,12 +221,12 @@ def _check(path: Path, name: str, array: Array, shape: tuple[int, ...]) -> None:
     if array.shape != shape:
         raise InputError(f"{path}: {name} has shape {array.shape}, expected {shape}")
     if not (np.abs(array) <= LARGEST**2).all():
-        raise InputError(f"{path}: {name} holds a value that is no number up to {LARGEST**2:g}")
+        raise InputError(f"{path}: {name} holds a value that is not a number up to {LARGEST**2:g}")
     if (
         name.partition("_")[2] in _WHOLE
         and not ((array == np.round(array)) & (array >= 0) & (array < LARGEST_ID)).all()
     ):
-        raise InputError(f"{path}: {name} holds a value that is no whole number from 0 on")
+        raise InputError(f"{path}: {name} holds a value that is not a whole number of 0 or more")
 
 
 def _check_contents(path: Path, found: dict[str, Array], rounding: float) -> None:
@@ -235,7 +235,7 @@ def _check_contents(path: Path, found: dict[str, Array], rounding: float) -> Non
     if not count:
         raise InputError(f"{path}: holds no steps")
     if (np.diff(found["step_time_s"]) <= 0).any():
-        raise InputError(f"{path}: step_time_s runs backwards or repeats")
+        raise InputError(f"{path}: step_time_s must increase")
     for part in ("update", "initialise", "position"):
         step, weight = found[f"{part}_step"], found[f"{part}_weight"]
         if (np.diff(step) < 0).any() or (step > count).any():
@@ -290,7 +290,9 @@ def _landmark_indices(
         ids = found[f"{part}_landmark"].astype(np.int64)
         stray = ids[~np.isin(ids, landmark_id)]
         if len(stray):
-            raise InputError(f"{path}: {part}_landmark holds {stray[0]}, not among landmarks.csv")
+            raise InputError(
+                f"{path}: {part}_landmark holds {stray[0]}, which is not in landmarks.csv"
+            )
         landmark_indices[part] = order[np.searchsorted(landmark_id[order], ids)]
     times = np.bincount(landmark_indices["initialise"], minlength=len(landmark_id))
     wrong = np.flatnonzero(times != 1)

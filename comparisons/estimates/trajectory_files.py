@@ -72,7 +72,7 @@ def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> No
     if format_name == "kitti":
         texts[path.with_name(TIMES)] = "".join(f"{t!r}\n" for t in trajectory.time_s.tolist())
         if len(texts) < 2:
-            raise InputError(f"{path}: is the name of the times, expected another one")
+            raise InputError(f"{path}: is the name of the file of times, expected another name")
     for target in texts:
         if target.exists() or target.is_symlink():
             raise InputError(f"{target}: exists already, expected a new name")
@@ -99,7 +99,9 @@ def _read_csv(path: Path, header: str) -> Trajectory:
 
 def _read_kitti(path: Path, times: Path) -> Trajectory:
     if not times.exists():
-        raise InputError(f"{path}: KITTI holds no times, expected {times.name} there, or --times")
+        raise InputError(
+            f"{path}: KITTI files have no times, expected {times.name} beside it, or --times"
+        )
     table, clock = Table(path, _KITTI), Table(times, ("time_s",))
     if len(table) != len(clock):
         raise InputError(f"{times}: {len(clock)} times, expected {len(table)} as poses in {path}")

@@ -172,7 +172,7 @@ def open_log(
     if format_name is None and name in NAMED and not Path(name).exists():
         _check_takes(name, NAMED[name].takes, robot, choices)
         if topics:
-            raise InputError(f"--topic {topics[0]}: {name} is no ROS bag")
+            raise InputError(f"--topic {topics[0]}: {name} is not a ROS bag")
         return NAMED[name].open(choices)
     found = format_name or recognised_format(name)
     if found in READERS:  # else the reader says what is wrong

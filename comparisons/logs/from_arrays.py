@@ -181,7 +181,7 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
     """Motions between the instants wanted, and in half seconds without, between the poses told."""
     time_s = poses.time_s
     if len(time_s) < 2:
-        raise InputError(f"odometry: {len(time_s)} poses, expected two at least")
+        raise InputError(f"odometry: {len(time_s)} poses, expected at least two")
     within = (wanted_s >= time_s[0]) & (wanted_s <= time_s[-1])
     instants = instants_of(wanted_s[within], time_s)
     motion = displacements(instants, poses_at(instants, time_s, poses.pose))
@@ -192,13 +192,13 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
     reported = np.column_stack([np.interp(instants, time_s, column) for column in total.T])
     covariance = np.diff(reported, axis=0)[:, :, None] * np.eye(3)
     stated = RelativePoses(motion.time_s, motion.displacement, covariance)
-    return Motion(stated, float(time_s[0]), "stated, of each motion between the poses told")
+    return Motion(stated, float(time_s[0]), "stated, for each motion between the given poses")
 
 
 def _relative(table: dict[str, Any]) -> Motion:
     time_s = np.asarray(table["time_s"], dtype=float)
     if not len(time_s):
-        raise InputError("odometry: holds no motions, expected one at least")
+        raise InputError("odometry: holds no motions, expected at least one")
     moved = np.column_stack([table[name] for name in KINDS["relative-poses"]])
     start_s = float(2 * time_s[0] - time_s[1]) if len(time_s) > 1 else float(time_s[0] - 1.0)
     if set(COVARIANCE) <= table.keys():
@@ -211,7 +211,7 @@ def _relative(table: dict[str, Any]) -> Motion:
         stated = displacements(np.concatenate(([start_s], time_s)), path).covariance
         return Motion(RelativePoses(time_s, moved, stated), start_s, NOISE_TEXT)
     covariance = variance[:, :, None] * np.eye(3)
-    return Motion(RelativePoses(time_s, moved, covariance), start_s, "stated, of each motion")
+    return Motion(RelativePoses(time_s, moved, covariance), start_s, "stated, for each motion")
 
 
 def _step_variances(table: dict[str, Any], count: int) -> Array | None:
@@ -245,7 +245,7 @@ def _positions(given: Columns) -> Positions:
 
 def _poses(stream: str, table: dict[str, Any]) -> Poses:
     if not len(table["time_s"]):
-        raise InputError(f"{stream}: holds no poses, expected some")
+        raise InputError(f"{stream}: holds no poses, expected at least one")
     try:
         return Poses(
             np.asarray(table["time_s"], dtype=float),
@@ -309,7 +309,7 @@ def _columns(
     if missing := [name for name in needed if name not in given]:
         raise InputError(f"{stream}: {missing[0]} is missing, expected {', '.join(known)}")
     if unknown := [name for name in given if name not in known]:
-        raise InputError(f"{stream}: {unknown[0]} is unknown, expected some of {', '.join(known)}")
+        raise InputError(f"{stream}: {unknown[0]} is unknown, expected one of {', '.join(known)}")
     count = np.size(given["time_s"]) if "time_s" in given else np.size(given["x_m"])
     found: dict[str, Any] = {}
     for name, value in given.items():

@@ -290,7 +290,7 @@ class Log:
                 raise RecordError(
                     "known measurements",
                     row,
-                    f"landmark {self.known_measurements.landmark[row]} is not among the known ones",
+                    f"landmark {self.known_measurements.landmark[row]} is not a known landmark",
                 )
 
     @classmethod
@@ -351,7 +351,7 @@ class Log:
             gaps = np.flatnonzero(np.isnan(self.odometry.covariance[:, 0, 0]))
             if len(gaps) and self.loop_closures is None:
                 raise RecordError(
-                    "relative poses", int(gaps[0]), "covariance is nan, and there are no closures"
+                    "relative poses", int(gaps[0]), "covariance is nan, which needs loop closures"
                 )
         if self.loop_closures is not None:
             ends = np.column_stack((self.loop_closures.from_s, self.loop_closures.to_s))
@@ -361,7 +361,8 @@ class Log:
                 raise RecordError(
                     "loop closures",
                     row,
-                    f"time {ends[row, column]} s is no pose's, expected one of the relative poses'",
+                    f"time {ends[row, column]} s is not the time of a pose, expected a time "
+                    "of the relative poses",
                 )
 
     @property

@@ -83,9 +83,9 @@ def build(files: UserFiles) -> Found:
     truth, marks = reading.truth(), reading.truth_landmarks()
     if reading.stated:
         name = next(iter(reading.stated))
-        why = f"the {reading.kind} odometry here does not need it"
+        why = f"the {reading.kind} odometry does not use it"
         if name == "sigma_m":
-            why = "no --positions whose columns leave it open"
+            why = "the file of --positions gives its own sigmas, or there is none"
         raise InputError(f"{OPTIONS[name]}: {why}")
     try:
         log = Log.from_arrays(
@@ -153,7 +153,10 @@ class _Reading:
         table = self._within("measurements", self._once("measurements", table))
         if "landmark" not in table.columns:
             names = " or ".join(NAMES["landmark"])
-            self.notes.append(f"landmarks are unknown and will be associated: no column {names}")
+            self.notes.append(
+                "landmarks are unknown and will be associated by the estimators: there is no "
+                f"column {names}"
+            )
         sigmas = {}
         for name in ("sigma_range_m", "sigma_bearing_rad"):
             if name not in table.columns:
@@ -211,9 +214,8 @@ class _Reading:
                     RecordError(
                         "measurements",
                         row,
-                        f"time {log.measurements.time_s[row]} s is no motion's, expected one at "
-                        "which "
-                        f"a motion of {self.files.odometry} ends",
+                        f"time {log.measurements.time_s[row]} s is not the end of a motion, "
+                        f"expected a time at which a motion of {self.files.odometry} ends",
                     )
                 )
 
@@ -237,7 +239,7 @@ class _Reading:
             lost = int((~kept).sum())
             line = table.line[int(np.argmin(kept))]
             self.notes.append(
-                f"left out: {lost} of {len(kept)} {stream}, told before (first at line {line})"
+                f"left out: {lost} of {len(kept)} {stream}, repeated (first at line {line})"
             )
         return table.rows(kept)
 
@@ -260,12 +262,12 @@ class _Reading:
         kept = (times >= self.span_s[0]) & (times <= self.span_s[1])
         if len(times) and not kept.any():
             raise InputError(
-                f"{table.path}: from {times.min():.3f} to {times.max():.3f} s, expected some "
+                f"{table.path}: from {times.min():.3f} to {times.max():.3f} s, expected times "
                 f"within the odometry's {self.span_s[0]:.3f} to {self.span_s[1]:.3f} s"
             )
         if not kept.all():
             self.notes.append(
-                f"left out: {int((~kept).sum())} of {len(kept)} {stream}, before or after the "
+                f"left out: {int((~kept).sum())} of {len(kept)} {stream}, outside the time of the "
                 "odometry"
             )
         self.tables[stream] = table.rows(kept)
@@ -319,7 +321,7 @@ def _remarks(files: UserFiles, log: Log) -> dict[str, str]:
     if files.prior_pose is not None:
         pose = "--prior-pose"
     elif log.prior.pose.any():
-        pose = "the truth's then; --prior-pose gives another"
+        pose = "default: the true pose at that time; --prior-pose gives another"
     else:
         pose = "default: the origin; --prior-pose gives another"
     stated = {"sigma_speed_mps": "--sigma-speed", "wheelbase_m": "--wheelbase"}
@@ -331,7 +333,7 @@ def _remarks(files: UserFiles, log: Log) -> dict[str, str]:
         "variance_rate_position": "default, stabilisation noise [m^2/s]",
         "variance_rate_heading": "default, stabilisation noise [rad^2/s]",
         "encoder_offset_m": "default: a plain bicycle, encoder and sensor at its rear axle",
-        "label_gate": "default: labels are certain",
-        "needs_confirmation": "default: a first measurement makes a landmark",
+        "label_gate": "default: labels are used without a gate",
+        "needs_confirmation": "default: the first measurement initialises a landmark",
         "antenna_m": "default: at the pose",
     }

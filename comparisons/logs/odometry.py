@@ -78,8 +78,8 @@ class SteeringOdometry:
             raise RecordError(
                 "steering odometry",
                 int(bad[0]),
-                f"steering_rad is {self.steering_rad[bad[0]]}, which turns about the wheel that "
-                "carries the encoder",
+                f"steering_rad is {self.steering_rad[bad[0]]}, expected a smaller angle (it turns "
+                "the vehicle about the wheel with the encoder)",
             )
 
 

@@ -120,7 +120,9 @@ def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) ->
         while len(row) > len(names) and not row[-1].strip():
             row.pop()
         if len(row) != len(names):
-            raise InputError(f"{path}:{line}: {len(row)} values, expected {len(names)} as above")
+            raise InputError(
+                f"{path}:{line}: {len(row)} values, expected {len(names)} as in the header"
+            )
     place = {name: names.index(header) for name, header in origin.items()}
     columns: dict[str, Any] = {}
     for name, index in place.items():
@@ -242,7 +244,8 @@ def _times(path: Path, words: list[str], lines: list[int], header: str, factor: 
         )
         raise InputError(
             f"{path}:{lines[int(np.abs(values).argmax())]}: '{shorten(header)}' is "
-            f"{np.abs(values).max():.0f}, no time in seconds; name the column time_{unit} if "
+            f"{np.abs(values).max():.0f}, expected a time in seconds; name the column "
+            f"time_{unit} if "
             f"these are {unit}"
         )
     return values / per_second

@@ -199,11 +199,12 @@ def _short(
     if outside <= (1.0 - least) * len(given.time_s):
         return cause.coverage(covered.evidence, least)
     evidence = (
-        f"{outside} of {len(given.time_s)} poses lie outside the log's time: the estimate's is "
-        f"{given.time_s[0]:.1f} to {given.time_s[-1]:.1f} s, the log's {first:.1f} to {last:.1f} s"
-        f"{clock_words(given.time_s, covered.span_s)}; so it {covered.evidence}"
+        f"{outside} of {len(given.time_s)} poses lie outside the log's time: the estimate's times "
+        f"are {given.time_s[0]:.1f} to {given.time_s[-1]:.1f} s, the log's {first:.1f} to "
+        f"{last:.1f} s"
+        f"{clock_words(given.time_s, covered.span_s)}; so {covered.evidence}"
     )
-    return cause.coverage(evidence, least, "look at the clock before any other cause")
+    return cause.coverage(evidence, least, "check the clock of the estimate before any other cause")
 
 
 def _on_association(solution: Solution) -> list[str]:
@@ -292,14 +293,13 @@ def _causes(grade: Graded, known: list[Cause], found: ExternalAgreement) -> tupl
     causes = list(known)
     if found.against and grade.value in ("wrong", None):
         hint = (
-            "look at the causes before this one"
-            if known
-            else "look first at associations, signs and noise"
+            "check the causes before this one" if known else "check associations, signs and noise"
         )
         causes.append(Cause("optimum", "; ".join(found.against), hint))
     if not causes and not grade.enough and grade.by is not None:
         name, sigma = grade.by.reference.name, grade.by.sigma
-        causes.append(Cause("grade", f"up to {sigma:.2g} sigma from {name}", "look at rounding"))
+        evidence = f"the estimate differs from {name} by up to {sigma:.2g} sigma"
+        causes.append(Cause("grade", evidence, "check the rounding of the numbers in the files"))
     return tuple(causes)
 
 
@@ -326,14 +326,18 @@ def _beside(
     """What the grade does not say."""
     remarks = []
     if grade.value == "plausible" and outcome == "agree":
-        remarks += [f"plausible, but not like a reference: {one.evidence}" for one in known]
+        remarks += [
+            f"the estimate is plausible, but not like a reference: {one.evidence}" for one in known
+        ]
     if grade.value in ("like", "equal") and found.against:
         remarks.append(
-            "the filter is as it should be, and still not near the optimum, which is "
+            "the filter is like the reference, but far from the optimum because of "
             f"linearisation: {'; '.join(found.against)}"
         )
     if grade.by is not None and grade.by.single and grade.value in ("like", "equal"):
-        remarks.append("stored in single precision, whose rounding was allowed for")
+        remarks.append(
+            "the estimate is stored in single precision; the comparison allows for its rounding"
+        )
     return remarks
 
 
@@ -344,18 +348,24 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
         judged = ["the last pose"] if found.last is not None else []
         judged += ["landmarks"] if found.landmarks else []
         judged.append(
-            "every pose's place" if given.pose_covariance is None else "every pose with covariance"
+            "the position of every pose"
+            if given.pose_covariance is None
+            else "the covariance of every pose"
         )
-        remarks.append(f"not handed in: {', '.join(given.absent)}; judged: {', '.join(judged)}")
+        remarks.append(
+            f"the estimate has no {', no '.join(given.absent)}; compared are {', '.join(judged)}"
+        )
     if len(found.time_s) < len(given.time_s):
         remarks.append(
-            f"{len(given.time_s) - len(found.time_s)} poses lie outside the log's time and were "
-            "left out"
+            f"{len(given.time_s) - len(found.time_s)} poses lie outside the log's time and "
+            "were left out"
         )
     if found.last is None:
-        remarks.append("the last pose given lies before the log's end, so it was not judged by it")
+        remarks.append("the estimate ends before the log, so its last pose was not compared")
     if given.trace is not None and given.joint_covariance is None:
-        remarks.append("no last_pose_and_landmarks beside the trace, so its algebra is not judged")
+        remarks.append(
+            "the trace has no last_pose_and_landmarks beside it, so the algebra is not checked"
+        )
     if found.unmatched:
-        remarks.append(f"{found.unmatched} landmarks given are not among the smoother's")
+        remarks.append(f"{found.unmatched} landmarks of the estimate are not in the smoother's map")
     return remarks

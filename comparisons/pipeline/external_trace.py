@@ -85,8 +85,8 @@ def check_trace(
         diagnosis = _diagnosis(log, run, gaps, file.rounding, same_steps=theirs is own)
     except np.linalg.LinAlgError:
         raise InputError(
-            f"{file.path}: its noise, composed between measurements, is singular; "
-            "add a little to step_q"
+            f"{file.path}: its process noise, composed between two "
+            "measurements, is singular; increase step_q"
         ) from None
     labelled = prepared.labelled
     data_faulty = (*_untimely(log, file, run, positions),
@@ -197,8 +197,8 @@ def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Time
     step_s, epoch_s = file.step_time_s, timeline.epoch_time_s
     if step_s[0] < epoch_s[0] - _CLOCK_S:
         raise InputError(
-            f"{file.path}: the first step ends at {step_s[0]:.4f} s, expected none before the log "
-            f"begins at {epoch_s[0]:.4f} s"
+            f"{file.path}: the first step ends at {step_s[0]:.4f} s, expected no step before the "
+            f"start of the log at {epoch_s[0]:.4f} s"
         )
     reached = np.searchsorted(step_s, epoch_s + _CLOCK_S, side="right")
     stops = np.concatenate(([epoch_s[0]], step_s))[reached] >= epoch_s - _CLOCK_S
@@ -206,8 +206,8 @@ def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Time
     end_s = epoch_s[kept[-1]]
     if reached[kept[-1]] != len(step_s) or len(kept) < 2:
         raise InputError(
-            f"{file.path}: the last step ends at {step_s[-1]:.4f} s, expected an instant of "
-            f"a measurement, or the log's end at {epoch_s[-1]:.4f} s"
+            f"{file.path}: the last step ends at {step_s[-1]:.4f} s, expected the time "
+            f"of a measurement, or the log's end at {epoch_s[-1]:.4f} s"
         )
     if abs(last_s - end_s) > 2 * _CLOCK_S:
         raise InputError(
@@ -248,8 +248,9 @@ def _as_run(
     ):
         if int(numbers.max(initial=-1)) >= count:
             raise InputError(
-                f"{file.path}: uses {what} {numbers.max()}, where {count} were to be used "
-                "by the end of the trace" + (" (--gps)" if what == "position" else "")
+                f"{file.path}: uses {what} {numbers.max()}, expected a number below {count}, the "
+                "count of them in the log up to the end of the trace"
+                + (" (--gps)" if what == "position" else "")
             )
     until = timeline.steps_until()
     pose = last.pose[-1].copy()
@@ -316,10 +317,10 @@ def _untimely(
             middle = float(np.median(late_s[off]))
             found.append(
                 DataFault(
-                    f"{np.count_nonzero(off)} of {len(off)} uses of {kind} come "
+                    f"{np.count_nonzero(off)} of {len(off)} {kind} are used too "
                     f"{'late' if middle > 0 else 'early'}, by {abs(middle):.4g} s (median)",
-                    "look at the order of events: predict up to an observation's own time, then "
-                    "fuse it",
+                    "check the order of events: predict up to the time of a measurement, then "
+                    "update with it",
                 )
             )
     return found

@@ -36,11 +36,11 @@ def own_association(compared: Compared) -> tuple[Finding | None, str]:
     """Return the smoother's own association against the filter's, or why nobody has asked it."""
     config = compared.prepared.config.extensions.get(NAME)
     if config is not None:
-        return None, "nobody has checked the association: --smoother-association is ekf"
+        return None, "the association is unchecked, as --smoother-association ekf asks"
     own, run = own_work(compared), run_work(compared)
     if own > run:
         return None, (
-            "nobody has checked the association: the smoother's own costs about "
+            "the association is unchecked: the smoother's own costs about "
             f"{own / run:.1f} times the run; ask for it with --smoother-association own"
         )
     from comparisons.extensions.own_association.extension import OwnAssociation
@@ -48,7 +48,7 @@ def own_association(compared: Compared) -> tuple[Finding | None, str]:
     try:
         found = OwnAssociation().check(compared)
     except InputError as error:
-        return None, f"nobody has checked the association: {error}"
+        return None, f"the association is unchecked: {error}"
     return found, ""
 
 
@@ -125,7 +125,7 @@ def labels_gap(compared: Compared, association: AssociationScore | None) -> Trut
         distances=(Distance("poses", 3, sigma, metres),),
         measurement_m=measurement_scale(compared.prepared.log.measurements, np.zeros((0, 2, 2))),
         association=association,
-        reference="the log's labels put it",
+        reference="the smoother with the log's labels",
     )
 
 

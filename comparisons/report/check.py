@@ -171,7 +171,7 @@ def check_page(check: ExternalCheck, result: CheckResult) -> PageContent:
     map_content, marked = _map(check, ours, theirs)
     rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
     grade = "no grade" if result.grade is None else _grade_words(result)
-    source = Path(str(result.config.get("estimate") or "handed in")).name
+    source = Path(str(result.config.get("estimate") or "arrays")).name
     return PageContent(
         job="check",
         name=result.log.name,
@@ -206,9 +206,9 @@ def _landmark_table(
     """
     given, optimum = check.given, check.optimum
     if given.landmark is None or given.landmark_id is None:
-        return [], "No landmarks were handed in, so none are compared."
+        return [], "The estimate has no landmarks, so none are compared."
     if not len(ours):
-        return [], "None of the landmarks handed in is one of the smoother's."
+        return [], "None of the landmarks of the estimate is one of the smoother's."
     labelled = check.solution.prepared.labelled
     errors = landmark_errors(
         given.landmark_id, given.landmark, check.solution.log, labelled=labelled
@@ -221,7 +221,7 @@ def _landmark_table(
     ]
     note = landmarks_note(len(rows), len(ours), "check.json", "the given estimate's")
     if given.landmark_covariance is None:
-        note += " None were handed in, so there are no ratios."
+        note += " The estimate has none, so there are no ratios."
     return rows, note
 
 

@@ -201,7 +201,11 @@ def smoothed_rows(name: str, f: FilterAgainstSmootherResult | None) -> list[Row]
         ),
         Row(group, f"least variance, {name} over smoother", f"{f.least_ratio:.3g}"),
         Row(group, "time of the least variance", f"{f.least_ratio_s:.1f} s"),
-        Row(group, "epochs surer than the smoother", f"{f.overconfident_epochs} of {f.epochs}"),
+        Row(
+            group,
+            "epochs where the filter is more certain than the smoother",
+            f"{f.overconfident_epochs} of {f.epochs}",
+        ),
     ]
 
 

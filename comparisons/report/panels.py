@@ -154,10 +154,10 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
         if c.smoother is not None and c.smoother.poses is not None:
             curves.append(("smoother", SMOOTHER_COLOUR, c.smoother.poses))
         if len(by_truth.pose.squared):
-            reported.append("Against truth: 3 sigma of the covariances handed in.")
+            reported.append("Against truth: 3 sigma of the covariances of the estimate.")
             panels.append(_nees(curves))
     if check.given.pose_covariance is None:
-        reported.append("No pose covariances were handed in: no bands, and no NEES.")
+        reported.append("The estimate has no pose covariances: no bands, and no NEES.")
     if c.smoothed is None:
         unknown = np.full_like(c.difference, np.nan)
         panels += _errors(c.time_s, c.difference, unknown, "given - smoother")

@@ -194,7 +194,7 @@ class RegistrationLoopCloser:
         seen = planar.moved(expected, source)
         common = np.isfinite(cKDTree(target).query(seen, distance_upper_bound=reach)[0]).mean()
         if common < o.least_overlap:
-            return "the scans look at different places"
+            return "the scans view different places"
         reason = ""
         for start in starts(expected, spread, o.reach_m):
             try:
@@ -223,10 +223,10 @@ class RegistrationLoopCloser:
         if match.residual_m > o.most_residual_m:
             return f"residual {match.residual_m:.3f} m, expected {o.most_residual_m:g} m at most"
         if match.stiffness[0] < o.least_stiffness:
-            return "the surroundings leave a direction open"
+            return "the surroundings do not constrain one direction"
         distance = squared_distance(match, expected, spread)
         if distance > _CHI2_3_999:
-            return f"contradicts the graph: squared distance {distance:.0f}"
+            return f"contradicts the graph: squared Mahalanobis distance {distance:.0f}"
         return ""
 
 

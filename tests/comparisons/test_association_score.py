@@ -150,7 +150,9 @@ def test_searches_that_were_cut_off_are_counted_and_said() -> None:
             ekf.association = SurveyedLandmarks(SurveyedLandmarks(rule, {}), {})
 
         found[nodes] = compared(log, Modified(modify), association="jcbb")
-    reported = {n: [r for r in c.verdict.remarks if "cut off at" in r] for n, c in found.items()}
+    reported = {
+        n: [r for r in c.verdict.remarks if "reached its limit of" in r] for n, c in found.items()
+    }
     assert found[4000].ekf.cut_off == 0 == len(reported[4000])
     assert found[2].ekf.cut_off > 10
     assert f"in {found[2].ekf.cut_off:,} scans" in reported[2][0]

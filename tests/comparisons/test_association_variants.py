@@ -62,7 +62,7 @@ def test_another_optimum_that_explains_as_much_is_a_dispute() -> None:
     assert (dispute.landmark, dispute.count) == (1, 5)
     assert (dispute.begin_s, dispute.end_s) in ((10.0, 14.0), (15.0, 19.0))
     (remark,) = found.remarks
-    assert "with a the poses are 0.50 m (2.9 sigma) elsewhere" in remark
+    assert "with a moves the poses by 0.50 m (2.9 sigma)" in remark
     assert "5 of landmark 1 (" in remark
 
 
@@ -115,4 +115,4 @@ def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) 
     assert reported.association_check is not None
     assert not reported.association_check.verified
     assert reported.association_check.disputes
-    assert "measurements in dispute: " in " ".join(done.stdout.split())
+    assert "disputed measurements: " in " ".join(done.stdout.split())

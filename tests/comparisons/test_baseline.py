@@ -360,12 +360,12 @@ def test_the_commands_on_an_estimate(tmp_path: Path, estimate: Estimate) -> None
     broken = slamcheck(*compare, "--junit", "j.xml", cwd=tmp_path)
     assert broken.returncode == 1
     assert "broken: grade: equal then, wrong now" in broken.stdout
-    assert "cause: time: stamps 0.200 s too late" in broken.stdout
+    assert "cause: time: the time stamps are 0.200 s too late" in broken.stdout
     assert "if that is meant, keep it in b.json: --update" in broken.stdout
     cases = ElementTree.parse(tmp_path / "j.xml").getroot()  # noqa: S314
     (grade,) = [case[0] for case in cases if case.get("name") == "grade"]
     assert str(grade.get("message")).startswith("grade: equal then, wrong now")
-    assert "time: stamps 0.200 s too late" in str(grade.text)
+    assert "time: the time stamps are 0.200 s too late" in str(grade.text)
     before = (tmp_path / "b.json").read_text()
     kept = slamcheck(*compare, "--update", cwd=tmp_path)
     assert kept.returncode == 0, kept.stderr

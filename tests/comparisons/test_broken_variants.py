@@ -16,17 +16,17 @@ GAPS = {
     "gain not transposed": "algebra",
     "bearing Jacobian as printed": "model",
     "innovation not wrapped": "model",
-    "sigma squared twice": "model",
+    "sigma that is squared twice": "model",
     "steering sign": "model",
     "no heading column": "model",
 }
 PLANTS = {defect.name: defect.plant for defect in REGISTRY}
 NAMED_FIRST = {
-    "bearing Jacobian as printed": ("the innovation", "uses of measurements"),
-    "innovation not wrapped": ("the innovation", "uses of measurements"),
-    "sigma squared twice": ("the noise covariance", "uses of measurements"),
+    "bearing Jacobian as printed": ("the innovation", "measurement updates"),
+    "innovation not wrapped": ("the innovation", "measurement updates"),
+    "sigma that is squared twice": ("the noise covariance", "measurement updates"),
     "steering sign": ("the predicted pose", "steps"),
-    "no heading column": ("the Jacobian by heading", "uses of measurements"),
+    "no heading column": ("the Jacobian with respect to heading", "measurement updates"),
 }
 
 

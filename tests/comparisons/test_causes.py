@@ -134,8 +134,8 @@ def test_a_dropout_is_found_with_what_it_did() -> None:
     assert np.isclose(worst.way_m, way, rtol=0.1)
     assert worst.growth > 3.0
     reported = causes.dropout(found)
-    assert "no observation was used from" in reported[0].evidence
-    assert "refused" not in reported[0].evidence
+    assert "the filter used no measurement from" in reported[0].evidence
+    assert "rejected" not in reported[0].evidence
 
 
 def test_a_stretch_with_scan_landmarks_seen_is_no_dropout() -> None:

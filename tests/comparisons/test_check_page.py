@@ -157,7 +157,7 @@ def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: Extern
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
-        ({"information": "smoothed"}, "it holds for filtered poses, and these are smoothed"),
+        ({"information": "smoothed"}, "the test needs filtered poses, and these are smoothed"),
         ({"information": "fixed-lag"}, "these are fixed-lag"),
         ({"information": None}, ""),
         ({"information": None, "pose": 0.5}, "does not say whether its poses are filtered"),
@@ -217,8 +217,8 @@ def test_what_was_not_handed_in_is_left_out_with_a_word(
     assert written["consistency"]["truth"] is None
     text = (tmp_path / "out" / "report.html").read_text()
     read(tmp_path / "out" / "report.html")
-    assert "No pose covariances were handed in: no bands, and no NEES." in text
-    assert "No landmarks were handed in" in text
+    assert "The estimate has no pose covariances: no bands, and no NEES." in text
+    assert "The estimate has no landmarks" in text
     assert "given landmarks" not in layers(text)
     assert "variance ratio, least" not in layers(text)
     panels = data_of(text)["panels"]
@@ -254,7 +254,7 @@ def test_landmarks_without_covariances_or_counterparts_are_drawn(
     assert found.accuracy is not None
     assert found.accuracy.landmarks_found == 5
     assert found.accuracy.landmark_rmse_m is not None
-    assert "None were handed in, so there are no ratios." in text
+    assert "The estimate has none, so there are no ratios." in text
     assert "given landmarks without a counterpart" in layers(text)
     assert "given landmarks, 3 sigma" not in layers(text)
     assert "not in the estimate" in text

@@ -95,7 +95,7 @@ def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
     verdict = judge(comparison.agreement, result, comparison.ekf, Diagnosis())
     assert verdict.outcome == "unverified"
     assert [cause.gap for cause in verdict.causes] == ["oracle"]
-    assert "only ekf reached the lowest error" in verdict.causes[0].evidence
+    assert "only the start ekf reached the lowest error" in verdict.causes[0].evidence
 
 
 def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:

@@ -147,10 +147,12 @@ def test_wrong_sigmas_of_a_sensor_are_named_with_their_direction(
     both, by_range, bearing = c.consistency.sensors[0].nis
     assert (both.reading, by_range.reading, bearing.reading) == (reading, reading, "plausible")
     reported = [
-        remark for remark in c.verdict.remarks if remark.startswith("NIS of measurements, range")
+        remark
+        for remark in c.verdict.remarks
+        if remark.startswith("the mean NIS of measurements, range")
     ]
     assert len(reported) == 1
     assert words in reported[0]
     assert not any(
-        remark.startswith("NIS of measurements, bearing") for remark in c.verdict.remarks
+        remark.startswith("the mean NIS of measurements, bearing") for remark in c.verdict.remarks
     )

@@ -105,10 +105,13 @@ class CurvedRange(RangeBearing):
 @pytest.mark.parametrize(
     ("plant", "told"),
     [
-        (start_elsewhere, "look at the start: the mean"),
-        (other_lever, r"antenna is \(-0.600, 0.300\) m, where the log says \(0.600, -0.300\) m"),
-        (with_observation(SlantedRange), "H's range row by the landmark is 1.1 times .* 1312 of"),
-        (with_observation(CurvedRange), "the range row of H is wrong, the other is right"),
+        (start_elsewhere, "check how the initialisation computes the mean"),
+        (other_lever, r"antenna is \(-0.600, 0.300\) m, in the log \(0.600, -0.300\) m"),
+        (
+            with_observation(SlantedRange),
+            "the landmark part of the range row of H is 1.1 times .* 1312 of",
+        ),
+        (with_observation(CurvedRange), "the range row of H is wrong, the other row is right"),
     ],
 )
 def test_what_is_not_in_the_catalogue_is_told_as_far_as_it_goes(

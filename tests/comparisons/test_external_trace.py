@@ -111,7 +111,7 @@ def test_a_right_trace_does_not_stand_for_a_path(
     found = check(log, one, CheckConfig(gps=choices.gps))
     assert found.outcome == "disagree"
     assert found.causes[0].gap == "coverage"
-    assert "it has one pose" in found.causes[0].evidence
+    assert "it has a single pose" in found.causes[0].evidence
 
 
 def wrapped(arrays: Arrays) -> None:
@@ -227,7 +227,7 @@ def test_a_coarse_filter_that_fuses_late_is_told(
     change(tmp_path, later)
     found = checked(tmp_path, log, choices)
     assert found.causes[0].gap == "data"
-    assert "uses of measurements come late, by 0.025 s" in found.causes[0].evidence
+    assert "measurements are used too late, by 0.025 s" in found.causes[0].evidence
 
 
 @pytest.mark.slow
@@ -241,7 +241,7 @@ def test_without_the_joint_covariance_the_model_is_still_judged(
     assert found.trace is not None
     assert found.trace.algebra is None
     assert_same(found.trace.agreement.model, comparison.agreement.model)
-    assert any("algebra is not judged" in remark for remark in found.remarks)
+    assert any("algebra is not checked" in remark for remark in found.remarks)
 
 
 def put(name: str, row: int, value: float) -> Callable[[Arrays], None]:
@@ -260,10 +260,10 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
         put("update_measurement", 3, 0.5),
         "update_measurement holds a value that is no whole",
     ),
-    "backwards": (put("step_time_s", 7, 0.0), "step_time_s runs backwards"),
+    "backwards": (put("step_time_s", 7, 0.0), "step_time_s must increase"),
     "order": (put("update_step", 0, 2000), "update_step must ascend"),
     "beyond": (put("update_step", -1, 1e6), "update_step must ascend"),
-    "stranger": (put("update_landmark", 0, 999), "update_landmark holds 999, not among"),
+    "stranger": (put("update_landmark", 0, 999), "update_landmark holds 999, which is not"),
     "initialised twice": (lambda a: a["initialise_landmark"].__setitem__(
                               0, a["initialise_landmark"][1]),
                           "is initialised 0 times|is initialised 2 times"),
@@ -273,7 +273,7 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "end": (put("step_time_s", -1, 1e3), "the last step ends at"),
     "too early": (lambda a: a["step_time_s"].__isub__(1e3), "the first step ends at"),
     "text": (lambda a: a.update(step_f=np.array(["x"])), "step_f is not an array of numbers"),
-    "singular": (lambda a: a.update(step_q=0.0 * a["step_q"]), "singular; add a little to step_q"),
+    "singular": (lambda a: a.update(step_q=0.0 * a["step_q"]), "singular; increase step_q"),
 }  # fmt: skip
 
 

@@ -191,7 +191,7 @@ def test_scans_surer_than_they_may_be_are_remarked_upon(
 
     monkeypatch.setattr("comparisons.extensions.scan_motion.extension.run_scan_odometry", boasting)
     result = build_result(compared(scan_loop, motion="scan"))
-    assert any("surer than they may be" in remark for remark in result.remarks)
+    assert any("too small" in remark for remark in result.remarks)
 
 
 def test_wrong_wheels_are_found_out(wrong_wheels: Comparison) -> None:

@@ -207,7 +207,7 @@ def test_an_unproven_smoother_on_scans_has_no_say() -> None:
     found = [ScanMotionFinding(both, motion, third) for third in (apart, lost)]
     said = [judge(c.agreement, c.smoother, c.ekf, Diagnosis(), causes=f.causes) for f in found]
     assert [v.outcome for v in said] == ["disagree", "agree"]
-    assert any("unverified" in remark for remark in found[1].remarks)
+    assert any("not verified" in remark for remark in found[1].remarks)
 
 
 def test_a_landmark_without_numbers_lies_outside() -> None:

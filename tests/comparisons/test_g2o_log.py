@@ -119,14 +119,14 @@ def test_only_closures_stand_for_odometry() -> None:
     moves, spread = np.zeros((2, 3)), np.array([np.eye(3), np.full((3, 3), np.nan)])
     start = log.prior.time_s
     odometry = RelativePoses(start + np.array((1.0, 2.0)), moves, spread)
-    with pytest.raises(InputError, match="covariance is nan, and there are no closures"):
+    with pytest.raises(InputError, match="covariance is nan, which needs loop closures"):
         replace(log, odometry=odometry)
     spread[1, 0, 0] = 1.0
     with pytest.raises(InputError, match="covariance is nan in part"):
         RelativePoses(start + np.array((1.0, 2.0)), moves, spread)
     ends = np.array([start]), np.array([start + 1.5])
     loop_closures = LoopClosures(*ends, np.zeros((1, 3)), np.eye(3)[None])
-    with pytest.raises(InputError, match=r"closures.*is no pose's"):
+    with pytest.raises(InputError, match=r"closures.*is not the time of a pose"):
         replace(log, odometry=odometry, loop_closures=loop_closures)
     with pytest.raises(InputError, match="to the same pose"):
         LoopClosures(ends[0], ends[0], np.zeros((1, 3)), np.eye(3)[None])

@@ -133,36 +133,36 @@ def test_the_reference_speaks_of_any_instant(solution: Solution) -> None:
 
 
 NAMED = {
-    "all covariances 3 times": "your covariance is 3.0 times that of the reference EKF on this log",
+    "all covariances 3 times": "your covariance is 3.0 times that of the reference EKF",
     "all covariances a third": "your covariance is 0.33 times",
-    "pose covariances in the body's frame": "in the body's frame instead of the log's",
+    "pose covariances in the body's frame": "in the body frame instead of the log's frame",
     "pose covariances 10 times, all but the last": "10.0 times those of the reference EKF, in all "
     "directions, all but the last",
     "pose covariances without correlations": "without the correlations",
-    "sigmas for variances of poses": "standard deviations where variances belong",
-    "information of poses": "which is information",
+    "sigmas for variances of poses": "standard deviations instead of variances",
+    "information of poses": "information matrices",
     "pose covariances in the order heading, x, y": "in the order heading, x, y",
     "heading's covariance in degrees": "the heading is in degrees",
-    "pose covariances one scan late": "those of the pose before",
-    "the last covariance for all poses": "one and the same for all poses",
+    "pose covariances one scan late": "those of the previous pose",
+    "the last covariance for all poses": "the same for all poses",
     "pose covariances' upper triangle": "not symmetric",
-    "pose covariances negative": "not positive definite",
+    "pose covariances negative": "none is positive definite",
     "landmark covariances 3 times": "your landmark covariances are 3.0 times",
-    "covariances of pose and map dropped": "without the covariances between pose and landmarks",
-    "all cross-covariances dropped": "without the covariances of one with another",
+    "covariances of pose and map dropped": "without the cross-covariances of pose and landmarks",
+    "all cross-covariances dropped": "without any cross-covariances",
     "covariances of pose and map negated": "of opposite sign",
     "landmark covariances in another order": "those of other landmarks",
-    "frame shifted by 0.1 m": "shifted by (0.100, 0.100) m: without that the path fits",
-    "headings off by 1 degree": "all headings are off by 1.0 degrees",
+    "frame shifted by 0.1 m": "the trajectory is shifted by (0.100, 0.100) m; with this corrected",
+    "headings off by 1 degree": "all headings differ by 1.0 degrees",
     "headings clockwise": "clockwise",
-    "mirrored path": "mirror image",
-    "stamps one scan late": "stamps 0.2",
+    "mirrored path": "is mirrored",
+    "stamps one scan late": "the time stamps are 0.2",
     "path of another point": "-0.300 m forward",
     "one pose off by 0.5 m": "1 of 76 poses",
     "path cut at 60 %": "of 15.0 s: it ends at",
-    "path begun at 40 %": "of 15.0 s: it begins at",
-    "two landmarks exchanged": "2 landmarks lie where another is",
-    "a third of the map missing": "landmarks are not in the map",
+    "path starts at 40 %": "of 15.0 s: it begins at",
+    "two landmarks exchanged": "2 landmarks lie at the position of another landmark",
+    "a third of the map missing": "landmarks of the log are missing in the map",
 }
 """Faults of exports, and what the report has to say of them."""
 
@@ -247,7 +247,7 @@ def test_a_smoother_is_compared_with_the_smoother(solution: Solution) -> None:
         replace(ExternalEstimate.of(solution.estimate), information="filtered"), solution, "like"
     )
     assert as_filter.outcome == "disagree"
-    assert "have seen the future" in evidence(as_filter)
+    assert "uses later measurements" in evidence(as_filter)
     bare = ExternalEstimate(time_s=solution.estimate.time_s, pose=solution.estimate.pose)
     assert check_external(bare, solution, "like").outcome == "agree"
     tripled = EXPORTS["all covariances 3 times"](ExternalEstimate.of(solution.estimate))

@@ -203,7 +203,7 @@ def test_what_cannot_be_had_is_said() -> None:
     log = drive()
     assert log.scans is not None
     dark = replace(log.scans, intensity=np.zeros_like(log.scans.intensity))
-    with pytest.raises(InputError, match="its scans hold no intensities"):
+    with pytest.raises(InputError, match="its scans have no intensities"):
         DenseWatcher(replace(log, scans=dark), DenseMapsConfig(layers=("values",)))
     with pytest.raises(ValueError, match="the map that keeps it"):
         build_association(log, LAYER)

@@ -53,9 +53,9 @@ def test_the_report_names_the_missing_columns(published: Comparison) -> None:
     assert published.agreement.model.sigma > 0.1
     [cause] = published.verdict.causes
     assert cause.gap == "model"
-    assert "the Jacobian by heading is missing in" in cause.evidence
-    assert "uses of measurements" in cause.evidence
-    assert "the Jacobian by heading" in cause.hint
+    assert "the Jacobian with respect to heading is missing in" in cause.evidence
+    assert "measurement updates" in cause.evidence
+    assert "the Jacobian with respect to heading" in cause.hint
 
 
 def test_a_waypoint_run_with_positions_has_no_gap() -> None:

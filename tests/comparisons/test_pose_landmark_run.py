@@ -137,7 +137,7 @@ def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
     broken = compared(log(), Modified(plant), Source(Frames), filter="full", association="known")
     causes = broken.verdict.causes
     assert [cause.gap for cause in causes] == ["model"]
-    assert "the Jacobian by heading differs" in causes[0].evidence
+    assert "the Jacobian with respect to heading differs" in causes[0].evidence
     assert "measurements of scan landmarks" in causes[0].evidence
 
 

@@ -106,7 +106,7 @@ def test_landmarks_with_a_direction_are_blocks_of_three() -> None:
 
 def test_different_kinds_are_not_compared() -> None:
     e = Gaussian(np.zeros(9), np.eye(9))
-    with pytest.raises(ValueError, match="0 pose landmarks against 2"):
+    with pytest.raises(ValueError, match="0 pose landmarks compared with 2"):
         compare(e, e, e, replace(e, pose_landmarks=2))
 
 
@@ -114,7 +114,12 @@ def test_different_kinds_are_not_compared() -> None:
     ("state", "steps", "operation", "block"),
     [
         (KalmanState, 100, None, None),
-        (NoCross, 1, "the augmentation", "the new landmarks' covariance with the map"),
+        (
+            NoCross,
+            1,
+            "the landmark initialisation",
+            "the cross-covariance of new landmarks and map",
+        ),
         (Conditioned, 76, "the removal", "the map's covariance"),
     ],
 )

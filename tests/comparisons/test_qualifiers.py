@@ -118,7 +118,7 @@ def test_the_headline_says_what_qualifies_it(sound: Comparison) -> None:
     found = qualified(AGREE, gap(3.0, 0.4), unchecked="", consistency=sound.consistency, fail_on=())
     assert found.headline == "agree, truth gap"
     assert found.causes[0].gap == "truth"
-    assert "0.4 m off (rms), 3.0 times what its covariance allows" in found.causes[0].evidence
+    assert "0.4 m, 3.0 times what its covariance states" in found.causes[0].evidence
     assert found.failed_on == ()
     found = qualified(
         AGREE,
@@ -154,7 +154,7 @@ def test_an_inconsistent_filter_is_said_and_fails_only_when_asked(sound: Compari
     assert (right.summary, right.failed_on) == ("agree; filter consistent", ())
     nothing = replace(inside, sensors=())
     none = qualified(AGREE, None, unchecked="", consistency=nothing, fail_on=("consistency",))
-    assert (none.summary, none.failed_on) == ("agree; filter not judged", ())
+    assert (none.summary, none.failed_on) == ("agree; filter consistency not judged", ())
 
 
 def drawn(rng: np.random.Generator) -> Consistency:
@@ -196,10 +196,14 @@ def test_a_wrong_sigma_is_still_said(factor: float) -> None:
     found = replace(found, sensors=(replace(wrong, nis=nis), found.sensors[1]))
     word = "larger" if factor > 1.0 else "smaller"
     assert [one.split(":")[0] for one in found.remarks] == [
-        one.split(":")[0] for one in found.remarks if one.startswith("NIS of measurements, ")
+        one.split(":")[0]
+        for one in found.remarks
+        if one.startswith("the mean NIS of measurements, ")
     ]
     assert len(found.remarks) == 2
-    assert all(f"they are {word} than the filter expects" in one for one in found.remarks)
+    assert all(
+        f"the innovations are {word} than the filter expects" in one for one in found.remarks
+    )
 
 
 @pytest.mark.parametrize("fail_on", ["", "disagreement", "consistency", "both"])
@@ -232,7 +236,7 @@ def test_the_filter_against_the_smoother_has_a_band(sound: Comparison) -> None:
     assert inconsistencies(alone) == ()
     wrong = replace(smoothed, squared=4.0 * smoothed.squared)
     [reported] = inconsistencies(replace(alone, smoothed=wrong)) or ()
-    assert reported.startswith("filter against smoother ")
+    assert reported.startswith("filter-smoother difference ")
 
 
 def test_a_shared_mistake_shows_in_verdict_and_result(sound: Comparison) -> None:
@@ -293,7 +297,7 @@ def test_labels_stand_for_the_truth() -> None:
     found = compared(log, association="nn")
     right = found.assessment.truth_gap
     assert right is not None
-    assert right.reference == "the log's labels put it"
+    assert right.reference == "the smoother with the log's labels"
     assert not right.stands
     assert compared(log, association="known").assessment.truth_gap is None
 
@@ -351,7 +355,7 @@ def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path
     assert TRUTH_GAP not in sound.qualifiers
     by_labels = compared(replace(whole, truth=Truth()), association="nn").assessment.truth_gap
     assert by_labels is not None
-    assert by_labels.reference == "the log's labels put it"
+    assert by_labels.reference == "the smoother with the log's labels"
     assert by_labels.stands
 
 

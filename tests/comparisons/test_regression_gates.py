@@ -128,7 +128,7 @@ def test_a_failure_shows_verdict_causes_and_report(
     for line in (
         "assert 'disagree' == 'agree'",
         "E         short, estimate late.tum: disagree, grade wrong, required plausible",
-        "\n  time: stamps 0.200 s too late",
+        "\n  time: the time stamps are 0.200 s too late",
         "E         report: slamcheck-reports/test_gate/TestGate--test_late-short",
         "mine.json: ",
         "E       broken: grade: equal then, wrong now",

@@ -217,7 +217,7 @@ def test_a_wrong_association_of_the_filter_is_named() -> None:
     assert comparison.verdict.outcome == "disagree"
     causes = {cause.gap: cause for cause in comparison.verdict.causes}
     assert "association" in causes
-    assert "the same" in causes["association"].evidence
+    assert "share" in causes["association"].evidence
     own = comparison.find(OwnAssociationFinding).own
     table = association_differences(own, comparison.ekf)
     assert table.count("<tr data-key") == 200

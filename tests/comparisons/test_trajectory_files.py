@@ -65,7 +65,11 @@ def test_a_wrong_order_of_the_matrix_is_seen(tmp_path: Path, trajectory: Traject
 
 
 BAD = {
-    "no times": ("1 0 0 0 0 1 0 0 0 0 1 0\n", None, "KITTI holds no times, expected times.txt"),
+    "no times": (
+        "1 0 0 0 0 1 0 0 0 0 1 0\n",
+        None,
+        "KITTI files have no times, expected times.txt",
+    ),
     "few times": ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2, "0\n", "1 times, expected 2 as poses in"),
     "back": ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2, "1\n0\n", "times.txt:2: time 0.000000 s follows"),
     "camera": ("1 0 0 0 0 0 1 0 0 -1 0 0\n", "0\n", "a:1: r22 (of a pose in the plane x, y) is"),
@@ -93,7 +97,7 @@ def test_nothing_is_replaced(tmp_path: Path, trajectory: Trajectory) -> None:
     with pytest.raises(InputError, match=r"times\.txt: exists already"):
         write_trajectory(trajectory, tmp_path / "a", "kitti")
     assert not (tmp_path / "a").exists()
-    with pytest.raises(InputError, match="is the name of the times"):
+    with pytest.raises(InputError, match="is the name of the file of times"):
         write_trajectory(trajectory, tmp_path / "new" / "times.txt", "kitti")
 
 
@@ -114,8 +118,8 @@ def test_the_commands(tmp_path: Path) -> None:
         assert (tmp_path / place).read_text() == (tmp_path / format_name / "poses").read_text()
     (tmp_path / "kitti" / "times.txt").rename(tmp_path / "clock")
     right = [
-        (("csv/poses",), "every pose with covariance"),
-        (("kitti/poses", "--times", "clock"), "every pose's place"),
+        (("csv/poses",), "the covariance of every pose"),
+        (("kitti/poses", "--times", "clock"), "the position of every pose"),
     ]
     for words, reported in right:
         done = slamcheck(

@@ -23,7 +23,7 @@ FAULTS = [
     (("VERTEX_SE2 3 ", "VERTEX_SE3:QUAT 3 "), "VERTEX_SE3:QUAT: 3D is not supported yet"),
     (("VERTEX_SE2 3 ", "EDGE_SE2_OFFSET 3 "), "unknown tag 'EDGE_SE2_OFFSET'"),
     (("VERTEX_SE2 3 ", "VERTEX_SE2 3.5 "), "names 3.5, expected a whole number"),
-    (("VERTEX_SE2 3 ", "VERTEX_SE2 2 "), "VERTEX_SE2 2 is there already"),
+    (("VERTEX_SE2 3 ", "VERTEX_SE2 2 "), "VERTEX_SE2 2 is defined twice"),
     (("VERTEX_SE2 3 ", "FIX 3\nVERTEX_SE2 3 "), "FIX, expected one only, of the first pose"),
     (
         ("EDGE_SE2 3 4 ", "EDGE_SE2 3 4 1 0 0 4 0 2 4 0 1\nEDGE_SE2 3 4 "),
@@ -34,9 +34,9 @@ FAULTS = [
         "EDGE_SE2: the information is singular or not positive definite",
     ),
     (("EDGE_SE2 3 4 ", "EDGE_SE2 4 4 "), "from pose 4 to itself"),
-    (("EDGE_SE2 3 4 ", "EDGE_SE2 3 4000 "), "names 4000, which is no pose"),
+    (("EDGE_SE2 3 4 ", "EDGE_SE2 3 4000 "), "names 4000, which is not a pose"),
     (("EDGE_SE2 3 4 ", "EDGE_SE2 3 4 1.0 "), "has 12 numbers, expected 11"),
-    (("VERTEX_SE2 3 ", "VERTEX_SE2 x "), "holds what is no number"),
+    (("VERTEX_SE2 3 ", "VERTEX_SE2 x "), "contains a word that is not a number"),
     (("EDGE_PRIOR_SE2 0 1.0", "EDGE_PRIOR_SE2 0 nan"), "not finite"),
     (("EDGE_PRIOR_SE2 0 ", "EDGE_PRIOR_SE2 1 "), "expected one only, of the first pose"),
 ]

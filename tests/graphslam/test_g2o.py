@@ -238,7 +238,7 @@ def test_poses_in_a_row_need_no_edge(tmp_path: Path) -> None:
 
 def test_gnc_does_not_pass_over_closures(tmp_path: Path) -> None:
     problem = square(tmp_path / "a.graph", TORO).problem
-    with pytest.raises(ValueError, match="gnc, which does not weigh closures"):
+    with pytest.raises(ValueError, match="gnc, which does not support loop closures"):
         smooth(problem, {}, options=SmootherOptions(robust="gnc"))
 
 
@@ -270,7 +270,7 @@ def test_vertices_may_be_missing(tmp_path: Path) -> None:
     [
         (("EDGE2 7 4 0.3", "EDGE2 7 9 0.3"), "no edges between poses connect pose 7 with pose 3"),
         (("EDGE2 7 4 ", "EDGE2 7 7 "), r":6: EDGE2 from pose 7 to itself"),
-        (("EDGE2 7 4 ", "EDGE2 7 5 "), r":6: EDGE2 names 5, which is no pose"),
+        (("EDGE2 7 4 ", "EDGE2 7 5 "), r":6: EDGE2 names 5, which is not a pose"),
         (("EDGE2 7 4 0.3", "FIX 4\nEDGE2 7 4 0.3"), r":6: FIX, expected one only"),
     ],
 )

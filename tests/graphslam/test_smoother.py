@@ -257,7 +257,7 @@ def test_an_optimum_with_all_evidence_is_verified() -> None:
         ({"stationarity": Stationarity(1.0, definite=True)}, "strict local minimum"),
         ({"stationarity": Stationarity(0.0, definite=False)}, "strict local minimum"),
         ({"chi_square": chi_square_test(450.0, 100)}, "chi-square 900 lies above"),
-        ({"agreed": False, "agreeing": ("ekf",)}, "only ekf reached the lowest error"),
+        ({"agreed": False, "agreeing": ("ekf",)}, "only the start ekf reached the lowest error"),
         ({"distance_sigma": 0.2}, "0.2 sigma from the optimum"),
         ({"exploration": Exploration(complete=False, hops=3)}, "by 3 hops"),
         (

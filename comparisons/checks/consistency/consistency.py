@@ -59,8 +59,8 @@ class Consistency:
         """What is out of its band, in words; nothing of this changes a verdict."""
         reported = [remark for sensor in self.sensors for remark in self._of(sensor)]
         reported += [
-            f"{sensor.unusable} of the {sensor.sensor} have no positive definite innovation "
-            "covariance, and are not in its NIS"
+            f"{sensor.unusable} {sensor.sensor} have an innovation covariance that is not positive "
+            "definite; the NIS leaves them out"
             for sensor in self.sensors
             if sensor.unusable
         ]
@@ -68,10 +68,11 @@ class Consistency:
             worst = int(np.argmin(self.smoothed.ratio))
             reported.append(
                 f"at {len(overconfident)} of {len(self.smoothed.time_s)} epochs, first at "
-                f"{self.smoothed.time_s[overconfident[0]]:.1f} s, the filter is surer of its pose "
-                "than the "
-                f"smoother, who knows the future as well: by {self.smoothed.ratio[worst]:.2g} in "
-                f"variance at {self.smoothed.time_s[worst]:.1f} s"
+                f"{self.smoothed.time_s[overconfident[0]]:.1f} s, the filter is more certain of "
+                "its pose "
+                "than the smoother, which also uses later measurements: at "
+                f"{self.smoothed.time_s[worst]:.1f} s the filter's variance is "
+                f"{self.smoothed.ratio[worst]:.2g} times the smoother's"
             )
         return reported
 
@@ -86,16 +87,16 @@ class Consistency:
     def _remark(self, sensor: str, nis: Nis, reading: str, band: Band) -> str:
         of = nis.name if nis.name == sensor else f"{sensor}, {nis.name}"
         meaning = {
-            "too high": "larger than the filter expects: a sigma is too small, or the filter too "
-            "sure",
-            "too low": "smaller than the filter expects: a sigma is too large",
+            "too high": "larger than the filter expects, so a sigma is too small or the filter is "
+            "overconfident",
+            "too low": "smaller than the filter expects, so a sigma is too large",
         }[reading]
         if self.gated and reading == "too low" and sensor == "measurements":
-            meaning += ", or association left out the large ones"
+            meaning += " or the association rejects the large ones"
         return (
-            f"NIS of {of} is {nis.mean:.3g} of {nis.dof} (band {band.low:.3g} to {band.high:.3g}, "
-            f"99.9 % for the run's {self.bands} bands together; {nis.count:,} innovations): they "
-            f"are {meaning}"
+            f"the mean NIS of {of} is {nis.mean:.3g}, expected {nis.dof} (band {band.low:.3g} to "
+            f"{band.high:.3g}, 99.9 % for the run's {self.bands} bands together; {nis.count:,} "
+            f"innovations): the innovations are {meaning}"
         )
 
 
@@ -154,9 +155,9 @@ def external_consistency(
     """
     reason, compared = _unjudged(given, optimum, information), None
     if not reason and not labelled:
-        reason = "without labels the two may rest on different associations"
+        reason = "without labels filter and smoother may use different associations"
     if not reason and (smoothed.information != "smoothed" or robust != "none"):
-        reason = "the smoother does not weight all data of the log as a filter does"
+        reason = "the smoother does not weight the measurements as a filter does"
     if not reason and given.pose_covariance is not None:
         at = optimum.known
         compared = filter_against_smoother(
@@ -183,11 +184,11 @@ def external_consistency(
 def _unjudged(given: ExternalEstimate, optimum: Reference, information: str | None) -> str:
     """Why the identity of a filter and a smoother on the same data says nothing here."""
     if given.pose_covariance is None:
-        return "no pose covariances were handed in"
+        return "the estimate has no pose covariances"
     if information is None:
         return "the estimate does not say whether its poses are filtered (estimate.toml)"
     if information != "filtered":
-        return f"it holds for filtered poses, and these are {information}"
+        return f"the test needs filtered poses, and these are {information}"
     if not optimum.known.any():
-        return "no pose lies at an instant of the log's observations"
+        return "no pose has the time of a measurement of the log"
     return ""

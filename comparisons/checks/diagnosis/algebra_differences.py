@@ -32,10 +32,11 @@ class AlgebraDifference:
 
     def __str__(self) -> str:
         """For people to read."""
-        text = f"{self.operation} gets {self.block} wrong in {self.count} of {self.total}"
-        return f"{text}, by up to {self.largest:.2g} of its size" + (
-            f" ({self.note})" if self.note else ""
+        text = (
+            f"{self.operation} computes {self.block} wrongly in {self.count} of {self.total} cases"
         )
+        size = f"by up to {self.largest:.2g} (relative)" if self.largest > 0.0 else "not finite"
+        return f"{text}, {size}" + (f" ({self.note})" if self.note else "")
 
 
 class WatchedState:
@@ -55,7 +56,7 @@ class WatchedState:
 
     def starts(self, sound: KalmanState) -> None:
         """Compare what it starts from."""
-        self._compare("the start", sound, len(sound.pose), len(sound.pose))
+        self._compare("the initialisation", sound, len(sound.pose), len(sound.pose))
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle, twice."""
@@ -90,7 +91,7 @@ class WatchedState:
         v, n = len(sound.pose), len(sound.mean)
         sound.augment(landmark, jacobian_pose, jacobian_z, noise)
         self._state.augment(landmark, jacobian_pose, jacobian_z, noise)
-        self._compare("the augmentation", sound, v, n)
+        self._compare("the landmark initialisation", sound, v, n)
 
     def remove(self, landmark_index: Index, width: int = POINT) -> None:
         """Marginalise landmarks out, and compare with the marginal."""
@@ -106,7 +107,7 @@ class WatchedState:
         if self._skew:
             note = "the covariance is not symmetric"
         elif self._transposed and all(self._transposed):
-            note = "as if with F transposed"
+            note = "F is transposed"
         return tuple(
             sorted(
                 (
@@ -139,10 +140,10 @@ class WatchedState:
         blocks = {
             "the mean": mean,
             "the vehicle's covariance": apart[vehicle, vehicle],
-            "the vehicle's covariance with the map": _both(apart, vehicle, old),
+            "the cross-covariance of vehicle and map": _both(apart, vehicle, old),
             "the map's covariance": apart[old, old],
-            "the new landmarks' covariance with the vehicle": _both(apart, vehicle, new),
-            "the new landmarks' covariance with the map": _both(apart, old, new),
+            "the cross-covariance of new landmarks and vehicle": _both(apart, vehicle, new),
+            "the cross-covariance of new landmarks and map": _both(apart, old, new),
             "the new landmarks' covariance": apart[new, new],
         }
         off = False

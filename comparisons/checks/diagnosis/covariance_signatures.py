@@ -51,9 +51,9 @@ def invalid(given: Array) -> str:
     scale = scale[:, :, None] * scale[:, None]
     skew = np.abs(given - given.transpose(0, 2, 1)) > 1e-3 * np.maximum(scale, 1e-300)
     if skew.any():
-        return f"{_of(np.asarray(skew.any(axis=(1, 2))))} not symmetric"
+        return _of(np.asarray(skew.any(axis=(1, 2))), "symmetric")
     bad = np.linalg.eigvalsh(0.5 * (given + given.transpose(0, 2, 1)))[:, 0] <= 0.0
-    return f"{_of(bad)} not positive definite" if bad.any() else ""
+    return _of(bad, "positive definite") if bad.any() else ""
 
 
 class Poses(NamedTuple):
@@ -72,13 +72,13 @@ class Poses(NamedTuple):
 def of_poses(given: Array, poses: Poses, name: str) -> str:
     """Say how pose covariances (N, 3, 3) differ from those of an estimate of this name."""
     if wrong := invalid(given):
-        return f"pose covariances: {wrong}"
+        return f"your pose covariances are invalid: {wrong}"
     for words, expected, scaled in _pose_candidates(poses):
         found = fit(given, expected, scaled=scaled)
         if found is not None:
             return f"your pose covariances {_are(words, found.factor, name)}{_but(found)}"
     if len(given) > 2 and np.ptp(given, axis=0).max() <= 1e-9 * np.abs(given).max():
-        return "your pose covariances are one and the same for all poses"
+        return "your pose covariances are the same for all poses"
     diagonal = np.arange(3)
     ratio = given[:, diagonal, diagonal] / poses.expected[:, diagonal, diagonal]
     entry = np.median(ratio, axis=0)
@@ -96,10 +96,13 @@ def of_poses(given: Array, poses: Poses, name: str) -> str:
 def of_landmarks(given: Array, expected: Array, heading: float, name: str) -> str:
     """Say how landmark covariances (L, 2, 2) differ. heading: of the last pose."""
     if wrong := invalid(given):
-        return f"landmark covariances: {wrong}"
+        return f"your landmark covariances are invalid: {wrong}"
     for words, other in (
         ("", expected),
-        ("in the last pose's frame instead of the log's", _turned(expected, np.array([heading]))),
+        (
+            "in the frame of the last pose instead of the log's frame",
+            _turned(expected, np.array([heading])),
+        ),
         *_common(expected),
     ):
         found = fit(given, other)
@@ -118,17 +121,17 @@ def of_all(given: Array, expected: Array, name: str) -> str:
     given, expected: (3 + 2 L, 3 + 2 L), or (2 L, 2 L) of landmarks alone.
     """
     if wrong := invalid(given[None]):
-        return f"the covariance of last pose and landmarks is {wrong.removeprefix('all are ')}"
+        return f"the covariance of last pose and landmarks {wrong.replace('none is', 'is not')}"
     n = len(given)
     where = np.concatenate((np.zeros(3 * (n % 2)), 1 + np.arange(n - 3 * (n % 2)) // 2))
     same, pose = where[:, None] == where, (where == 0)[:, None] | (where == 0)
     flipped = np.where(pose & ~same, -1.0, 1.0)
     for words, other in (
         ("", expected),
-        ("without the covariances between pose and landmarks", expected * (same | ~pose)),
-        ("without the covariances between landmarks", expected * (same | pose)),
-        ("without the covariances of one with another", expected * same),
-        ("with the covariances of pose and landmarks of opposite sign", expected * flipped),
+        ("without the cross-covariances of pose and landmarks", expected * (same | ~pose)),
+        ("without the cross-covariances of landmarks", expected * (same | pose)),
+        ("without any cross-covariances", expected * same),
+        ("with cross-covariances of pose and landmarks of opposite sign", expected * flipped),
     ):
         found = fit(given[None], other[None])
         if found is not None and not (words == "" and found.factor == 1.0):
@@ -138,13 +141,13 @@ def of_all(given: Array, expected: Array, name: str) -> str:
     low, high = eigenvalues(given[None], expected[None])
     return (
         f"your covariance of last pose and landmarks together is {times(low[0])} to "
-        f"{times(high[0])} times that of {name}, by combination of the two"
+        f"{times(high[0])} times that of {name}, depending on the direction"
     )
 
 
 def of_everything(factor: float, name: str) -> str:
     """Say that one factor explains all covariances."""
-    return f"your covariance is {times(factor)} times that of {name} on this log, in all directions"
+    return f"your covariance is {times(factor)} times that of {name}, in all directions"
 
 
 def times(factor: float) -> str:
@@ -156,11 +159,11 @@ def _pose_candidates(poses: Poses) -> Iterator[tuple[str, Array, bool]]:
     """Names, covariances, and whether a factor may be added."""
     e = poses.expected
     yield "", e, True
-    yield "in the body's frame instead of the log's", _turned(e, poses.heading), True
-    yield "those before each instant's measurements", poses.before, False
-    yield "those of the pose before", np.concatenate((e[:1], e[:-1])), False
+    yield "in the body frame instead of the log's frame", _turned(e, poses.heading), True
+    yield "those from before the measurement update", poses.before, False
+    yield "those of the previous pose", np.concatenate((e[:1], e[:-1])), False
     if np.isfinite(poses.smoothed).all():
-        yield "those of the smoother, which has seen the future", poses.smoothed, False
+        yield "those of the smoother, which uses later measurements", poses.smoothed, False
     for words, order in (("heading, x, y", [2, 0, 1]), ("y, x, heading", [1, 0, 2])):
         yield f"in the order {words}", e[:, order][:, :, order], False
     for words, other in _common(e):
@@ -172,9 +175,9 @@ def _common(expected: Array) -> Sequence[tuple[str, Array]]:
     variance = np.diagonal(expected, 0, 1, 2)
     inverse = np.asarray(np.linalg.inv(expected), dtype=float)
     return (
-        ("without the correlations, their diagonals alone", variance[:, :, None] * np.eye(n)),
-        ("standard deviations where variances belong", np.sqrt(variance)[:, :, None] * np.eye(n)),
-        ("inverted, which is information", inverse),
+        ("diagonal, without the correlations", variance[:, :, None] * np.eye(n)),
+        ("standard deviations instead of variances", np.sqrt(variance)[:, :, None] * np.eye(n)),
+        ("information matrices, the inverse of covariances", inverse),
     )
 
 
@@ -202,12 +205,12 @@ def _varying(begin: str, given: Array, expected: Array, name: str, what: tuple[s
     low, high = eigenvalues(given, expected)
     middle = float(np.median(_middle(low, high)))
     off = (low * _FITS < 1.0) | (high > _FITS)
-    even = " in all directions alike," if (high <= low * _FITS**2).all() else ""
+    even = " the same in all directions," if (high <= low * _FITS**2).all() else ""
     worst = int(np.argmax(np.maximum(high, 1.0 / np.maximum(low, 1e-300))))
     return (
         f"{begin} {times(low.min())} to {times(high.max())} times those of {name},{even} typically "
-        f"{times(middle)}; {off.sum()} of {len(off)} {what[0]} are off by more than "
-        f"{100 * LIKE_VARIANCE:.0f} %, {what[1]} number {worst + 1} the most"
+        f"{times(middle)}; {off.sum()} of {len(off)} {what[0]} differ by more than "
+        f"{100 * LIKE_VARIANCE:.0f} %, {what[1]} number {worst + 1} most"
     )
 
 
@@ -233,5 +236,5 @@ def _but(found: Fit) -> str:
     return f", all but {count} of {len(found.exceptions)}"
 
 
-def _of(bad: NDArray[np.bool_]) -> str:
-    return "all are" if bad.all() else f"{bad.sum()} of {len(bad)} are"
+def _of(bad: NDArray[np.bool_], what: str) -> str:
+    return f"none is {what}" if bad.all() else f"{bad.sum()} of {len(bad)} are not {what}"

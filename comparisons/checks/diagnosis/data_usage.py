@@ -71,9 +71,10 @@ def _late(kind: str, step: Index, due: Index) -> list[DataFault]:
     side = "late" if often > 0 else "early"
     return [
         DataFault(
-            f"{np.count_nonzero(off)} of {len(step)} uses of {kind} come {side}, by {abs(often)} "
-            "steps of the odometry (median)",
-            "look at the order of events: predict up to an observation's own time, then fuse it",
+            f"{np.count_nonzero(off)} of {len(step)} {kind} are used too {side}, by {abs(often)} "
+            "odometry steps (median)",
+            "check the order of events: predict up to the time of a measurement, then update "
+            "with it",
         )
     ]
 
@@ -85,9 +86,9 @@ def _counted(kind: str, number: Index, weight: Array) -> list[DataFault]:
         return []
     return [
         DataFault(
-            f"{often} of {len(np.unique(number))} {kind} are fused more than once, with up to "
+            f"{often} of {len(np.unique(number))} {kind} are used more than once, with up to "
             f"{total.max():.3g} times their information",
-            f"look for a second call with the same {kind}, or a queue that is not emptied",
+            f"check for a second call with the same {kind}, or a queue that is not emptied",
         )
     ]
 
@@ -106,9 +107,9 @@ def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[DataFault]:
         stray = int(count[np.isin(pairs[:, 1], mixed)].sum()) - usual
         found.append(
             DataFault(
-                f"measurements of different labels are put into one landmark: {len(mixed)} of "
+                f"measurements with different labels are assigned to one landmark: {len(mixed)} of "
                 f"{len(landmark_indices[0])} landmarks, {stray} measurements",
-                "look at what turns a label into a place in the map",
+                "check how a label becomes a landmark index of the map",
             )
         )
     elif (labels[1] > 1).any():
@@ -116,8 +117,9 @@ def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[DataFault]:
         found.append(
             DataFault(
                 f"measurements of {np.count_nonzero(labels[1] > 1)} of {len(labels[0])} labels are "
-                f"put into several landmarks, of label {labels[0][worst]} into {labels[1][worst]}",
-                "look for landmarks that are initialised again although they are in the map",
+                f"assigned to several landmarks, those of label {labels[0][worst]} to "
+                f"{labels[1][worst]}",
+                "check for landmarks that are initialised again although they are in the map",
             )
         )
     return found
@@ -142,7 +144,7 @@ def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[DataFault]:
             f"{fitting} of {total} labelled measurements were rejected although they fit the "
             "optimum "
             "within their own noise",
-            "look at the gate: squared distances against a bound of chi-square, not of sigmas; "
-            "or at a filter that is too sure of itself",
+            "check the gate: it must compare the squared Mahalanobis distance with a chi-square "
+            "quantile, not with a number of sigmas; or check why the filter is overconfident",
         )
     ]

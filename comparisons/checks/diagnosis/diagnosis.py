@@ -53,16 +53,17 @@ _EQUAL = 0.01**2
 _LIKE = 0.05**2
 """What is open there, as a grade of `like` allows."""
 _FRAME_HINT = (
-    "look at the prior: both must begin at the log's pose, in the log's frame; or at the map's "
-    "first landmarks"
+    "check that the filter starts at the log's prior pose, in the log's frame; check the first "
+    "landmarks of the map"
 )
 _TIME_HINT = (
-    "look at the clocks: stamps of odometry against measurements, the interval of a prediction"
+    "check the clocks: the time stamps of odometry and measurements, and the interval of a "
+    "prediction"
 )
-_SCALE_HINT = "look at units and scale: metres, the speed's calibration, the wheel's radius"
-_MIRROR_HINT = "look at the sense of steering, yaw rate or bearing, and at the order of the axes"
-_LEVER_HINT = "look at which point of the vehicle is written: axle, sensor or antenna"
-_HEADING_HINT = "look at the heading's {}: counter-clockwise from east is expected"
+_SCALE_HINT = "check units and scale: metres, the calibration of the speed, the wheel radius"
+_MIRROR_HINT = "check the sign of steering, yaw rate and bearing, and the order of the axes"
+_LEVER_HINT = "check which point of the vehicle the poses describe: axle, sensor or antenna"
+_HEADING_HINT = "check the {} of the heading: it must be counter-clockwise from east"
 
 
 @dataclass(frozen=True)
@@ -141,8 +142,9 @@ def diagnose(references: Sequence[Paths]) -> list[Cause]:
         causes.append(
             Cause(
                 motion.gap,
-                f"{motion.said}: without that the path fits {paths.name}'s to "
-                f"{motion.left_m:.3f} m (RMS), {paths.rms_m:.3f} m before",
+                f"{motion.said}; with this corrected, the RMS difference from {paths.name} "
+                "falls from "
+                f"{paths.rms_m:.3f} to {motion.left_m:.3f} m",
                 motion.hint,
             )
         )
@@ -222,15 +224,18 @@ def _motions(paths: Paths) -> Iterator[_Motion]:
             gap, hint = "scale", _SCALE_HINT
         elif "times" in said:
             continue  # of a scale that is none
-        yield motion(gap, free, (u - a * v - b) / abs(a), said, hint, float(np.angle(a)))
+        left = (u - a * v - b) / abs(a)
+        yield motion(gap, free, left, f"the trajectory is {said}", hint, float(np.angle(a)))
     for said, flipped in (
-        ("y of opposite sign", v.conj()),
-        ("x of opposite sign", -v.conj()),
-        ("x and y exchanged", 1j * v.conj()),
+        ("y has the opposite sign", v.conj()),
+        ("x has the opposite sign", -v.conj()),
+        ("x and y are exchanged", 1j * v.conj()),
     ):
-        yield motion("mirrored", 0, u - flipped, f"the mirror image, {said}", _MIRROR_HINT)
+        yield motion(
+            "mirrored", 0, u - flipped, f"the trajectory is mirrored: {said}", _MIRROR_HINT
+        )
     a, b, said = _rigid(u, v.conj())
-    said = f"the mirror image, {said}"
+    said = f"the trajectory is mirrored and {said}"
     yield motion("mirrored", 3, u - a * v.conj() - b, said, _MIRROR_HINT)
     late = list(_late(paths))
     as_is, moved = _heading_spreads(paths, late[-1][1])
@@ -242,7 +247,10 @@ def _motions(paths: Paths) -> Iterator[_Motion]:
     if known and moved >= _INTERPOLATED * as_is:
         ahead = np.exp(1j * paths.reference[:, 2])
         arm = complex(np.mean((u - v) / ahead))
-        said = f"the path of a point {arm.real:.3f} m forward and {arm.imag:.3f} m left"
+        said = (
+            f"the trajectory is that of a point {arm.real:.3f} m forward and {arm.imag:.3f} m left "
+            "of the reference point"
+        )
         yield motion("lever", 2, u - v - arm * ahead, said, _LEVER_HINT)
 
 
@@ -271,7 +279,11 @@ def _turned(about: str) -> Fit:
     def fit(u: Complex, v: Complex) -> tuple[complex, complex, str]:
         c = complex(v[0]) if about else 0.0j
         a = np.exp(1j * np.angle(np.vdot(v - c, u - c)))
-        return complex(a), c - a * c, f"turned by {_degrees(a)} about the log's {about or 'origin'}"
+        return (
+            complex(a),
+            c - a * c,
+            f"rotated by {_degrees(a)} about the log's {about or 'origin'}",
+        )
 
     return fit
 
@@ -282,7 +294,7 @@ def _rigid(u: Complex, v: Complex) -> tuple[complex, complex, str]:
     return (
         complex(a),
         b,
-        f"turned by {_degrees(a)} about the log's origin and shifted by " + (f"{_place(b)} m"),
+        f"rotated by {_degrees(a)} about the log's origin and shifted by " + (f"{_place(b)} m"),
     )
 
 
@@ -291,7 +303,11 @@ def _grown(about: str) -> Fit:
         c = complex(v[0]) if about else 0.0j
         size = max(float(np.vdot(v - c, v - c).real), 1e-12)
         a = float(np.vdot(v - c, u - c).real) / size
-        return complex(a), c - a * c, f"{a:.4f} times as large about the log's {about or 'origin'}"
+        return (
+            complex(a),
+            c - a * c,
+            f"{a:.4f} times as large, scaled about the log's {about or 'origin'}",
+        )
 
     return fit
 
@@ -304,7 +320,7 @@ def _similar(u: Complex, v: Complex) -> tuple[complex, complex, str]:
         a,
         b,
         (
-            f"{abs(a):.4f} times as large, turned by {_degrees(a)} about the log's origin and "
+            f"{abs(a):.4f} times as large, rotated by {_degrees(a)} about the log's origin and "
             f"shifted by {_place(b)} m"
         ),
     )
@@ -336,8 +352,8 @@ def _late(paths: Paths) -> Iterator[tuple[int, float, Complex, float, str]]:
         coarse = float(delays[int(np.argmin([square(d) for d in delays]))])
         best = minimize_scalar(square, bounds=(coarse - step, coarse + step), method="bounded")
         left, turn, said = _at_delay(paths, fit, best.x)
-        when = f"stamps {abs(best.x):.3f} s too {'late' if best.x > 0 else 'early'}"
-        yield free, best.x, left, turn, f"{when}, {said}" if said else when
+        when = f"the time stamps are {abs(best.x):.3f} s too {'late' if best.x > 0 else 'early'}"
+        yield free, best.x, left, turn, f"{when} and the trajectory is {said}" if said else when
 
 
 def _late_square(paths: Paths, fit: Fit, delay: float) -> float:
@@ -373,9 +389,9 @@ def _headings(paths: Paths, motion: _Motion) -> Iterator[Cause]:
     if alone and abs(both) >= 0.98 and abs(each.mean()) <= 0.9:
         yield Cause(
             "heading",
-            f"all headings turn the other way: clockwise, from "
+            f"all headings are clockwise instead of counter-clockwise, from "
             f"{np.degrees(float(np.angle(both))):.0f} degrees",
-            _HEADING_HINT.format("sense"),
+            _HEADING_HINT.format("sign"),
         )
         return
     each = each * np.exp(-1j * motion.turn_rad)
@@ -386,9 +402,9 @@ def _headings(paths: Paths, motion: _Motion) -> Iterator[Cause]:
         return
     yield Cause(
         "heading",
-        f"all headings are off by {np.degrees(mean):.1f} degrees from {paths.name}'s, the "
+        f"all headings differ by {np.degrees(mean):.1f} degrees from those of {paths.name}, the "
         f"positions by {motion.left_m:.2f} m (RMS)",
-        _HEADING_HINT.format("zero and sense"),
+        _HEADING_HINT.format("zero and sign"),
     )
 
 
@@ -400,17 +416,18 @@ def _no_heading(paths: Paths) -> tuple[str, str] | None:
     if _spread(own) < _LEAST_ALONE_RAD:
         angle = np.degrees(float(np.angle(np.exp(1j * own).mean())))
         return (
-            f"all headings are {angle:.0f} degrees, those of {paths.name} are not",
-            "write them: in TUM qx, qy, qz, qw is 0, 0, sin(h/2), cos(h/2), with qw last",
+            f"all headings are {angle:.0f} degrees, but those of {paths.name} vary",
+            "write the headings as quaternions: in TUM qx, qy, qz, qw is 0, 0, sin(h/2), "
+            "cos(h/2), with qw last",
         )
     wrapped = np.angle(np.exp(1j * right))
     for factor, said in (
-        (180.0 / np.pi, "degrees were written where radians belong"),
-        (2.0, "the quaternion's angle was not halved: sin(h), cos(h)"),
+        (180.0 / np.pi, "the headings are in degrees instead of radians"),
+        (2.0, "the angle of the quaternions is not halved: they contain sin(h), cos(h)"),
     ):
         for of in (right, wrapped, wrapped % (2.0 * np.pi)):
             if np.exp(1j * (own - factor * of)).mean().real >= _SAME_HEADINGS:
-                return f"the headings are as if {said}", "write sin(h/2), cos(h/2), h in radians"
+                return said, "write sin(h/2), cos(h/2), h in radians"
     return None
 
 

@@ -24,7 +24,7 @@ from comparisons.checks.grade import (
 )
 from comparisons.estimates.external import ExternalEstimate
 
-_MAP_HINT = "hand in the whole map, by the ids of the log's measurements"
+_MAP_HINT = "supply the whole map, with the ids of the log's measurements"
 _SWAPPED = 3.0
 """Names are taken for exchanged where another landmark is so many times nearer."""
 _AT_M = 0.5
@@ -55,7 +55,7 @@ def facts(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]
     causes = _means(given, found, clues)
     causes += _covariances(given, found, clues)
     if found.missing:
-        causes.append(Cause("coverage", "; ".join(found.missing), "hand in the whole path"))
+        causes.append(Cause("coverage", "; ".join(found.missing), "supply the whole trajectory"))
     if found.unmapped:
         causes.append(Cause("map", "; ".join(found.unmapped), _map_hint(given, found)))
     return causes
@@ -72,10 +72,11 @@ def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
     for row in more:
         apart = np.linalg.norm(place - given.landmark[row], axis=1)
         if apart.min() <= _AT_M:
-            pairs.append(f"{given.landmark_id[row]} at {ids[apart.argmin()]}")
+            pairs.append(f"{given.landmark_id[row]} at landmark {ids[apart.argmin()]}")
     if not pairs:
         return _MAP_HINT
-    return f"use the log's ids: {len(pairs)} lie where another id is, {', '.join(pairs[:4])}"
+    listed = ", ".join(pairs[:4])
+    return f"use the log's ids: {len(pairs)} landmarks have another id in the log: {listed}"
 
 
 def _means(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]:
@@ -112,21 +113,21 @@ def _known_path(given: ExternalEstimate, found: Likeness, clues: Clues) -> Cause
     if clues.before is not None and _fits(given, found, clues.before):
         return Cause(
             "time",
-            "the poses are those before the measurements of each instant are used",
+            "the poses are those from before the measurement update",
             "write the pose after every update",
         )
     if not found.reference.smoothed and _fits(given, found, clues.smoothed):
         return Cause(
             "information",
-            "the poses are the smoother's, which have seen the future",
-            'state information = "smoothed" in estimate.toml',
+            "the poses are those of the smoother, which uses later measurements",
+            'write information = "smoothed" in estimate.toml',
         )
     filtered = clues.filtered() if found.reference.smoothed else None
     if filtered is not None and _fits(given, found, filtered):
         return Cause(
             "information",
-            "the poses are those of the reference EKF, which have not seen the future",
-            'state information = "filtered" in estimate.toml, or hand in the smoothed path',
+            "the poses are those of the reference EKF, which does not use later measurements",
+            'write information = "filtered" in estimate.toml, or supply the smoothed trajectory',
         )
     return None
 
@@ -149,23 +150,24 @@ def _apart(
         sigma, worst = found.parts[0].sigma, int(np.argmax(found.parts[0].sigma))
         turned = np.degrees(rms(difference[:, 2:]))
         parts.append(
-            f"{poses.sum()} of {len(poses)} poses are more than {limit} from those of "
-            f"{reference.name}, {rms(difference[:, :2]):.3f} m and {turned:.2f} degrees (RMS), the "
-            f"one at {reference.time_s[at][worst]:.2f} s {sigma[worst]:.2g} sigma"
+            f"{poses.sum()} of {len(poses)} poses differ by more than {limit} from those of "
+            f"{reference.name}: {rms(difference[:, :2]):.3f} m and {turned:.2f} degrees (RMS); the "
+            f"pose at {reference.time_s[at][worst]:.2f} s differs most, by {sigma[worst]:.2g} sigma"
         )
     if landmarks.any() and given.landmark is not None:
         sigma = found.parts[1].sigma
         worst = int(np.argmax(sigma))
         place = given.landmark[found.ours[worst]], reference.landmark[found.theirs[worst]]
         parts.append(
-            f"{landmarks.sum()} of {len(landmarks)} landmarks are more than {limit} away, landmark "
-            f"{reference.landmark_id[found.theirs[worst]]} by "
+            f"{landmarks.sum()} of {len(landmarks)} landmarks differ by more than {limit}, "
+            "landmark "
+            f"{reference.landmark_id[found.theirs[worst]]} most, by "
             f"{np.linalg.norm(place[0] - place[1]):.3f} m ({sigma[worst]:.2g} sigma)"
         )
     return Cause(
         "estimate",
         "; ".join(parts),
-        "a trace would tell algebra from model; look first at associations, signs and noise",
+        "check associations, signs and noise; supply a trace, which separates algebra from models",
     )
 
 
@@ -177,8 +179,8 @@ def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list
         return []
     at, pairs = reference.known, _pairs(given, found)
     hint = (
-        "look at the noise: a sigma where a variance is meant, a factor on R or Q, a dropped "
-        "cross-covariance, measurements used twice; and at the export: frame, units, order, time"
+        "check the noise: a sigma instead of a variance, a factor on R or Q, a dropped "
+        "cross-covariance, a measurement used twice; check the export: frame, units, order, time"
     )
     fits = [signatures.fit(*pair) for pair in pairs.values()]
     factors = [one.factor for one in fits if one is not None and not one.exceptions.any()]
@@ -238,6 +240,6 @@ def _swapped(given: ExternalEstimate, found: Likeness) -> Cause | None:
     pairs = ", ".join(f"{ids[k]} at {ids[nearest[k]]}" for k in other[:4])
     return Cause(
         "association",
-        f"{len(other)} landmarks lie where another is: {pairs}",
-        "look at the names: ids exchanged, or measurements given to the wrong landmark",
+        f"{len(other)} landmarks lie at the position of another landmark: {pairs}",
+        "check for exchanged ids, and for measurements assigned to the wrong landmark",
     )

@@ -104,20 +104,20 @@ def counted(quantity: Quantity) -> str:
     """Return in how many records, and in which, if a bound or a name tells."""
     off = quantity.off()
     count = int(np.count_nonzero(off))
-    reported = f"in {count} of {len(off)} {quantity.records}"
+    where = f"in {count} of {len(off)} {quantity.records}"
     if min(count, len(off) - count) < _LEAST_SPLIT:
-        return reported
+        return where
     for name, values in quantity.features.items():
         inside, outside = values[off], values[~off]
         if values.dtype.kind == "i":
             names = np.unique(inside)
             if len(names) == 1 and names[0] not in outside:
-                return f"{reported}, all of {name} {names[0]}"
+                return f"{where}, those of {name} {names[0]}"
         elif inside.min() > outside.max():
-            return f"{reported}, all with {name} from {inside.min():.4g} on"
+            return f"{where}, those with {name} >= {inside.min():.4g}"
         elif inside.max() < outside.min():
-            return f"{reported}, all with {name} up to {inside.max():.4g}"
-    return reported
+            return f"{where}, those with {name} <= {inside.max():.4g}"
+    return where
 
 
 def _holds(
@@ -164,7 +164,7 @@ def says(text: str) -> Callable[..., str]:
     return lambda *figures: text.format(*figures)
 
 
-def times(what: str, of: str = "what it should be") -> Callable[[float], str]:
+def times(what: str, of: str = "the correct value") -> Callable[[float], str]:
     """Return the text of a factor, signs and zeros named as such."""
 
     def text(factor: float) -> str:
@@ -173,8 +173,8 @@ def times(what: str, of: str = "what it should be") -> Callable[[float], str]:
         if abs(factor) < 1e-6:
             return f"{what} is zero"
         unit = ""
-        for size, named in ((np.degrees(1.0), "degrees, not radians"),
-                            (np.radians(1.0), "degrees converted twice")):  # fmt: skip
+        for size, named in ((np.degrees(1.0), "degrees instead of radians"),
+                            (np.radians(1.0), "converted to radians twice")):  # fmt: skip
             if abs(factor / size - 1.0) < 1e-6:
                 unit = f" ({named})"
         return f"{what} is {factor:.6g} times {of}{unit}"

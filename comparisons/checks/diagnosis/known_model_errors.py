@@ -60,7 +60,7 @@ def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
         strict=True,
     ):  # fmt: skip
         if abs(apart) > _EQUAL + 4.0 * rounding * max(abs(size), np.pi):
-            yield f"the prior's {name} is {apart:+.4g} {unit} off"
+            yield f"the prior's {name} differs from the log's by {apart:+.4g} {unit}"
     scale = np.outer(sigma, sigma)
     quantity = Quantity(
         have=(run.trace.prior_covariance / scale)[None],
@@ -75,7 +75,7 @@ def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     limit = quantity.tolerance * max(1.0, abs(factor))
     sigmas = np.sqrt(np.diag(np.diag(log.prior.covariance))) / scale
     if np.abs(quantity.have - sigmas).max() <= limit * max(1.0, float(sigmas.max())):
-        yield "the prior's covariance holds sigma where its square belongs"
+        yield "the prior's covariance contains sigma instead of sigma squared"
     elif np.abs(have - factor * meant).max() <= limit:
         yield times("the prior's covariance", "the log's")(factor)
     else:
@@ -100,7 +100,7 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
         return result
 
     meant = lever(np.arange(len(pose)), forward, left)
-    features = {"a time [s]": positions.time_s[r.number]}
+    features = {"time [s]": positions.time_s[r.number]}
     quantity = Quantity(
         have=r.innovation,
         meant=meant,
@@ -113,14 +113,14 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
     found = named(
         quantity,
         (
-            instead("the lever arm of the antenna is left out", apart),
-            instead("the lever arm of the antenna is not turned by the heading", apart - stated),
-            instead("the innovation of positions is expected minus measured", -meant),
-            instead("the position is expected before the last prediction", older),
+            instead("the lever arm of the antenna is ignored", apart),
+            instead("the lever arm of the antenna is not rotated by the heading", apart - stated),
+            instead("the innovation of positions has the opposite sign", -meant),
+            instead("the expected position is that before the last prediction", older),
             instead("the position's east and north are exchanged",
                     place[:, ::-1] - place + meant),
             Hypothesis(
-                says("the lever arm of the antenna is ({0:.3f}, {1:.3f}) m, where the log says "
+                says("the lever arm of the antenna is ({0:.3f}, {1:.3f}) m, in the log "
                      f"({forward:.3f}, {left:.3f}) m"),
                 lever,
                 (forward, left),
@@ -163,14 +163,14 @@ def _position_noise(
     found = named(
         quantity,
         (
-            instead("R of positions holds sigma where its square belongs",
+            instead("R of positions contains sigma instead of sigma squared",
                     np.sqrt(stated * np.eye(2)) / size),
-            instead("R of positions holds variances that were squared twice",
+            instead("R of positions contains the square of the variances",
                     (stated * np.eye(2)) ** 2 / size),
             Hypothesis(times("R of positions"), lambda rows, k: k * stated[rows] / size[rows],
                        (1.0,)),
             Hypothesis(
-                says("R of positions has {0:.4g} added"),
+                says("R of positions has a constant of {0:.4g} added"),
                 lambda rows, c: (stated[rows] + c * np.eye(2)) / size[rows],
                 (0.0,),
             ),

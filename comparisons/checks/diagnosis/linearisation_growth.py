@@ -73,7 +73,7 @@ def linearisation_growth(
     ]
     for width, kind, landmarks in (
         (POINT, "a measurement", smoothed.landmark),
-        (POSE_LANDMARK, "a template's measurement", smoothed.pose_landmarks),
+        (POSE_LANDMARK, "a template alignment", smoothed.pose_landmarks),
     ):
         if width in frozen.measurements:
             seen = frozen.measurements[width], optimum.measurements[width]

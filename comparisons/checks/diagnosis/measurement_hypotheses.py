@@ -105,25 +105,25 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
         by_landmark=by_landmark,
         slack=np.column_stack((np.full(len(z_hat), place), place / z_hat[:, 0] + angle)),
         others={
-            "of the measurement before": every[np.maximum(r.number - 1, 0)],
-            "of the measurement after": every[np.minimum(r.number + 1, len(every) - 1)],
+            "of the previous measurement": every[np.maximum(r.number - 1, 0)],
+            "of the next measurement": every[np.minimum(r.number + 1, len(every) - 1)],
         },
         poses={
-            "at the pose of the scan before": before,
-            "before the last prediction": trace.departed[last],
-            "before the update": np.array(
+            "at the pose of the previous scan": before,
+            "at the pose before the last prediction": trace.departed[last],
+            "at the pose before the update": np.array(
                 [updated.get(int(s), own) for s, own in zip(r.step, r.pose, strict=True)]
             ),
         },
         points={
-            "where the landmark began": first[r.landmark_index],
-            "where the measurement puts the landmark": r.pose[:, :2] + ray,
+            "at the landmark's initial position": first[r.landmark_index],
+            "at the landmark position that the measurement gives": r.pose[:, :2] + ray,
         },
         velocity=velocity / run.timeline.step_duration_s[last, None],
         features={
-            "a time [s]": measurements.time_s[r.number],
-            "a range [m]": every[r.number, 0],
-            "a bearing [rad]": every[r.number, 1],
+            "time [s]": measurements.time_s[r.number],
+            "range [m]": every[r.number, 0],
+            "bearing [rad]": every[r.number, 1],
             "landmark": run.estimate.landmark_id[r.landmark_index].astype(np.int64),
         },
     )
@@ -160,7 +160,11 @@ def _innovations(seen: _Seen) -> Iterator[str]:
     whole = np.round(turns)
     off = (whole != 0.0) & (np.abs(np.abs(nu[:, 1]) - np.pi) > limit)
     if off.any() and (np.abs(turns - whole) <= limit).all():
-        how = "not wrapped" if (whole % 2 == 0).all() else "half a turn off: a quadrant"
+        how = (
+            "not wrapped to (-pi, pi]"
+            if (whole % 2 == 0).all()
+            else "wrong by pi: the quadrant is lost"
+        )
         yield f"{np.count_nonzero(off)} bearing innovations are {how}"
         if (whole % 2).any():
             return
@@ -183,14 +187,18 @@ def _innovations(seen: _Seen) -> Iterator[str]:
 
 def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
     """Mistakes that show in range and bearing together."""
-    yield instead("the innovation is expected minus measured", -nu)
+    yield instead("the innovation has the opposite sign (expected minus measured)", -nu)
     r = seen.r
     for where, pose in seen.poses.items():
-        yield instead(f"the measurement is expected {where}", seen.z - rays(pose, r.landmark)[0])
+        yield instead(
+            f"the expected measurement is computed {where}", seen.z - rays(pose, r.landmark)[0]
+        )
     for where, point in seen.points.items():
-        yield instead(f"the measurement is expected {where}", seen.z - rays(r.pose, point)[0])
+        yield instead(
+            f"the expected measurement is computed {where}", seen.z - rays(r.pose, point)[0]
+        )
     for which, other in seen.others.items():
-        yield instead(f"the range and the bearing are those {which}", other - seen.z_hat)
+        yield instead(f"range and bearing are those {which}", other - seen.z_hat)
     yield instead("range and bearing are exchanged", seen.z[:, ::-1] - seen.z_hat)
 
     def from_place(rows: Index, forward: float, left: float) -> Array:
@@ -203,9 +211,11 @@ def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
         z: Array = seen.z[rows] - rays(pose, r.landmark[rows])[0]
         return z
 
-    yield Hypothesis(says("the measurement is expected {0:.4g} s after its time"), late, (0.0,))
     yield Hypothesis(
-        says("the sensor is taken to stand ({0:.4g}, {1:.4g}) m ahead and left of the pose"),
+        says("the expected measurement is computed {0:.4g} s after its time"), late, (0.0,)
+    )
+    yield Hypothesis(
+        says("the sensor is assumed ({0:.4g}, {1:.4g}) m forward and left of the pose"),
         from_place,
         (0.0, 0.0),
     )
@@ -230,9 +240,11 @@ def _of_column(one: Quantity, seen: _Seen, column: int, name: str) -> Iterator[H
     z, expected = one.meant, seen.z_hat[:, column]
     unit, log = ("m", "rad")[column], "the log's"
     if column:
-        yield instead(f"{name} is taken without its sign", np.abs(z))
-        yield instead("bearings are counted clockwise", -z)
-        yield instead("the heading is not taken off the expected bearing", z - seen.r.pose[:, 2])
+        yield instead(f"{name} is used without its sign", np.abs(z))
+        yield instead("bearings are clockwise instead of counter-clockwise", -z)
+        yield instead(
+            "the heading is not subtracted in the expected bearing", z - seen.r.pose[:, 2]
+        )
     for which, other in seen.others.items():
         yield instead(f"{name} is that {which}", other[:, column])
     yield Hypothesis(
@@ -251,12 +263,14 @@ def _of_column(one: Quantity, seen: _Seen, column: int, name: str) -> Iterator[H
     )
     if not column:
         yield Hypothesis(
-            says("the range's square differs from the log's by {0:+.4g} m^2, as by a height"),
+            says(
+                "the squared range differs from the log's by {0:+.4g} m^2, as from a height offset"
+            ),
             lambda rows, h: np.sqrt(np.maximum(z[rows] ** 2 + h, 1e-12)),
             (0.0,),
         )
         largest = float(one.have.max())
-        yield instead(f"the range is cut at {largest:.4g} m", np.minimum(z, largest))
+        yield instead(f"the range is limited to {largest:.4g} m", np.minimum(z, largest))
     yield from _rounded(one, name, unit)
 
 
@@ -278,8 +292,8 @@ def _rounded(one: Quantity, name: str, unit: str) -> Iterator[Hypothesis]:
     nearest = np.where(near, whole, np.round(one.meant / step) * step)
     for how, levels in (
         ("rounded to", nearest),
-        ("cut to", np.floor(one.meant / step + 1e-9) * step),
-        ("cut to", np.trunc(one.meant / step * (1.0 + 1e-12)) * step),
+        ("truncated to", np.floor(one.meant / step + 1e-9) * step),
+        ("truncated to", np.trunc(one.meant / step * (1.0 + 1e-12)) * step),
     ):
         yield instead(f"{name} is {how} multiples of {step:.4g} {unit}", levels)
 
@@ -322,12 +336,16 @@ def noise_hints(
         return instead(text.format(name), variance[:, :, None] * _TWO / size)
 
     whole = (
-        diagonal("{} holds sigma where its square belongs", sigma),
-        diagonal("{} holds variances that were squared twice", sigma**4),
+        diagonal("{} contains sigma instead of sigma squared", sigma),
+        diagonal("{} contains the square of the variances", sigma**4),
         scaled(name, quantity.meant),
-        diagonal("{} takes degrees for radians", (sigma * (1.0, degrees)) ** 2),
-        diagonal("{} takes radians for degrees", (sigma * (1.0, 1.0 / degrees)) ** 2),
-        diagonal("{} exchanges range and bearing", sigma[:, ::-1] ** 2),
+        diagonal(
+            "{} has a bearing sigma in degrees instead of radians", (sigma * (1.0, degrees)) ** 2
+        ),
+        diagonal(
+            "{} has a bearing sigma converted to radians twice", (sigma * (1.0, 1.0 / degrees)) ** 2
+        ),
+        diagonal("{} has the variances of range and bearing exchanged", sigma[:, ::-1] ** 2),
     )
     found = named(quantity, whole)
     if found is not None:
@@ -355,19 +373,21 @@ def noise_hints(
 
 def _variances(name: str, sigma: Array, range_m: Array) -> Iterator[Hypothesis]:
     """Of one column: its variance (M,) over sigma^2."""
-    yield instead(f"{name} holds sigma where its square belongs", 1.0 / sigma)
-    yield instead(f"{name} holds a variance that was squared twice", sigma**2)
+    yield instead(f"{name} contains sigma instead of sigma squared", 1.0 / sigma)
+    yield instead(f"{name} contains the square of the variance", sigma**2)
     yield scaled(name, np.ones(len(sigma)))
     yield Hypothesis(
-        says(f"{name} is always {{0:.4g}}"), lambda rows, c: c / sigma[rows] ** 2, (0.0,)
+        says(f"{name} is constant at {{0:.4g}}"), lambda rows, c: c / sigma[rows] ** 2, (0.0,)
     )
     yield Hypothesis(
-        says(f"{name} has {{0:.4g}} added"), lambda rows, c: 1.0 + c / sigma[rows] ** 2, (0.0,)
+        says(f"{name} has a constant of {{0:.4g}} added"),
+        lambda rows, c: 1.0 + c / sigma[rows] ** 2,
+        (0.0,),
     )
     for power, grows in ((2, "the range squared"), (1, "the range"), (-2, "1 / range squared")):
         shape = range_m**power / sigma**2
         yield Hypothesis(
-            says(f"{name} grows as {grows}: it is {{0:.4g}} times that"),
+            says(f"{name} is {{0:.4g}} times {grows}"),
             partial(_proportional, shape),
             (0.0,),
         )
@@ -411,29 +431,29 @@ def _jacobians(seen: _Seen) -> Iterator[str]:
         if row.off().any():
             rows_off.append(name)
     if len(rows_off) == 1:
-        yield f"the {rows_off[0]} row of H is wrong, the other is right"
+        yield f"the {rows_off[0]} row of H is wrong, the other row is right"
 
 
 _POSITION, _HEADING, _LANDMARK = (0, 1), (2,), (3, 4)
 _PARTS = (
-    ("the bearing row is zero: only ranges inform", (1,), (0, 1, 2, 3, 4), 0.0),
-    ("H's column by heading is zero", (0, 1), _HEADING, 0.0),
-    ("the bearing row's position terms have their signs exchanged", (1,), (0, 1, 3, 4), -1.0),
+    ("the bearing row of H is zero, so bearings have no effect", (1,), (0, 1, 2, 3, 4), 0.0),
+    ("the heading column of H is zero", (0, 1), _HEADING, 0.0),
+    ("the position terms in the bearing row of H have the opposite sign", (1,), (0, 1, 3, 4), -1.0),
 )
 _ALL = (0, 1, 2, 3, 4)
 _BLOCKS: tuple[tuple[str, tuple[int, ...], tuple[int, ...]], ...] = (
     ("H", (0, 1), _ALL),
-    ("H's range row", (0,), _ALL),
-    ("H's bearing row", (1,), _ALL),
-    ("H's column by heading", (0, 1), _HEADING),
-    ("H's part by the landmark", (0, 1), _LANDMARK),
-    ("H's part by the vehicle's position", (0, 1), _POSITION),
-    ("H's part by the pose", (0, 1), (0, 1, 2)),
-    ("H's range row by position", (0,), _POSITION),
-    ("H's range row by the landmark", (0,), _LANDMARK),
-    ("H's bearing row by position", (1,), _POSITION),
-    ("H's bearing row by the landmark", (1,), _LANDMARK),
-    ("H's bearing row by place", (1,), (0, 1, 3, 4)),
+    ("the range row of H", (0,), _ALL),
+    ("the bearing row of H", (1,), _ALL),
+    ("the heading column of H", (0, 1), _HEADING),
+    ("the landmark block of H", (0, 1), _LANDMARK),
+    ("the position block of H", (0, 1), _POSITION),
+    ("the pose block of H", (0, 1), (0, 1, 2)),
+    ("the position part of the range row of H", (0,), _POSITION),
+    ("the landmark part of the range row of H", (0,), _LANDMARK),
+    ("the position part of the bearing row of H", (1,), _POSITION),
+    ("the landmark part of the bearing row of H", (1,), _LANDMARK),
+    ("the bearing row of H without its heading term", (1,), (0, 1, 3, 4)),
 )
 
 
@@ -459,10 +479,10 @@ def _of_jacobians(seen: _Seen, want: Array) -> Iterator[Hypothesis]:
         ("divided by the range twice", 1.0 / seen.z_hat[:, 0]),
     ):
         changed = np.where(place, want * ranges[:, None, None], want)
-        yield instead(f"the bearing row's position terms are {text}", changed)
+        yield instead(f"the position terms in the bearing row of H are {text}", changed)
     turned = want.copy()
     turned[:, :, 3:] = want[:, :, 3:].transpose(0, 2, 1)
-    yield instead("H's part by the landmark is transposed", turned)
+    yield instead("the landmark block of H is transposed", turned)
     for name, which, parts in _BLOCKS:
         yield scaled(name, want, _mask(which, parts))
 
@@ -474,7 +494,7 @@ def _of_jacobians(seen: _Seen, want: Array) -> Iterator[Hypothesis]:
         return np.concatenate((by_pose, by_landmark), axis=2)
 
     yield Hypothesis(
-        says("H is that of a sensor ({0:.4g}, {1:.4g}) m ahead and left of the pose"),
+        says("H is that of a sensor ({0:.4g}, {1:.4g}) m forward and left of the pose"),
         from_place,
         (0.0, 0.0),
     )
@@ -499,8 +519,7 @@ def _places(new: _Seen) -> Iterator[str]:
         features=new.features,
     )
     others = [
-        instead(f"landmarks begin from the pose {where.removeprefix('at the pose ')}",
-                from_pose(pose, z))
+        instead(f"new landmarks are initialised {where}", from_pose(pose, z))
         for where, pose in reversed(list(new.poses.items()))
     ]  # fmt: skip
     found = named(
@@ -508,7 +527,10 @@ def _places(new: _Seen) -> Iterator[str]:
         (
             *others,
             Hypothesis(
-                says("landmarks begin ({0:.4g}, {1:.4g}) m ahead and left of where they are seen"),
+                says(
+                    "new landmarks are initialised ({0:.4g}, {1:.4g}) m forward and left of "
+                    "their place"
+                ),
                 lambda rows, a, b: rays(
                     r.pose[rows],
                     moved(r.pose, a, b)[rows, :2] + _ray(r.pose[rows], z[rows]),
@@ -534,7 +556,7 @@ def _ray(pose: Array, z: Array) -> Array:
 
 def _behind(quantity: Quantity) -> str | None:
     other = instead(
-        "landmarks begin behind the vehicle: their direction lost its quadrant",
+        "new landmarks are initialised behind the vehicle: the quadrant is lost",
         quantity.meant + (0.0, np.pi),
     )
     return named(quantity, (other,))
@@ -577,22 +599,22 @@ def _by_new(pose: Array, z: Array) -> Array:
 def _of_new(new: _Seen, want: Array) -> Iterator[Hypothesis]:
     plain = want.copy()
     plain[:, :, 3:] = _TWO
-    yield instead("G_z is the identity: R is not rotated when a landmark begins", plain)
+    yield instead("G_z is the identity: R is not rotated when a landmark is initialised", plain)
     turned = want.copy()
     turned[:, :, 3:] = want[:, :, 3:].transpose(0, 2, 1)
     yield instead("G_z is transposed", turned)
     for where, pose in new.poses.items():
-        yield instead(f"G_x and G_z are taken {where}", _by_new(pose, new.z))
-    for text, column in (("G_z's column by bearing", 4), ("G_x's column by heading", 2)):
+        yield instead(f"G_x and G_z are linearised {where}", _by_new(pose, new.z))
+    for text, column in (("the bearing column of G_z", 4), ("the heading column of G_x", 2)):
         changed = want.copy()
         changed[:, :, column] /= new.z_hat[:, :1]
-        yield instead(f"{text} lacks the range", changed)
+        yield instead(f"{text} lacks the factor of the range", changed)
     for name, columns in (
-        ("G_x's column by heading", (2,)),
-        ("G_z's column by bearing", (4,)),
-        ("G_z's column by range", (3,)),
+        ("the heading column of G_x", (2,)),
+        ("the bearing column of G_z", (4,)),
+        ("the range column of G_z", (3,)),
         ("G_z", (3, 4)),
         ("G_x", (0, 1, 2)),
-        ("G_x's part by position", (0, 1)),
+        ("the position block of G_x", (0, 1)),
     ):
         yield scaled(name, want, _mask((0, 1), columns))

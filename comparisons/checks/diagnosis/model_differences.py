@@ -89,11 +89,11 @@ def model_differences(
         for width, merged in own.merges.items()
     }
     kinds = (
-        ("steps", "the predicted pose", *steps),
-        ("uses of measurements", "the innovation", *measurements[POINT]),
-        ("uses of positions", "the innovation", *positions),
+        ("predictions", "the predicted pose", *steps),
+        ("measurement updates", "the innovation", *measurements[POINT]),
+        ("position updates", "the innovation", *positions),
         ("measurements of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
-        ("fusions of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
+        ("merges of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
     )
     found = _priors(recorded.prior, own.prior, tolerance)
     for kind, place, said, meant in kinds:
@@ -102,8 +102,8 @@ def model_differences(
             off = ~(difference <= limit)
             if off.any():
                 uses = len(off) - initialised
-                if relation == "uses of measurements" and not off[:uses].any():
-                    relation, off, absent = "beginnings of landmarks", off[uses:], absent[uses:]
+                if relation == "measurement updates" and not off[:uses].any():
+                    relation, off, absent = "landmark initialisations", off[uses:], absent[uses:]
                 found.append(
                     ModelDifference(
                         relation=relation,
@@ -137,7 +137,7 @@ def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[Mod
         )
         for quantity, size, unit in (
             ("the pose", apart, "sigma"),
-            ("the covariance", spread, "of its size"),
+            ("the covariance", spread, "(relative)"),
         )
         if not size <= tolerance
     ]
@@ -155,13 +155,13 @@ def _compare(
         size = np.abs(want).max(axis=(1, 2))
         difference = np.abs(have - want).max(axis=(1, 2)) / np.where(size > 0.0, size, 1.0)
         absent = np.logical_not(have.any(axis=(1, 2)))
-        results.append((f"the Jacobian by {name}", "of its size", difference, absent))
+        results.append((f"the Jacobian with respect to {name}", "(relative)", difference, absent))
     nothing = np.zeros(len(said.place), dtype=bool)
     apart, within = whiten(meant.covariance, said.place - meant.place, said.covariance)
     results.append((place, "sigma", np.abs(apart).max(axis=1), nothing))
     (within,) = whiten(meant.covariance, within.transpose(0, 2, 1))
     spread = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
-    results.append(("the noise covariance", "of its size", spread, nothing))
+    results.append(("the noise covariance", "(relative)", spread, nothing))
     return results
 
 

@@ -110,7 +110,10 @@ def motion_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     """Yield what was done to the odometry."""
     trace, timeline = run.trace, run.timeline
     if len(trace.departed) != len(timeline.control):
-        yield f"{len(trace.departed)} predictions for {len(timeline.control)} intervals"
+        yield (
+            f"the trace has {len(trace.departed)} predictions, the log "
+            f"{len(timeline.control)} intervals"
+        )
         return
     drive = _Drive(motion_model(log), trace.departed, timeline.control, timeline.step_duration_s)
     every = np.arange(len(trace.departed))
@@ -120,7 +123,7 @@ def motion_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
         meant=meant,
         tolerance=EQUAL * np.maximum(1e-6, np.abs(meant).max())
         + rounding * 8.0 * max(float(np.abs(trace.departed).max()), np.pi),
-        records="steps",
+        records="predictions",
         features=_features(run),
     )
     odometry = log.odometry
@@ -147,8 +150,8 @@ def _features(run: EkfRun) -> Mapping[str, Array | Index]:
     timeline = run.timeline
     named_controls = {f"control {k + 1}": u for k, u in enumerate(timeline.control.T)}
     return {
-        "a time [s]": timeline.step_begin_s(),
-        "an interval [s]": timeline.step_duration_s,
+        "time [s]": timeline.step_begin_s(),
+        "interval [s]": timeline.step_duration_s,
         **named_controls,
     }
 
@@ -191,11 +194,11 @@ def _altered(
         return
     u, s, model = drive.control, drive.duration_s, drive.model
     car = isinstance(model, AckermannModel)
-    turn, unit = ("steering", "rad") if car else ("turn", "rad/s")
+    turn, unit = ("steering angle", "rad") if car else ("yaw rate", "rad/s")
     control, interval = drive.by_control, drive.by_interval
     yield control(f"the {turn} has the opposite sign", lambda: u * (1.0, -1.0))
     yield control("the speed has the opposite sign", lambda: u * (-1.0, 1.0))
-    yield interval("a step lasts the previous step's interval", lambda: np.roll(s, 1))
+    yield interval("a prediction uses the interval of the previous one", lambda: np.roll(s, 1))
     yield drive.by_vehicle("the control is applied twice", lambda: _Twice(model))
     yield from _vehicles(drive)
     yield control(
@@ -208,7 +211,7 @@ def _altered(
     )
     faster, longer = (
         "the speed is {0:.4g} times the log's",
-        "every control acts for {0:.4g} times its interval",
+        "every prediction lasts {0:.4g} times its interval",
     )
     if car:  # whose turn goes with the speed
         yield interval(f"{faster}, or {longer}", lambda k: k * s, 1.0)
@@ -249,7 +252,7 @@ def _vehicles(drive: _Drive) -> Iterator[_Mistake]:
 
     def other(text: str, *parts: str) -> _Mistake:
         own = [getattr(model, part) for part in parts]
-        said = text + f", where the log says {text.partition(' is ')[2]}".format(*own)
+        said = text + f", in the log {text.partition(' is ')[2]}".format(*own)
         return drive.by_vehicle(
             said, lambda *fit: replace(model, **dict(zip(parts, fit, strict=True))), *own
         )
@@ -262,11 +265,11 @@ def _vehicles(drive: _Drive) -> Iterator[_Mistake]:
         if getattr(model, part):
             yield without(f"{part} of the vehicle is left out", 0.0, part)
             yield without(f"{part} of the vehicle has the opposite sign", -1.0, part)
-    yield without("the sensor's place on the vehicle is left out", 0.0, *sensor)
+    yield without("the sensor's position on the vehicle is left out", 0.0, *sensor)
     yield other("the wheelbase is {0:.3f} m", "wheelbase_m")
     for part in ("encoder_offset_m", *sensor):
         yield other(f"{part} of the vehicle is {{0:.4g}}", part)
-    yield other("the sensor's place on the vehicle is ({0:.4g}, {1:.4g}) m", *sensor)
+    yield other("the sensor's position on the vehicle is ({0:.4g}, {1:.4g}) m", *sensor)
 
 
 def _other_samples(
@@ -297,11 +300,11 @@ def _other_samples(
             mixed = u.copy()
             mixed[:, k] = other[:, k]
             yield taken(f"the {name} is used {count} {side}", mixed)
-    for lag, which in ((1, "before"), (-1, "after")):
-        other, pair = at(0.0, lag), f"a sample and the one {which}"
+    for lag, which in ((1, "previous"), (-1, "next")):
+        other, pair = at(0.0, lag), f"a sample and the {which} one"
         yield taken(f"the control is the mean of {pair}", 0.5 * (u + other))
         yield drive.by_control(
-            f"the control lies between {pair}, {{0:.4g}} of the way",
+            f"the control is interpolated {{0:.4g}} of the way between {pair}",
             lambda share, other=other: u + share * (other - u),
             0.0,
         )
@@ -313,15 +316,15 @@ def _other_samples(
 def _other_displacements(drive: _Drive) -> Iterator[_Mistake]:
     """Of measured displacements ahead, left and turned."""
     u, control = drive.control, drive.by_control
-    for lag, which in ((1, "before"), (-1, "after")):
+    for lag, which in ((1, "previous"), (-1, "next")):
         yield control(
-            f"the displacement is the one {which}", lambda lag=lag: np.roll(u, lag, axis=0)
+            f"the displacement is the {which} one", lambda lag=lag: np.roll(u, lag, axis=0)
         )
     for name, part in (
-        ("the displacement's length", (1.0, 1.0, 0.0)),
-        ("the displacement's turn", (0.0, 0.0, 1.0)),
-        ("the displacement ahead", (1.0, 0.0, 0.0)),
-        ("the displacement to the left", (0.0, 1.0, 0.0)),
+        ("the translation of the displacement", (1.0, 1.0, 0.0)),
+        ("the rotation of the displacement", (0.0, 0.0, 1.0)),
+        ("the forward displacement", (1.0, 0.0, 0.0)),
+        ("the leftward displacement", (0.0, 1.0, 0.0)),
         ("the whole displacement", (1.0, 1.0, 1.0)),
     ):
         yield control(
@@ -330,9 +333,9 @@ def _other_displacements(drive: _Drive) -> Iterator[_Mistake]:
             1.0,
         )
     for name, column, unit in (
-        ("the displacement ahead", 0, "m"),
-        ("the displacement to the left", 1, "m"),
-        ("the displacement's turn", 2, "rad"),
+        ("the forward displacement", 0, "m"),
+        ("the leftward displacement", 1, "m"),
+        ("the rotation of the displacement", 2, "rad"),
     ):
         yield control(
             f"{name} has a bias of {{0:+.4g}} {unit}",
@@ -360,27 +363,27 @@ def _bent(moves: Quantity, drive: _Drive) -> Iterator[Hypothesis]:
         return np.column_stack((ways, turn))
 
     car = isinstance(drive.model, AckermannModel)
-    yield Hypothesis(says("the turn has a bias of {0:.3g} rad/s"), added(2), (0.0,))
-    yield scaled("the turn", meant, np.array((0.0, 0.0, 1.0)))
+    yield Hypothesis(says("the yaw rate has a bias of {0:.3g} rad/s"), added(2), (0.0,))
+    yield scaled("the rotation of a step", meant, np.array((0.0, 0.0, 1.0)))
     if car:  # the model leads along the departing heading
-        yield instead("the step leads along the arc, not along the departing heading",
+        yield instead("the step follows the arc, not the heading at its start",
                       along(0.5, arc=True))  # fmt: skip
-        yield instead("the step leads along the heading in its middle", along(0.5))
-        yield instead("the step leads along the arriving heading", along(1.0))
+        yield instead("the step follows the heading at its middle", along(0.5))
+        yield instead("the step follows the heading at its end", along(1.0))
     else:  # along the one in the middle
-        yield instead("the step leads along the departing heading", along(-0.5))
-        yield instead("the step leads along the arriving heading", along(0.5))
-        yield instead("the step leads along the arc, not along its chord",
+        yield instead("the step follows the heading at its start", along(-0.5))
+        yield instead("the step follows the heading at its end", along(0.5))
+        yield instead("the step has the length of the arc, not of the chord",
                       along(0.0, arc=True))  # fmt: skip
     yield Hypothesis(says("the vehicle slips {0:+.4g} m/s to the left"), added(1), (0.0,))
-    yield Hypothesis(says("the vehicle slips {0:+.4g} m/s ahead"), added(0), (0.0,))
-    yield scaled("the way", meant, np.array((1.0, 1.0, 0.0)))
+    yield Hypothesis(says("the vehicle slips {0:+.4g} m/s forward"), added(0), (0.0,))
+    yield scaled("the translation of a step", meant, np.array((1.0, 1.0, 0.0)))
 
     def turned_by(rows: Index, angle: float) -> Array:
         ways = _turned(meant[rows, :2], np.full(len(rows), angle))
         return np.column_stack((ways, meant[rows, 2]))
 
-    yield Hypothesis(says("the way is turned by {0:+.4g} rad"), turned_by, (0.0,))
+    yield Hypothesis(says("the direction of a step is rotated by {0:+.4g} rad"), turned_by, (0.0,))
 
 
 class _Twice:
@@ -420,19 +423,19 @@ def _jacobian(run: EkfRun, moves: Quantity) -> Iterator[str]:
         (
             instead("F is transposed", want.transpose(0, 2, 1)),
             instead("F is the identity", np.broadcast_to(np.eye(3), want.shape)),
-            instead("F is taken at the arriving pose", turned(1.0)),
-            instead("F is taken at the heading in the step's middle", turned(0.5)),
-            instead("F is taken at the departing pose of a step along its middle", turned(-0.5)),
-            instead("F is that of the step before", np.roll(want, 1, axis=0)),
-            instead("F turns its position terms by a right angle",
+            instead("F is linearised at the pose after the step", turned(1.0)),
+            instead("F is linearised at the heading at the middle of the step", turned(0.5)),
+            instead("F is linearised at the pose before the step, not at its middle", turned(-0.5)),
+            instead("F is that of the previous step", np.roll(want, 1, axis=0)),
+            instead("F's position terms are rotated by 90 degrees",
                     _quarter(want)),
-            scaled("F's position terms by heading", want, heading),
-            scaled("F's term of the heading", want, lower),
+            scaled("F's heading column", want, heading),
+            scaled("F's heading term", want, lower),
             scaled("F", want),
         ),
     )  # fmt: skip
     if found is not None:
-        yield found.replace("terms by heading has the", "terms by heading have the")
+        yield found
 
 
 def _quarter(want: Array) -> Array:
@@ -497,44 +500,44 @@ def _of_step_noise(wheels: Wheels, run: EkfRun, b: Array) -> Iterator[Hypothesis
     own = _spread(b, stated)
     full = own + added
     size = _sizes(full)
-    turn = "steering" if isinstance(wheels, SteeringOdometry) else "turn"
+    turn = "steering angle" if isinstance(wheels, SteeringOdometry) else "yaw rate"
 
     def other(text: str, control: Array, rates: Array = added) -> Hypothesis:
         return instead(text, (control + rates) / size)
 
-    yield other("the Jacobian by the control is not multiplied by the interval", own / s**2)
-    yield other("Q's part by the control grows with the interval, not with its square", own / s)
-    yield other("Q's part by the control is multiplied by the interval once more", own * s)
-    yield other("the stabilisation's rates are not multiplied by the interval", own, added / s)
-    yield other("the stabilisation's rates are left out", own, 0.0 * added)
-    yield other("Q is the stabilisation alone, without the control's noise", 0.0 * own)
+    yield other("the Jacobian of the control is not multiplied by the interval", own / s**2)
+    yield other("the control part of Q grows with the interval, not with its square", own / s)
+    yield other("the control part of Q is multiplied by the interval once too often", own * s)
+    yield other("the stabilisation noise is not multiplied by the interval", own, added / s)
+    yield other("the stabilisation noise is missing", own, 0.0 * added)
+    yield other("Q contains the stabilisation noise alone, without the control noise", 0.0 * own)
     parts = [stated * np.diag(unit) for unit in np.eye(stated.shape[1])]
     yield from _sigmas(b, stated, parts, other, turn)
     yield from _frames(run, own, other)
     split = [_spread(b, part) / size for part in parts]
     names = ("speed", turn)
     whole = {
-        "Q": (own, added),
-        **{f"Q's part by the {name}": (split[k] * size, full - split[k] * size)
+        "the control part of Q": (own, added),
+        **{f"the {name} part of Q": (split[k] * size, full - split[k] * size)
            for k, name in enumerate(names)},
-        "Q with the stabilisation": (full, 0.0 * full),
-        "the stabilisation": (added, own),
-        "the stabilisation of the position": (place, full - place),
-        "the stabilisation of the heading": (heading, full - heading),
+        "Q": (full, 0.0 * full),
+        "the stabilisation noise": (added, own),
+        "the stabilisation noise of the position": (place, full - place),
+        "the stabilisation noise of the heading": (heading, full - heading),
     }  # fmt: skip
     for name, (varied, kept) in whole.items():
         yield Hypothesis(times(name), _varied(varied / size, kept / size), (1.0,))
     rest = added / size
     yield Hypothesis(
-        says(f"Q's part by the speed is {{0:.4g}} times and that by the {turn} {{1:.4g}} times "
-             "what it should be"),
+        says(f"the speed part of Q is {{0:.4g}} times and the {turn} part {{1:.4g}} times the "
+             "correct value"),
         lambda rows, k, j: k * split[0][rows] + j * split[1][rows] + rest[rows],
         (1.0, 1.0),
     )  # fmt: skip
     middle = np.median(trace.q, axis=0)
-    yield instead("Q is the same in every step", np.broadcast_to(middle, full.shape) / size)
+    yield instead("Q is constant", np.broadcast_to(middle, full.shape) / size)
     at_rate = middle / float(np.median(s))
-    yield instead("Q is the same in every step but for the interval", at_rate * s / size)
+    yield instead("Q depends on the interval alone", at_rate * s / size)
 
 
 def _varied(varied: Array, kept: Array) -> Callable[..., Array]:
@@ -553,15 +556,15 @@ def _sigmas(
     turn: str,
 ) -> Iterator[Hypothesis]:
     """Sigmas for variances, and variances squared, in all of the control or one of it."""
-    yield other("Q holds sigma where its square belongs", _spread(b, np.sqrt(stated)))
-    yield other("Q holds variances that were squared twice", _spread(b, stated**2))
+    yield other("Q contains sigma instead of sigma squared", _spread(b, np.sqrt(stated)))
+    yield other("Q contains the square of the variances", _spread(b, stated**2))
     for k, name in enumerate(("speed", turn)):
         rest = stated - parts[k]
         for text, covariance in (
-            ("sigma where its square belongs", np.sqrt(parts[k])),
-            ("a variance that was squared twice", parts[k] ** 2),
+            ("sigma instead of sigma squared", np.sqrt(parts[k])),
+            ("the square of the variance", parts[k] ** 2),
         ):
-            yield other(f"Q's part by the {name} holds {text}", _spread(b, covariance + rest))
+            yield other(f"the {name} part of Q contains {text}", _spread(b, covariance + rest))
 
 
 def _frames(
@@ -570,10 +573,10 @@ def _frames(
     """The control's noise (N, 3, 3), turned by something else than it should be."""
     departed, arrived = run.trace.departed[:, 2], run.trace.arrived[:, 2]
     for text, by in (
-        ("Q is not turned: it is left in the vehicle's axes", -departed),
-        ("Q is turned by the arriving heading", arrived - departed),
-        ("Q is turned by the heading in the step's middle", 0.5 * (arrived - departed)),
-        ("Q is turned by the opposite heading", -2.0 * departed),
+        ("Q is not rotated: it stays in the vehicle's frame", -departed),
+        ("Q is rotated by the heading after the step", arrived - departed),
+        ("Q is rotated by the heading at the middle of the step", 0.5 * (arrived - departed)),
+        ("Q is rotated by the negative heading", -2.0 * departed),
     ):
         turned = _rotations(by)
         yield other(text, turned @ own @ turned.transpose(0, 2, 1))
@@ -608,24 +611,24 @@ def _displacement_noise(run: EkfRun, moves: Quantity) -> Iterator[str]:
     found = named(
         quantity,
         (
-            instead("Q is not turned: it is left in the frame of arrival", stated / size),
-            instead("Q is turned by the departing heading", turned(departed) / size),
-            instead("Q is turned by the opposite heading", turned(-arrived) / size),
-            instead("Q holds sigma where its square belongs",
+            instead("Q is not rotated: it stays in the frame after the step", stated / size),
+            instead("Q is rotated by the heading before the step", turned(departed) / size),
+            instead("Q is rotated by the negative heading", turned(-arrived) / size),
+            instead("Q contains sigma instead of sigma squared",
                     turned(arrived, np.sqrt(diagonal)) / size),
-            instead("Q holds variances that were squared twice",
+            instead("Q contains the square of the variances",
                     turned(arrived, diagonal**2) / size),
             scaled("Q", quantity.meant),
             *(
                 Hypothesis(
-                    times(f"Q's part by the {name}"),
+                    times(f"the {name} part of Q"),
                     _varied(
                         turned(arrived, stated * np.diag(mask)) / size,
                         turned(arrived, stated - stated * np.diag(mask)) / size,
                     ),
                     (1.0,),
                 )
-                for name, mask in (("place", (1.0, 1.0, 0.0)), ("turn", (0.0, 0.0, 1.0)))
+                for name, mask in (("position", (1.0, 1.0, 0.0)), ("heading", (0.0, 0.0, 1.0)))
             ),
         ),
     )  # fmt: skip

@@ -183,9 +183,9 @@ def computed_in_single(run: EkfRun, algebra: Gap, sigma: Array) -> str:
     if last <= first:
         how = f"stays near {max(first, last):.2g}"
     return (
-        f"the filter computes in single precision: its pose's gap {how} (medians); its own "
-        f"equations, filtered in single precision, end {like.sigma:.2g} sigma and "
-        f"{like.covariance:.2g} in the covariance off"
+        f"use double precision, since the filter computes in single precision: its gap of the pose "
+        f"{how} (medians); the same equations, computed in single precision, give a gap of "
+        f"{like.sigma:.2g} sigma in the mean and {like.covariance:.2g} in the covariance"
     )
 
 

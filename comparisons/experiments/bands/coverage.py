@@ -148,7 +148,7 @@ def _of_poses(f: FilterAgainstSmoother) -> Iterator[tuple[str, Figure]]:
     yield "halfway", _band(mean_band(1, int(f.dof[k])).holds(float(f.squared[k])))
     yield "share inside", _average(0.95, f.inside)
     yield "mean per dof", _average(1.0, f.mean_per_dof)
-    yield "share not surer", _average(1.0, 1.0 - len(f.overconfident) / len(f.time_s))
+    yield "share not overconfident", _average(1.0, 1.0 - len(f.overconfident) / len(f.time_s))
 
 
 def _of_residuals(test: ChiSquareTest) -> Iterator[tuple[str, Figure]]:

@@ -147,25 +147,25 @@ class NoiseLeftOut(KalmanState):
         return super().update(columns, jacobian, innovation, 1e-6 * noise)
 
 
-_AUGMENT, _PREDICT, _UPDATE = "the augmentation", "the prediction", "the update"
+_AUGMENT, _PREDICT, _UPDATE = "the landmark initialisation", "the prediction", "the update"
 
 DEFECTS = (
     Defect(
         "cross-covariance dropped at augmentation",
         "P between a new landmark and the map is left zero",
-        ("algebra", _AUGMENT, "the new landmarks' covariance with the map"),
+        ("algebra", _AUGMENT, "the cross-covariance of new landmarks and map"),
         with_state(NoCrossAtAugmentation),
     ),
     Defect(
         "vehicle dropped at augmentation",
         "P between a new landmark and the vehicle is left zero",
-        ("algebra", _AUGMENT, "the new landmarks' covariance with the vehicle"),
+        ("algebra", _AUGMENT, "the cross-covariance of new landmarks and vehicle"),
         with_state(NoVehicleAtAugmentation),
     ),
     Defect(
         "cross-covariance dropped at prediction",
         "P between vehicle and map is not multiplied by F",
-        ("algebra", _PREDICT, "the vehicle's covariance with the map"),
+        ("algebra", _PREDICT, "the cross-covariance of vehicle and map"),
         with_state(NoCrossAtPrediction),
     ),
     Defect(
@@ -189,7 +189,7 @@ DEFECTS = (
     Defect(
         "cross-covariance dropped at update",
         "the update leaves P between vehicle and map as it was",
-        ("algebra", _UPDATE, "the vehicle's covariance with the map"),
+        ("algebra", _UPDATE, "the cross-covariance of vehicle and map"),
         with_state(NoCrossAtUpdate),
     ),
     Defect(

@@ -193,7 +193,7 @@ DEFECTS = (
     Defect(
         "previous interval",
         "a step lasts as long as the one before it",
-        ("model", "the predicted pose", "the previous step's interval"),
+        ("model", "the predicted pose", "the interval of the previous one"),
         with_motion(PreviousInterval),
         "uneven",
     ),

@@ -284,7 +284,7 @@ EXPORTS: dict[str, Export] = {
     "one pose off by 0.5 m": of_path(_glitch),
     "2 cm of noise on the path": of_path(_wander),
     "path cut at 60 %": cut(lambda n: slice(0, 6 * n // 10)),
-    "path begun at 40 %": cut(lambda n: slice(4 * n // 10, n)),
+    "path starts at 40 %": cut(lambda n: slice(4 * n // 10, n)),
     "two landmarks exchanged": of_map(_exchanged),
     "landmarks' ids off by one": of_map(lambda m: np.roll(m, 1, axis=0)),
     "one landmark off by 0.2 m": of_map(_one_off),

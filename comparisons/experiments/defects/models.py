@@ -198,13 +198,13 @@ DEFECTS = (
     Defect(
         "bearing Jacobian as printed",
         "Nieto's eq. 2.42 with the bearing row's position terms as printed",
-        ("model", "bearing row", "signs"),
+        ("model", "bearing row", "opposite sign"),
         with_observation(PrintedBearingRow),
     ),
     Defect(
         "no heading column",
         "the measurement's Jacobian has zeros where the heading belongs",
-        ("model", "the Jacobian by heading is missing"),
+        ("model", "the Jacobian with respect to heading is missing"),
         with_observation(NoHeadingColumn),
     ),
     Defect(
@@ -228,7 +228,7 @@ DEFECTS = (
     Defect(
         "stale Jacobian",
         "H is linearised at the scan before",
-        ("model", "the Jacobian", "the scan before"),
+        ("model", "the Jacobian", "the previous scan"),
         with_observation(StaleJacobian),
     ),
     Defect(
@@ -240,25 +240,25 @@ DEFECTS = (
     Defect(
         "no heading at augmentation",
         "G_x has zeros where the heading belongs",
-        ("model", "beginnings of landmarks", "the Jacobian by heading is missing"),
+        ("model", "landmark initialisations", "the Jacobian with respect to heading is missing"),
         with_observation(NoHeadingAtAugmentation),
     ),
     Defect(
         "landmark from the old pose",
         "a landmark is initialised at the pose before the update",
-        ("model", "beginnings of landmarks", "pose before the update"),
+        ("model", "landmark initialisations", "pose before the update"),
         with_observation(FromOldPose),
     ),
     Defect(
         "wrong quadrant",
         "a new landmark's direction by atan where atan2 belongs",
-        ("model", "beginnings of landmarks", "quadrant"),
+        ("model", "landmark initialisations", "quadrant"),
         with_observation(WrongQuadrant),
     ),
     Defect(
         "steering sign",
         "steering counted positive to the right",
-        ("model", "the predicted pose", "steering has the opposite sign"),
+        ("model", "the predicted pose", "steering angle has the opposite sign"),
         with_motion(SteeringSign),
     ),
     Defect(
@@ -270,13 +270,13 @@ DEFECTS = (
     Defect(
         "sensor's place left out",
         "the sensor is taken to be at the middle of the rear axle",
-        ("model", "the predicted pose", "sensor's place"),
+        ("model", "the predicted pose", "sensor's position"),
         with_motion(_sensor_at_axle),
     ),
     Defect(
         "F the identity",
         "P is predicted without the motion's Jacobian",
-        ("model", "the Jacobian by heading", "F is the identity"),
+        ("model", "the Jacobian with respect to heading", "F is the identity"),
         with_motion(IdentityF),
     ),
     Defect(
@@ -288,19 +288,19 @@ DEFECTS = (
     Defect(
         "heading drift",
         f"every step turns {_DRIFT_RADPS} rad/s too far",
-        ("model", "the predicted pose", "turn has a bias"),
+        ("model", "the predicted pose", "yaw rate has a bias"),
         with_motion(HeadingDrift),
     ),
     Defect(
         "F's position terms' sign",
         "the motion's Jacobian by heading has the opposite sign",
-        ("model", "the Jacobian by heading", "opposite sign"),
+        ("model", "the Jacobian with respect to heading", "opposite sign"),
         with_motion(HeadingColumnSign),
     ),
     Defect(
         "lever arm left out",
         "positions are taken for those of the vehicle, not of its antenna",
-        ("model", "uses of positions", "lever arm"),
+        ("model", "position updates", "lever arm"),
         _no_lever,
         "positions",
     ),

@@ -62,13 +62,13 @@ DEFECTS = (
     Defect(
         "sigma squared twice",
         "R holds sigma^4",
-        ("model", "the noise covariance", "squared twice"),
+        ("model", "the noise covariance", "square of the variances"),
         with_observation(SigmaSquaredTwice),
     ),
     Defect(
         "sigma for variance in R",
         "R holds sigma",
-        ("model", "the noise covariance", "R holds sigma"),
+        ("model", "the noise covariance", "R contains sigma"),
         with_observation(SigmaForVariance),
     ),
     Defect(
@@ -86,7 +86,7 @@ DEFECTS = (
     Defect(
         "sigma for variance in Q",
         "the control's covariance holds sigma",
-        ("model", "the noise covariance", "Q holds sigma"),
+        ("model", "the noise covariance", "Q contains sigma"),
         with_steps(ControlSigmaForVariance),
     ),
     Defect(

@@ -218,7 +218,7 @@ def blocks(range_m: float, bearing: float) -> Callable[[object, object, Array], 
     return lambda f, i, r: r * np.diag([range_m, bearing])
 
 
-Q_ALSO = r"^Q |noise of the"  # Q follows the control that was used
+Q_ALSO = r"^Q |^the control part of Q is|noise of the"  # Q follows the control that was used
 FAULTS = (
     # What is measured, and what is expected.
     Fault("range scale", r"range is 1\.03 times", seen(scaled(1.03, 1.0)), "landmarks"),
@@ -255,7 +255,7 @@ FAULTS = (
         "bearing bias later on", r"bearing.*0\.05.*(from|since|time).*30",
         seen(lambda f, i, z: z + (0.0, 0.05 * (time_of(f, i) > 30.0))), "landmarks",
     ),
-    Fault("bearing of the measurement before", r"bearing.*before", seen(shifted), "landmarks"),
+    Fault("bearing of the measurement before", r"bearing.*previous", seen(shifted), "landmarks"),
     Fault(
         "expected from the departing pose", r"expected.*before the (last )?prediction",
         lambda f: replace(f, expected=lambda f, x, m: own.expected(f, f.before, m)),
@@ -277,7 +277,7 @@ FAULTS = (
         noisy(lambda f, i, r: r + 0.3 * np.sqrt(r[0, 0] * r[1, 1]) * (1.0 - np.eye(2))),
     ),
     Fault(
-        "bearing's sigma for variance", r"R.*bearing.*sigma where its square",
+        "bearing's sigma for variance", r"R.*bearing.*sigma instead",
         noisy(lambda f, i, r: np.diag([r[0, 0], np.sqrt(r[1, 1])])),
     ),
     Fault(
@@ -287,7 +287,7 @@ FAULTS = (
         "R of new landmarks' bearing halved", r"R of new landmarks.*bearing.* 0\.5 times",
         new_noise(lambda r: r * np.diag([1.0, 0.5])),
     ),
-    Fault("sigma in new landmarks", r"R of new landmarks.*sigma where", new_noise(np.sqrt)),
+    Fault("sigma in new landmarks", r"R of new landmarks.*sigma instead", new_noise(np.sqrt)),
     # H.
     Fault(
         "heading column's sign", r"heading.*opposite sign",
@@ -303,19 +303,20 @@ FAULTS = (
         "landmark columns halved", r"landmark.* 0\.5 times",
         rows(lambda h, x, m: h * (1, 1, 1, 0.5, 0.5)),
     ),
-    Fault("H at the first place", r"H.*(first|began)", lambda f: replace(f, by_state=at_first)),
+    Fault("H at the first place", r"H.*(first|initial)", lambda f: replace(f, by_state=at_first)),
     Fault(
         "H before the prediction", r"H.*before the last prediction",
         lambda f: replace(f, by_state=lambda f, x, m: own.by_state(f, f.before, m)),
     ),
     # Steps.
-    Fault("speed scale", r"(speed is|acts for) 1\.02 times", driven(scaled(1.02, 1.0)), Q_ALSO),
+    Fault("speed scale", r"(speed is|lasts) 1\.02 times", driven(scaled(1.02, 1.0)), Q_ALSO),
     Fault("speed bias", r"speed.*0\.05 m/s", driven(added(0.05, 0.0)), Q_ALSO),
-    Fault("steering scale", r"(steering|turn) is 1\.05 times", driven(scaled(1.0, 1.05)), Q_ALSO),
-    Fault("steering bias", r"(steering|turn).*0\.01 rad", driven(added(0.0, 0.01)), Q_ALSO),
-    Fault("turn scale", r"turn.* 0\.95 times", faster(0.95)),
+    Fault("steering scale", r"(steering angle|yaw rate) is 1\.05 times",
+          driven(scaled(1.0, 1.05)), Q_ALSO),
+    Fault("steering bias", r"(steering|yaw rate).*0\.01 rad", driven(added(0.0, 0.01)), Q_ALSO),
+    Fault("turn scale", r"(rotation|yaw rate).* 0\.95 times", faster(0.95)),
     Fault(
-        "speed and steering scaled", r"speed is 1\.01.*(steering|turn).*0\.98",
+        "speed and steering scaled", r"speed is 1\.01.*(steering|yaw rate).*0\.98",
         driven(scaled(1.01, 0.98)), Q_ALSO,
     ),
     Fault(
@@ -334,34 +335,34 @@ FAULTS = (
         "mean of two samples", r"mean|average|between",
         driven(lambda f, k, u: 0.5 * (u + lagged(f, k, 1))), Q_ALSO,
     ),
-    Fault("F at the arriving pose", r"F.*arriv", f_turned(1.0)),
+    Fault("F at the arriving pose", r"F.*after the step", f_turned(1.0)),
     Fault("F at the middle", r"F.*(middle|0\.5)", f_turned(0.5)),
     Fault("step along the middle heading", r"(middle|0\.5).*heading|heading.*middle", middle(0.5),
-          r"^F is taken at the departing", "car"),
+          r"^F is linearised at the pose before", "car"),
     Fault("step along the arc", r"\barc\b", middle(0.5, shrunk=True), Q_ALSO, "car"),
     Fault("sensor's place on the car", r"sensor_forward_m.*3\.5\b", car(sensor_forward_m=3.5),
           Q_ALSO, "car"),
     Fault("encoder's place", r"encoder_offset_m.*0\.5\b", car(encoder_offset_m=0.5), Q_ALSO, "car"),
     # Q.
     Fault(
-        "Q not turned", r"Q.*(not turned|vehicle's frame|vehicle's axes)",
+        "Q not turned", r"Q.*(not rotated|vehicle's frame|vehicle's axes)",
         spread(lambda q, x, y, dt: turned(-x[2]) @ q @ turned(-x[2]).T),
     ),
     Fault(
-        "Q turned by the arriving heading", r"Q.*arriv",
+        "Q turned by the arriving heading", r"Q.*after the step",
         spread(lambda q, x, y, dt: turned(y[2] - x[2]) @ q @ turned(y[2] - x[2]).T),
     ),
     Fault("Q times 3", r"Q is 3 times", spread(lambda q, x, y, dt: 3.0 * q)),
     Fault(
-        "speed's noise times 4", r"(Q|noise).*speed.* 4 times",
+        "speed's noise times 4", r"speed.*Q.* 4 times",
         control_sigma(lambda s: s * np.diag([4.0, 1.0])),
     ),
     Fault(
-        "turn's noise times 0.25", r"(Q|noise).*(turn|steering).* 0\.25 times",
+        "turn's noise times 0.25", r"(yaw rate|steering).*Q.* 0\.25 times",
         control_sigma(lambda s: s * np.diag([1.0, 0.25])),
     ),
     Fault(
-        "turn's sigma for variance", r"Q.*(turn|steering).*sigma where",
+        "turn's sigma for variance", r"(yaw rate|steering).*Q.*sigma instead",
         control_sigma(lambda s: np.diag([s[0, 0], np.sqrt(s[1, 1])])),
     ),
     Fault(
@@ -402,12 +403,12 @@ FAULTS = (
         log="positions",
     ),
     Fault(
-        "positions' sigma for variance", r"(R|noise).*position.*sigma where",
+        "positions' sigma for variance", r"(R|noise).*position.*sigma instead",
         lambda f: replace(f, place_noise=lambda f, g: np.sqrt(own.place_noise(f, g))),
         log="positions",
     ),
     Fault(
-        "lever arm not turned", r"(lever|antenna).*not turned",
+        "lever arm not turned", r"(lever|antenna).*not rotated",
         lambda f: replace(f, arm=lambda f, x: f.cast(own.lever(f))),
         r"position.*(heading|H)", "positions",
     ),
@@ -450,39 +451,39 @@ HELD_OUT = (
           driven(lambda f, k, u: np.clip(u, -np.inf, (np.inf, 0.05))), Q_ALSO),
     Fault("slow speeds dropped", r"speed.*(zero|always 0 )",
           driven(lambda f, k, u: u * (u[0] > 2.8, 1.0)), Q_ALSO),
-    Fault("slip in left turns", r"(speed is|acts for) 0\.97",
+    Fault("slip in left turns", r"(speed is|lasts) 0\.97",
           driven(lambda f, k, u: u * (0.97 if u[1] > 0.0 else 1.0, 1.0)), Q_ALSO),
     Fault("beam off by one", r"bearing.*0\.0087",
           seen(added(0.0, np.radians(0.5))), "landmarks"),
-    Fault("steering scaled with a bias", r"steering is 1\.1 times.*-0\.02",
+    Fault("steering scaled with a bias", r"steering angle is 1\.1 times.*-0\.02",
           driven(lambda f, k, u: u * (1.0, 1.1) - (0.0, 0.02)), Q_ALSO),
     Fault("measurements 50 ms late", r"0\.05 s", extrapolated(0.05)),
-    Fault("H where it was seen", r"H.*measurement puts", lambda f: replace(f, by_state=at_seen)),
+    Fault("H where it was seen", r"H.*measurement gives", lambda f: replace(f, by_state=at_seen)),
     Fault("bearing row of the old pose", r"bearing row.*before the last prediction",
           lambda f: replace(f, by_state=mixed_rows)),
     Fault("half the range for new ones", r"landmarks' range is 0\.5 times",
           lambda f: replace(f, measured_new=lambda f, i: own.measured(f, i) * (0.5, 1.0))),
-    Fault("bearing noise added", r"R of the bearing (has 0\.0001 added|is 1\.328)",
+    Fault("bearing noise added", r"R of the bearing (has a constant of 0\.0001 added|is 1\.328)",
           noisy(lambda f, i, r: r + np.diag([0.0, 1e-4]))),
-    Fault("far R halved", r"R is 0\.5 times.*range.* from 15",
+    Fault("far R halved", r"R is 0\.5 times.*range.* 15",
           noisy(lambda f, i, r: r * (0.5 if own.measured(f, i)[0] > 15.0 else 1.0))),
-    Fault("new R grows", r"R of new landmarks of the range.*grow",
+    Fault("new R grows", r"R of new landmarks of the range is .* times .*range",
           lambda f: replace(f, noise_new=lambda f, i: f.cast(
               np.diag([(0.05 * own.measured(f, i)[0]) ** 2, own.noise(f, i)[1, 1]])))),
-    Fault("new R exchanged", r"R of new landmarks exchanges",
+    Fault("new R exchanged", r"R of new landmarks has the variances",
           new_noise(lambda r: r[::-1, ::-1])),
-    Fault("prior's sigma for variance", r"prior's covariance holds sigma",
+    Fault("prior's sigma for variance", r"prior's covariance contains sigma",
           lambda f: replace(f, prior_covariance=np.sqrt(f.prior_covariance))),
-    Fault("trapezoid", r"mean of a sample and the one after",
+    Fault("trapezoid", r"mean of a sample and the next one",
           driven(lambda f, k, u: 0.5 * (u + lagged(f, k, -1))), Q_ALSO),
-    Fault("a third of the way", r"between a sample and the one after.*0\.3\b",
+    Fault("a third of the way", r"0\.3 of the way between a sample and the next one",
           driven(lambda f, k, u: u + 0.3 * (lagged(f, k, -1) - u)), Q_ALSO),
-    Fault("interval in centiseconds", r"(interval|acts for)",
+    Fault("interval in centiseconds", r"(interval|lasts)",
           lambda f: replace(f, duration=lambda f, k: max(
             0.01, np.floor(own.duration(f, k) * 100) / 100)),
           Q_ALSO),
     Fault("shorter wheelbase", r"wheelbase is 2\.500 m", car(wheelbase_m=2.5), Q_ALSO, "car"),
-    Fault("speed noise with the speed", r"Q.*speed.*(grow|proportion)",
+    Fault("speed noise with the speed", r"speed.*Q.*(grow|proportion)",
           lambda f: replace(f, by_control=lambda f, x, y, u, dt: f.cast(
               own.by_control(f, x, y, u, dt) * (abs(u[0]), 1.0)))),
     Fault("positions mirrored", r"east and north",

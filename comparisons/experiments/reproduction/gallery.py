@@ -25,7 +25,7 @@ def gallery(result: ReproductionResult, pictures: Mapping[str, bytes]) -> str:
         f'<p><span class="verdict {kind}">{outcome}</span> '
         f"{met} of {len(claims)} claims hold; {len(result.figures)} figures, "
         f"{len(result.skipped)} skipped, {result.seconds:.0f} s</p>",
-        '<p class="note">Claims are told in our words. Environments are those of the documents as '
+        '<p class="note">Claims are in our words. Environments are those of the documents as '
         "far as these describe them; where things stand in simulated ones is ours.</p>",
         _contents(result),
         *(_figure(figure, pictures[figure.name]) for figure in result.figures),

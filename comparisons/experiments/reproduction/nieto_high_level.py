@@ -243,7 +243,7 @@ def claims_6_5(found: HighLevelDrives) -> list[Claim]:
     kept = [int(np.count_nonzero(d.run.landmark_index >= 0)) for d in found.each]
     return [
         at_least("the first search has three candidates (fewest of the drives)", min(shown),
-                 CANDIDATES, why="ours depends on where objects stand, which is not told"),
+                 CANDIDATES, why="ours depends on where objects stand, which is not stated"),
         at_least("at least one of them is accepted (fewest)", min(taken), FIRST),
         at_least(
             "and others are rejected for too few Gaussians (fewest)",

@@ -153,7 +153,7 @@ FIGURES: tuple[AnyFigure, ...] = (
         name="N3.5",
         title="Decorrelation of a point within its region",
         source="Nieto 2005, Fig. 3.5",
-        says="A point close to three landmarks is highly correlated with them; told in their "
+        says="A point close to three landmarks is highly correlated with them; expressed in their "
         "frame it "
         "is almost uncorrelated with the rest of the map, and far better known.",
         experiment=EXPERIMENT,

@@ -170,17 +170,17 @@ def _decided_alike(first: Array, second: Array) -> float | None:
 
 def dense_cause(maps: DenseAgreement) -> Cause:
     """The dense maps of both."""
-    evidence = f"the dense maps are {maps.median_m:.2f} m apart (median of the worst layer)"
+    evidence = f"the dense maps differ by {maps.median_m:.2f} m (median of the worst layer)"
     if maps.regions:
         worst = maps.regions[0]
         far = len({row.region for row in maps.regions if row.distance_m > AGREE_M})
         evidence += (
-            f"; {far} regions are more than {AGREE_M:g} m off, region {worst.region} by "
+            f"; {far} regions differ by more than {AGREE_M:g} m, region {worst.region} most, by "
             f"{worst.distance_m:.2f} m ({worst.layer})"
         )
     return Cause(
         "dense",
         evidence,
-        "look at the corners of that region: landmarks that were not yet well known relative to "
-        "each other, or to the vehicle, when the scans were taken",
+        "check the landmarks at the corners of that region: they may have been uncertain relative "
+        "to each other, or to the vehicle, when the scans were taken",
     )

@@ -176,7 +176,7 @@ class DenseWatcher:
         self._scans = PlanarScans(log)
         if "values" in options.kept_layers and not self._scans.valued:
             raise InputError(
-                f"{log.name}: its scans hold no intensities, which the layer of values is made of"
+                f"{log.name}: its scans have no intensities, which the layer of values needs"
             )
         self._next = 0
         self.options, self._kinds = options.settled(points=POINT in kinds), kinds

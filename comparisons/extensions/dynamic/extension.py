@@ -49,15 +49,19 @@ class DynamicFinding(Finding):
             return
         placed = watcher.dense.regions.placed(watcher.dense.landmark)
         count = int(places(layer.points(placed)).max(initial=-1)) + 1
-        found = f"something moves in {count} places, {layer.area_m2(placed):.1f} m2 in all"
-        self.remarks = [found if count else "nothing was seen to move"]
+        found = (
+            f"something moves in {count} places, with a total area of "
+            f"{layer.area_m2(placed):.1f} m^2"
+        )
+        self.remarks = [found if count else "no motion was detected"]
         moves = watcher.moves
         if moves.compared <= moves.deformed:
             pairs = moves.compared + moves.deformed
             why = (
-                f"of {pairs} pairs of maps {moves.deformed} could not be compared, since their "
-                "region had changed its shape; it takes three landmarks that stand still"
+                f"{moves.deformed} of {pairs} pairs of maps could not be compared, since the "
+                "shape of "
+                "their region changed; a region needs three static landmarks"
                 if pairs
-                else "no region had two maps to compare; it takes three landmarks that make one"
+                else "no region had two maps to compare; a region needs three landmarks"
             )
-            self.remarks.append(f"whether anything moves is hardly known: {why}")
+            self.remarks.append(f"motion could hardly be detected: {why}")

@@ -97,12 +97,12 @@ def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
     p = own.partition
     return Cause(
         "association",
-        f"with its own association the smoother's last pose is {own.pose.difference_m:.2f} m "
-        f"({own.pose.distance:.1f} sigma) elsewhere; of the pairs of measurements put together "
-        f"{100.0 * p.agreement:.0f} % are the same, {p.splits} of the filter's landmarks are split "
-        f"and {p.merges} of the smoother's" + _costliest(own, run),
-        "look at the measurements where the two differ: a wrong closure, or landmarks too near to "
-        "tell apart",
+        f"the smoother's own association moves its last pose by {own.pose.difference_m:.2f} m "
+        f"({own.pose.distance:.1f} sigma); the two associations share {100.0 * p.agreement:.0f} % "
+        f"of their pairs of measurements, the smoother splits {p.splits} landmarks of the filter "
+        f"and merges others into {p.merges}" + _costliest(own, run),
+        "check the measurements whose association differs: for a wrong loop closure, and for "
+        "landmarks too close to distinguish",
         alone=True,
     )
 
@@ -117,8 +117,8 @@ def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
     t = run.estimate.time_s[run.timeline.measurement_epoch[row]]
     theirs, ours = own.cost[worst]
     return (
-        f"; measurement {row} at {t:.1f} s misses the filter's landmark "
-        f"{run.estimate.landmark_id[run.landmark_index[row]]} by {theirs**0.5:.1f} sigma of its "
-        "noise, the "
-        f"smoother's own by {ours**0.5:.1f}"
+        f"; the residual of measurement {row} at {t:.1f} s is {theirs**0.5:.1f} sigma with the "
+        f"filter's landmark {run.estimate.landmark_id[run.landmark_index[row]]} and "
+        f"{ours**0.5:.1f} sigma "
+        "with the smoother's own"
     )

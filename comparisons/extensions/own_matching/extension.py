@@ -46,7 +46,8 @@ class OwnMatchingFinding(Finding):
         self.titles = {"own-matcher": "smoother, own matcher"}
         if not own.optimality.verified:
             self.remarks = [
-                "the smoother with its own matcher is unverified: it has no say in the verdict"
+                "the optimum of the smoother with its own matcher is not verified, so the "
+                "verdict ignores it"
             ]
         elif not own.agrees:
             self.causes = [matching_cause(own, compared.ekf)]

@@ -102,7 +102,7 @@ class LogScans:
         """Raises InputError for a log without planar scans, or with none at the time of a pose."""
         if log.scans is None or not len(log.scans.time_s):
             raise InputError(
-                f"{log.name}: holds no planar scans, of which scan landmarks are made; "
+                f"{log.name}: has no planar scans, which scan landmarks need; "
                 "use --landmarks points"
             )
         self._planar = PlanarScans(log)

@@ -43,11 +43,11 @@ def increment_result(check: IncrementCheck | None) -> IncrementResult | None:
 
 
 def increment_remarks(check: IncrementCheck | None) -> list[str]:
-    """A sentence where the increments are much surer than they may be."""
+    """Remark on increments whose sigmas are much too small."""
     if check is None or check.factor <= _SURE:
         return []
     return [
-        f"the increments are surer than they may be: by {check.against} their sigmas should be "
+        f"the sigmas of the scan odometry are too small: by {check.against} they should be "
         f"{check.factor:.1f} times as large"
     ]
 

@@ -45,13 +45,14 @@ class ThreeWay:
         remarks, test = [], self.chi_square
         if not self.optimality.verified:
             remarks.append(
-                "the smoother on scans is unverified, so its map has no say in the verdict"
+                "the optimum of the smoother on scans is not verified, so the verdict ignores "
+                "its map"
             )
         if test.reading == "too high":
             remarks.append(
                 f"on scans, chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is too "
-                "high: the increments are surer than they may be, or scans and measurements "
-                "contradict"
+                "high: the sigmas of the scan odometry are too small, or scans and measurements "
+                "contradict each other"
             )
         return remarks
 
@@ -81,8 +82,9 @@ def find_inconsistent_source(
         if optimality.chi_square.reading == "too high" and other.chi_square.reading != "too high":
             test = optimality.chi_square
             return name, (
-                f"with the {name}' motion chi-square is {test.chi2:.0f} for {test.dof} degrees of "
-                "freedom, too high"
+                f"chi-square with the motion from {name} is too high, {test.chi2:.0f} for "
+                f"{test.dof} "
+                "degrees of freedom"
             )
     figures = ("ate_aligned_m", "gps_rms_aligned_m", "landmark_rmse_aligned_m")
     for figure in figures:
@@ -90,21 +92,26 @@ def find_inconsistent_source(
         if w is not None and s is not None and max(w, s) > _CLEARLY * min(w, s):
             name = "wheels" if w > s else "scans"
             return name, f"{figure} is {w:.3f} on wheels and {s:.3f} on scans"
-    return "", "neither chi-square nor a reference tells which"
+    return "", "neither chi-square nor a reference shows which of the two is wrong"
 
 
 def motion_cause(three_way: ThreeWay) -> Cause:
     """Wheels against scans."""
     pair = three_way.ekf
     hint = {
-        "wheels": "look at the odometry: its sigmas, the wheelbase, the scale of speed and turn",
-        "scans": "look at the scan odometry: increments' factor, open directions, failures",
-        "": "compare both with GPS or truth, or look at both motions' sigmas",
+        "wheels": (
+            "check the wheel odometry: its sigmas, the wheelbase, the scale of speed and yaw rate"
+        ),
+        "scans": (
+            "check the scan odometry: the factor of its sigmas, unobservable directions, "
+            "failed scans"
+        ),
+        "": "compare both with GPS or truth, and check the sigmas of both",
     }[three_way.inconsistent_source]
     return Cause(
         "motion",
         f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "
-        f"{len(pair.distance_sigma)} landmarks beyond their 99 % region; {three_way.evidence}",
+        f"{len(pair.distance_sigma)} landmarks lie outside their 99 % region; {three_way.evidence}",
         hint,
         alone=True,
     )

@@ -32,7 +32,9 @@ class Reader(NamedTuple):
         robot: number of the robot, where there are several. topics: to read, where they have names.
         """
         if topics and not self.topics:
-            raise InputError(f"{path}: is no ROS bag, so --topic {topics[0]} names nothing in it")
+            raise InputError(
+                f"{path}: is not a ROS bag, so --topic {topics[0]} names nothing in it"
+            )
         read = import_module(self.module).read
         more = (robot,) * self.robots + (topics,) * self.topics
         found: Log = read(path, *more)

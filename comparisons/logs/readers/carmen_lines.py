@@ -164,7 +164,7 @@ class LineReader:
         angle, ranges = sweep.angle_rad, sweep.range_m
         if (ranges < 0).any():
             raise InputError(
-                f"{self.path}:{number}: range is {ranges[ranges < 0][0]:g}, expected from 0 on"
+                f"{self.path}:{number}: range is {ranges[ranges < 0][0]:g}, expected 0 or more"
             )
         if not sweeps.line:
             sweeps.angle = angle

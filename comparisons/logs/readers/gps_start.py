@@ -74,8 +74,8 @@ def lay_path(
     fixes = positions.position_m[early] @ np.array([1.0, 1j])
     if len(fixes) < 2 or np.ptp(np.abs(at_fixes - at_fixes[0])) < _LEAST_MOTION_M:
         raise InputError(
-            f"positions: the first {until_s:g} s do not show the heading, expected fixes along "
-            f"{_LEAST_MOTION_M:g} m at least"
+            f"positions: the first {until_s:g} s do not determine the heading, expected fixes "
+            f"along at least {_LEAST_MOTION_M:g} m"
         )
     centre_path, centre_fixes = at_fixes.mean(), fixes.mean()
     start_heading = float(np.angle(np.vdot(at_fixes - centre_path, fixes - centre_fixes)))

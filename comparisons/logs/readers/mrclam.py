@@ -89,7 +89,9 @@ def read(path: Path, robot: int) -> Log:
             variance[:, :, None] * np.eye(2),
         )
     if not truth.time_s[0] <= 0.0 <= truth.time_s[-1]:
-        raise InputError(f"{captured.path}: does not cover the odometry's start, needed as prior")
+        raise InputError(
+            f"{captured.path}: does not cover the start of the odometry, which gives the prior"
+        )
     first = np.array([np.interp(0.0, truth.time_s, truth.pose[:, i]) for i in range(3)])
     return Log(
         name=f"{path.name.lower()}-robot-{robot}",

@@ -203,8 +203,8 @@ def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Driv
         ticks = [tick for tick in ticks if sampled[0] <= tick <= sampled[-1]]
     if not ticks:
         raise InputError(
-            f"{path}: no measurements or scans within the time of the odometry, expected at least "
-            "one"
+            f"{path}: no measurements or scans within the time of the odometry, expected at "
+            "least one"
         )
     time_s = np.array([tick - ticks[0] for tick in ticks], dtype=float) / _TICKS_PER_S
     frames = [stream.Frame(at=seen[tick][0].at, observations=tuple(seen[tick])) for tick in ticks]
@@ -263,7 +263,8 @@ def _check_planar(path: Path, item: stream.Seen) -> None:
     if not (np.abs(pitch) <= _FLAT_RAD).all():
         worst = float(pitch[~(np.abs(pitch) <= _FLAT_RAD)][0])
         raise InputError(
-            f"{place}: a pitch of {worst:.3g} rad, that is landmarks in space, expected planar ones"
+            f"{place}: a pitch of {worst:.3g} rad, which means landmarks in space, expected "
+            "landmarks in the plane"
         )
     level, offset = item.sensor[2, 2], item.sensor[:2, 3]
     if not (level >= _LEVEL and (np.abs(offset) <= 1e-6).all()):

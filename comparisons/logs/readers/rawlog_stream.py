@@ -364,7 +364,8 @@ def _bearing_range(stream: _Stream, start: int, version: int) -> Seen:
     if stream.number("B"):
         raise stream.fault(
             start,
-            "CObservationBearingRange with a covariance for each measurement, expected sigmas",
+            "CObservationBearingRange with a covariance for each measurement, expected one "
+            "sigma for all",
         )
     sigma = stream.numbers("3f")
     count = stream.number("I")

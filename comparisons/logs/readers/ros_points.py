@@ -119,7 +119,7 @@ def range_bearing(points: Points, place: Array) -> tuple[Array, Array]:
     x, y, _ = (points.point_m @ place[:3, :3].T + place[:3, 3]).T
     distance = np.hypot(x, y)
     if not distance.all():
-        raise InputError("a point lies at the vehicle's pose, expected some way off")
+        raise InputError("a point lies at the vehicle's pose, expected at a distance from it")
     slope = np.array(((x / distance, y / distance), (-y / distance**2, x / distance**2)))
     planar = (place[:3, :3] @ points.covariance @ place[:3, :3].T)[:, :2, :2]
     variance = np.einsum("ijp,pjk,ikp->pi", slope, planar, slope)
@@ -168,7 +168,7 @@ def odometry_noise(time_s: Array, rows: Array) -> tuple[Array | None, str]:
         return None, "one message of Odometry"
     grown = _growth(rows[:, :3], rows[:, 6:].reshape(-1, 3, 3))
     if grown is not None:
-        return grown, "the growth of Odometry's pose covariances"
+        return grown, "the increments of Odometry's pose covariances"
     variance = rows[:-1, 3:6]
     if (
         (variance[:, [0, 2]] > 0).all()

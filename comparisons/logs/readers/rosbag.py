@@ -330,7 +330,7 @@ def _positions(
     covariance = turn[:2, :2] @ covariance @ turn[:2, :2].T
     where.provenance["positions"] = (
         f"WGS 84 about the first fix; {spent + 1} fixes up to {time_s[spent]:g} s laid onto the "
-        f"odometry, their knowledge in the prior; {int(stated.sum())} of {len(rows)} without "
+        f"odometry, used for the prior; {int(stated.sum())} of {len(rows)} without "
         f"covariance, stated {ros_points.SIGMA_FIX_M:g} m"
     )
     prior = Prior(0.0, prior.pose, prior.covariance + turn @ start.covariance @ turn.T)
@@ -391,12 +391,12 @@ def _stream(
             raise InputError(
                 f"{place}: frame is {frames[-1]}, expected {frames[0]} as in the first"
             )
-    reported += f"; {empty} that hold nothing" if empty else ""
+    reported += f"; {empty} that are empty" if empty else ""
     provenance[kind.rsplit("/", 1)[1]] = reported
     if not items:
         return None
     if not any(stamps):
-        stamps, reported = recorded, reported + "; times of recording, the headers hold none"
+        stamps, reported = recorded, reported + "; times of recording, since the headers have none"
     steps = [later - earlier for earlier, later in pairwise(stamps)]
     for row, step in enumerate(steps, start=1):
         if step < 0:

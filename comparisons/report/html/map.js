@@ -1,7 +1,7 @@
 (() => {
   const map = document.getElementById('map'), world = document.getElementById('world');
   const box = map.viewBox.baseVal, whole = [box.x, box.y, box.width, box.height];
-  const metres = Number(map.dataset.metres), told = document.getElementById('told');
+  const metres = Number(map.dataset.metres), chosen = document.getElementById('chosen');
   const marks = [...map.querySelectorAll('circle[data-key]')];
   const ring = make('circle', { class: 'ring', visibility: 'hidden' }, world);
   const pixels = () => map.getScreenCTM()?.a || 1;
@@ -64,7 +64,7 @@
     ring.setAttribute('cx', x); ring.setAttribute('cy', y);
     ring.setAttribute('visibility', 'visible');
     ring.dataset.key = key;
-    told.textContent = found.at(-1).textContent;
+    chosen.textContent = found.at(-1).textContent;
     if (source === 'map') return;
     show(x, y, Math.min(box.width, whole[2] / 5));
     if (source === 'table') map.scrollIntoView({ block: 'nearest' });

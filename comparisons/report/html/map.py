@@ -68,7 +68,7 @@ class MapContent:
     """What the map shows.
 
     tracks: at least two; the second, on top of all, is compared with the first. keys, labels,
-    ratio: (m,) of the marked landmarks: what tables know them by, what is told of them, and the
+    ratio: (m,) of the marked landmarks: what tables know them by, their labels, and the
     least variance of the second over the first's. view: points (N, 2) that must be seen; tracks
     widen the map unless they are far away. beneath, above: what else is drawn.
     """
@@ -85,7 +85,7 @@ class MapContent:
 
 @dataclass(frozen=True)
 class DrawnMap:
-    """The drawing, and what the script is told besides.
+    """The drawing, and data for the script.
 
     times: [s] of each track's points, by its name. decades: the colours of the variance ratio end
     at 10 to the power of so much, either way. outside: tracks that lie off the map, in part.

@@ -91,7 +91,7 @@ def page(content: PageContent) -> str:
         "</noscript>",
         '<main><section id="where"><h2>Map</h2><div id="layers"></div>',
         f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>',
-        f'{ratio_legend(drawn.decades)}<p id="told" role="status"></p>',
+        f'{ratio_legend(drawn.decades)}<p id="chosen" role="status"></p>',
         f'<p class="note">{escape(off)}<span class="hand">{_HINT["map"]}</span></p></section>',
         f'<section id="when"><h2>Curves <span id="now"></span></h2>'
         f'<p class="note">{escape(c.reported)}</p>',

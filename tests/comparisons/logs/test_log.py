@@ -77,7 +77,7 @@ FAULTS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: SteeringOdometry(
             np.zeros(1), np.ones(1), np.array([1.4]), Ackermann(1.0, 0.5), OdometryNoise(0.1, 0.1)
         ),
-        "steering odometry, row 0: steering_rad is 1.4, which turns about",
+        "steering odometry, row 0: steering_rad is 1.4, expected a smaller",
     ),
     "antenna": (
         lambda: Positions(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, float("inf"))),
@@ -153,7 +153,7 @@ def test_records_are_frozen_copies() -> None:
         (lambda log: {"measurements": measurements(time_s=np.full(3, -1.0))}, "before the prior's"),
         (
             lambda log: {"known_measurements": measurements(landmark=np.array((1, 2, 99)))},
-            "known measurements, row 0: landmark 1 is not among the known ones",
+            "known measurements, row 0: landmark 1 is not a known landmark",
         ),
         (
             lambda log: {"measurements": measurements(**{k: np.zeros(0) for k in (

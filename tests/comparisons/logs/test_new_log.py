@@ -66,7 +66,7 @@ def test_repeated_records_are_no_further_information(tmp_path: Path) -> None:
     trees = "id,range,bearing,t\n1,5,0,0.1\n1,5,0,0.1\n1,5,0.01,0.1\n"
     log, _, notes = build(files(tmp_path, trees=trees))
     assert log.measurements.bearing_rad.tolist() == [0.0, 0.01]
-    assert "left out: 1 of 3 measurements, told before (first at line 3)" in notes
+    assert "left out: 1 of 3 measurements, repeated (first at line 3)" in notes
     (tmp_path / "gps.csv").write_text("t,x,y\n0,1,2\n0,1,2\n1,2,2\n")
     stated = SIGMAS | WHEELS | {"sigma_m": 0.5}
     positions = build(files(tmp_path, stated=stated, positions=tmp_path / "gps.csv")).log.positions
@@ -139,7 +139,7 @@ def test_poses_become_motions(tmp_path: Path) -> None:
     assert log.odometry.time_s.tolist() == [0.25, 0.5, 1.0, 1.5, 2.0]
     assert np.allclose(log.odometry.displacement[0], (0.25, 0.0, 0.05))
     assert log.provenance["odometry_noise"].startswith("stated: 0.1 m per root metre")
-    assert "left out: 1 of 3 measurements, before or after the odometry" in notes
+    assert "left out: 1 of 3 measurements, outside the time of the odometry" in notes
     sigmas = {"sigma_move_m": 0.02, "sigma_turn": 0.01}
     reported = build(files(tmp_path, POSES, trees, stated=SIGMAS | sigmas)).log.odometry
     assert isinstance(reported, RelativePoses)
@@ -154,14 +154,15 @@ def test_motions_with_covariances(tmp_path: Path) -> None:
     assert isinstance(log.odometry, RelativePoses)
     assert log.odometry.covariance[1].diagonal().tolist() == [0.1, 0.2, 0.3]
     assert log.prior.time_s == 0.0
-    with pytest.raises(InputError, match=r"trees.csv:2: time 1.5 s is no motion's"):
+    with pytest.raises(InputError, match=r"trees.csv:2: time 1.5 s is not the end of a motion"):
         build(files(tmp_path, odometry, "id,range,bearing,t\n1,5,0,1.5\n", stated=SIGMAS))
 
 
 def test_labels_in_a_column_of_another_name_are_missed_aloud(tmp_path: Path) -> None:
     found = build(files(tmp_path, VELOCITY, TREES.replace("label", "tree")))
     assert (
-        "landmarks are unknown and will be associated: no column landmark or id" in found.notes[-1]
+        "landmarks are unknown and will be associated by the estimators: there is no column "
+        "landmark or id" in found.notes[-1]
     )
 
 
@@ -184,7 +185,10 @@ def test_truth_gives_the_prior_and_positions_their_sigma(tmp_path: Path) -> None
     assert log.truth.landmarks is not None
     assert log.truth.landmarks.id.tolist() == [0, 2]
     text = (tmp_path / "out" / "log.toml").read_text()
-    assert "pose = [1.0, 2.0, 0.0]  # the truth's then; --prior-pose gives another" in text
+    assert (
+        "pose = [1.0, 2.0, 0.0]  # default: the true pose at that time; --prior-pose gives another"
+        in text
+    )
     assert slamcheck(*command.split(), cwd=tmp_path).returncode == 2
 
 
@@ -207,10 +211,10 @@ BAD: dict[str, tuple[str, str, str]] = {
     "unit": ("t [h],v,w\n0,1,0\n", TREES, r"unit 'h' of column 't \[h\]' is unknown, expected s,"),
     "ns": (
         "t,v,w\n1700000000000000000,1,0\n", TREES,
-        r"odo.csv:2: 't' is 1700000000000000000, no time in seconds; name the column time_ns",
+        r"'t' is 1700000000000000000, expected a time in seconds; name the column time_ns",
     ),
     "word": ("t,v,w\n0,1,0\n1,x,0\n", TREES, r"odo.csv:3: 'v' is 'x', expected a finite number"),
-    "short": ("t,v,w\n0,1,0\n1,0\n", TREES, r"odo.csv:3: 2 values, expected 3 as above"),
+    "short": ("t,v,w\n0,1,0\n1,0\n", TREES, r"odo.csv:3: 2 values, expected 3 as in the header"),
     "backwards": ("t,v,w\n1,1,0\n\n0,1,0\n", TREES, r":4: time 0.0+ s follows 1.0+ s.*; sort the"),
     "range": (
         VELOCITY, "id,range,bearing,t\n1,5,0,0.1\n1,-5,0,0.2\n",
@@ -218,7 +222,7 @@ BAD: dict[str, tuple[str, str, str]] = {
     ),
     "elsewhere": (
         VELOCITY, "id,range,bearing,t\n1,5,0,50\n",
-        r"trees.csv: from 50.000 to 50.000 s, expected some within the odometry's 0.000 to 1.500",
+        r"trees.csv: from 50.000 to 50.000 s, expected times within the odometry's 0.000 to 1.500",
     ),
     "empty": ("", TREES, r"odo.csv: holds no records"),
     "header alone": ("t,v,w\n", TREES, r"odo.csv: holds no records"),
@@ -236,9 +240,9 @@ def test_refused_with_place_and_expectation(name: str, tmp_path: Path) -> None:
 def test_sigmas_are_stated_once_and_where_they_are_needed(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--sigma-range is missing, expected a number or a column"):
         build(files(tmp_path, stated=WHEELS))
-    with pytest.raises(InputError, match="--sigma-move: the velocity odometry here"):
+    with pytest.raises(InputError, match="--sigma-move: the velocity odometry does not use it"):
         build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_move_m": 0.1}))
-    with pytest.raises(InputError, match="--sigma-position: no --positions whose"):
+    with pytest.raises(InputError, match="--sigma-position: the file of --positions gives"):
         build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_m": 0.1}))
     for value in (0.0, float("nan")):
         with pytest.raises(InputError, match=r"--sigma-range is .*, expected between 1e-07 and"):
@@ -275,8 +279,8 @@ def test_from_arrays() -> None:
 @pytest.mark.parametrize(
     ("odometry", "measurements", "message"),
     [
-        ({"speed": [1.0]}, {}, "odometry: speed is unknown, expected some of"),
-        ({}, {"range": 1.0}, "measurements: range is unknown, expected some of time_s"),
+        ({"speed": [1.0]}, {}, "odometry: speed is unknown, expected one of"),
+        ({}, {"range": 1.0}, "measurements: range is unknown, expected one of time_s"),
         ({"speed_mps": [1.0]}, {}, r"odometry: speed_mps has shape \(1,\), expected \(2,\)"),
         ({}, {"range_m": [-1.0]}, "measurements, row 0: range_m is -1.0, expected above 0"),
         ({}, {"bearing_rad": ["a"]}, "measurements: bearing_rad is not numeric"),

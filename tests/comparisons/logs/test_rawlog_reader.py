@@ -237,7 +237,10 @@ BAD: dict[str, tuple[bytes, str]] = {
     ),
     "empty": (b"", "no CObservationBearingRange or"),
     "beacons": (frame(beacons()) + action((1, 0, 0)), "no CObservationBearingRange or"),
-    "space": (frame(seen([(1.0, 0.5, 0.2, 1)])) + action((1, 0, 0)), "a pitch of 0.2 rad, that is"),
+    "space": (frame(seen([(1.0, 0.5, 0.2, 1)])) + action((1, 0, 0)), (
+        "a pitch of 0.2 rad, which "
+        "means"
+    )),
     "3D": (thing("CActionCollection", 0, b"\1\0\0\0" + thing("CActionRobotMovement3D", 1, b"")),
            "CActionRobotMovement3D: a motion in space, expected one in the plane"),
     "matching": (action((1, 0, 0), method=1), "estimated by method 1, expected 0 (odometry)"),

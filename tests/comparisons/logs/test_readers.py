@@ -209,7 +209,7 @@ BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], object], s
     "mrclam truth too late": (
         mrclam,
         edit("Robot1_Groundtruth.dat", "1000.0 0.0", "1001.5 0.0"),
-        "Robot1_Groundtruth.dat: does not cover the odometry's start",
+        "Robot1_Groundtruth.dat: does not cover the start of the odometry",
     ),
     "mrclam fraction": (
         mrclam,
@@ -219,7 +219,7 @@ BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], object], s
     "car park without heading": (
         car_park,
         few_fixes,
-        "data_set.mat: positions: the first 6 s do not show the heading",
+        "data_set.mat: positions: the first 6 s do not determine the heading",
     ),
     "car park lengths of GPS": (
         car_park,

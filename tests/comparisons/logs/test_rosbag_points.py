@@ -62,7 +62,7 @@ def test_markers_are_read_when_asked_for(tmp_path: Path) -> None:
     assert np.allclose(log.measurements.bearing_rad, (0, np.pi / 2, 0, np.pi / 2))
     assert log.odometry.time_s.tolist() == [0.5, 1.0, 2.0, 3.0, 4.0]  # no corner is cut
     assert log.provenance["measurements_noise"] == "stated for 4 of 4: 0.1 m and 0.01745 rad"
-    assert "1 that hold nothing" in log.provenance["MarkerArray"]
+    assert "1 that are empty" in log.provenance["MarkerArray"]
     assert_survives_a_folder(log, tmp_path / "again")
 
 
@@ -243,7 +243,7 @@ def test_covariances_of_odometry(tmp_path: Path) -> None:
         carry = np.array(((1, 0, 0), (0, 1, 1.0), (0, 0, 1)))
         grown = carry @ grown @ carry.T + added
     found, words = noise(tmp_path / "pose", reported)
-    assert words.startswith("the growth of Odometry's pose covariances")
+    assert words.startswith("the increments of Odometry's pose covariances")
     assert np.allclose(found.covariance[0], added + floor)
     assert np.allclose(found.covariance[1], 2 * added + floor)
 

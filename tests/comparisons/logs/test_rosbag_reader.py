@@ -79,7 +79,7 @@ def test_headers_without_times_leave_those_of_the_recording(tmp_path: Path) -> N
     log = read_log(T.write(tmp_path / "bag", scans))
     assert log.scans is not None
     assert log.scans.time_s.tolist() == [0.0, 0.5]
-    assert log.provenance["LaserScan"].endswith("times of recording, the headers hold none")
+    assert log.provenance["LaserScan"].endswith("times of recording, since the headers have none")
 
 
 POINTS = np.array(((1, 2, 3), (0, 0, 0), (np.nan, 1, 1), (4, 5, 6)), np.float64)

@@ -141,7 +141,10 @@ BAD_TRIOS: dict[str, tuple[dict[str, object], str]] = {
     "nan": ({"speed": np.full(800, np.nan)}, "aa3_dr.mat: speed holds a value that is not a"),
     "lengths": ({"speed": np.ones(7)}, "aa3_dr.mat: steering odometry: speed_mps has shape (7,)"),
     "gps": ({"La_m": np.ones(7)}, "aa3_gpsx.mat: timeGps, Lo_m and La_m differ in length"),
-    "still": ({"speed": np.zeros(800)}, "aa3_gpsx.mat: positions: the first 11 s do not show the"),
+    "still": (
+        {"speed": np.zeros(800)},
+        "aa3_gpsx.mat: positions: the first 11 s do not determine the",
+    ),
     "empty": ({"TLsr": np.zeros((0, 0))}, "aa3_lsr2.mat: holds no records"),
 }
 
@@ -335,7 +338,7 @@ BAD_CARMEN = {
     ),
     "nan": (CARMEN.replace("2.50", "nan"), ":4: range is 'nan', expected a finite number"),
     "word": (CARMEN.replace("2.50", "oops"), ":4: range is 'oops', expected a finite number"),
-    "negative": (CARMEN.replace("2.50", "-1"), ":4: range is -1, expected from 0 on"),
+    "negative": (CARMEN.replace("2.50", "-1"), ":4: range is -1, expected 0 or more"),
     "huge": (CARMEN.replace("2.50", "1e300"), ":4: range is 1e+300, expected at most 1e+10"),
     "backwards": (CARMEN.replace("100.4", "99.0"), ":9: time 99.000000 s follows 100.200000 s"),
     "odometry": (

@@ -130,4 +130,4 @@ def test_flags(tmp_path: Path) -> None:
     assert "start_s = 70.0\nend_s = 80.0" in text
     done = slamcheck("solve", "simulated-loop", "--topic", "/scan", cwd=tmp_path)
     assert done.returncode == 2
-    assert "--topic /scan: simulated-loop is no ROS bag" in done.stderr
+    assert "--topic /scan: simulated-loop is not a ROS bag" in done.stderr

@@ -181,7 +181,10 @@ def test_places_that_look_alike_are_told_apart_by_the_graph(
     [
         ({"overlap": 0.5}, "overlap 0.50, expected 0.7 at least"),
         ({"residual_m": 0.3}, "residual 0.300 m, expected 0.15 m at most"),
-        ({"stiffness": np.array((5.0, 90.0, 90.0))}, "the surroundings leave a direction open"),
+        (
+            {"stiffness": np.array((5.0, 90.0, 90.0))},
+            "the surroundings do not constrain one direction",
+        ),
         ({}, "accepted"),
     ],
 )
