@@ -78,47 +78,52 @@ class LogSection(Section):
     """The log: which one is read, and how."""
 
     source: str = Field(
-        "victoria-park", description="Log: a name in `slamcheck logs`, or a path; the argument LOG"
+        default="victoria-park",
+        description="Log: a name in `slamcheck logs`, or a path; the argument LOG",
     )
     format: str | None = Field(
-        None, description="Format of the log, named as in `slamcheck logs`. Default: recognised"
+        default=None,
+        description="Format of the log, named as in `slamcheck logs`. Default: recognised",
     )
-    robot: int = Field(1, description="Robot number in an MR.CLAM folder")
+    robot: int = Field(default=1, description="Robot number in an MR.CLAM folder")
     topics: tuple[str, ...] | None = Field(
-        None,
+        default=None,
         description="Topics of a ROS bag to read. Default: per message type, the topic with most "
         "messages",
     )
     start_s: float | None = Field(
-        None, ge=0.0, allow_inf_nan=False, description="Seconds to skip at the start of the log"
+        default=None,
+        ge=0.0,
+        allow_inf_nan=False,
+        description="Seconds to skip at the start of the log",
     )
     end_s: float | None = Field(
-        None,
+        default=None,
         gt=0.0,
         allow_inf_nan=False,
         description="Last time to read, in seconds after the log's start",
     )
-    seed: int = Field(0, ge=0, lt=2**64, description="Random seed of a simulated log")
-    loops: int = Field(1, ge=1, le=1000, description="Number of loops of a simulated log")
+    seed: int = Field(default=0, ge=0, lt=2**64, description="Random seed of a simulated log")
+    loops: int = Field(default=1, ge=1, le=1000, description="Number of loops of a simulated log")
     noise_scale: float = Field(
-        1.0,
+        default=1.0,
         gt=0.0,
         le=1e6,
         allow_inf_nan=False,
         description="Factor on the noise of a simulated log and on the sigmas that it states",
     )
     features: Features = Field(
-        "log",
+        default="log",
         description="Landmark measurements: log, those of the log; trees, tree trunks detected in "
         "its scans",
     )
     sigmas: Sigmas = Field(
-        "calibrated",
+        default="calibrated",
         description="Measurement sigmas of the real logs of Nieto's vehicle: calibrated on the "
         "logs, or published in his Table A.1. Other logs have one set",
     )
     sha256: str | None = Field(
-        None,
+        default=None,
         description="SHA-256 of the log. A log with another hash is refused without "
         "--allow-changed-log",
     )
@@ -136,61 +141,61 @@ class EkfConfig(Section):
     """The EKF."""
 
     filter: Filter = Field(
-        "full",
+        default="full",
         description="EKF variant. full: textbook EKF-SLAM; compressed: compressed EKF (Guivant "
         "2002), equal to full; compressed-suboptimal: its conservative global update; misono: "
         "direction-cosine EKF as published (Misono 2007); misono-full: with the full Jacobian",
     )
     association: Association | None = Field(
-        None,
+        default=None,
         description="Data association. known: the log's labels; nn: nearest neighbour; jcbb: joint "
         "compatibility branch and bound; euclidean: nearest by distance in metres; consensus: only "
         "the pairs that all likely joint hypotheses share. Default: known where the log has "
         "labels, else nn",
     )
     attributes: Attributes = Field(
-        "off",
+        default="off",
         description="Landmark attributes in association, for nn and jcbb. on: diameter and "
         "intensity of the measurements; layer: intensities of the surrounding scans, from a dense "
         "map",
     )
     gps: Gps = Field(
-        "off",
+        default="off",
         description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
         "the others out as a reference",
     )
     nn_gate: float = Field(
-        13.82,
+        default=13.82,
         gt=0.0,
         description="Gate of nearest neighbour association: chi-square of 2 degrees of freedom",
     )
     least_gain: float | None = Field(
-        None,
+        default=None,
         ge=0.0,
         lt=1.0,
         description="compressed-suboptimal: least share of a state's variance that an update must "
         "remove to be applied to this state. Default: 1e-4",
     )
     gps_recovery: int | None = Field(
-        None,
+        default=None,
         ge=2,
         description="Number of successive rejected absolute positions with the same offset from "
         "the vehicle after which the next ones are fused. Default: never",
     )
     split_turn_rad: float | None = Field(
-        None,
+        default=None,
         gt=0.0,
         description="Greatest turn of the vehicle by one update in radians; a larger update is "
         "split. Default: 0.0175 (1 degree) for absolute positions, none for landmarks",
     )
     split_move_m: float | None = Field(
-        None,
+        default=None,
         gt=0.0,
         description="Greatest move of the vehicle by one update in metres; a larger update is "
         "split. Default: 1 for absolute positions, none for landmarks",
     )
     split_shrink: float | None = Field(
-        None,
+        default=None,
         gt=0.0,
         lt=1.0,
         description="Greatest share of a variance that one update removes; a larger update is "
@@ -226,19 +231,22 @@ class SmootherConfig(Section):
     """The smoother."""
 
     method: Method = Field(
-        "batch",
+        default="batch",
         description="Method. batch: all poses at once; isam2: incremental; fixed-lag: the last "
         "poses alone. The last two are compared with the batch optimum",
     )
-    lag: int = Field(100, ge=1, description="Number of poses of a fixed-lag smoother")
-    optimiser: Optimiser = Field("levenberg-marquardt", description="Optimiser of method batch")
+    lag: int = Field(default=100, ge=1, description="Number of poses of a fixed-lag smoother")
+    optimiser: Optimiser = Field(
+        default="levenberg-marquardt", description="Optimiser of method batch"
+    )
     robust: Robust = Field(
-        "none",
+        default="none",
         description="Robust kernel against outliers: none, huber, cauchy, or gnc (graduated "
         "non-convexity). A kernel changes the marginal covariances",
     )
     accept_misfit: bool = Field(
-        False, description="Accept the lowest minimum as verified although its chi-square is high"
+        default=False,
+        description="Accept the lowest minimum as verified although its chi-square is high",
     )
 
 
@@ -246,10 +254,11 @@ class ReportConfig(Section):
     """The output folder."""
 
     figures: tuple[PictureFormat, ...] = Field(
-        (), description="Further formats of the figures; PNG is always written"
+        default=(), description="Further formats of the figures; PNG is always written"
     )
     trace: bool = Field(
-        False, description="Write the EKF's linearisation points and matrices to ekf/trace.npz"
+        default=False,
+        description="Write the EKF's linearisation points and matrices to ekf/trace.npz",
     )
 
 
@@ -257,17 +266,17 @@ class FrontEndConfig(Section):
     """The scan front end."""
 
     guess: Guess = Field(
-        "wheels",
+        default="wheels",
         description="Initial guess of scan matching. wheels: the odometry; none: no motion",
     )
-    loop_closure: bool = Field(True, description="Detect and close loops")
+    loop_closure: bool = Field(default=True, description="Detect and close loops")
     matcher: LoopMatcher = Field(
-        "surface",
+        default="surface",
         description="Scan matcher of loop closure: surface (ours), kiss (KISS-ICP), or ICP of "
         "Open3D, point-to-point, point-to-plane or generalised",
     )
     gps: Gps = Field(
-        "off",
+        default="off",
         description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
         "the others out as a reference",
     )
@@ -313,7 +322,7 @@ class JobConfig(Section):
 
     job: str
     preset: Preset = Field(
-        "recommended",
+        default="recommended",
         description="Default values of all other settings: recommended, or as-published, the value "
         "of the source document where it states one (docs/settings.md). Over a configuration file, "
         "settings that differ from the file's preset stay",
@@ -402,7 +411,7 @@ class RunConfig(Configured):
     smoother: SmootherConfig = SmootherConfig()
     report: ReportConfig = ReportConfig()
     fail_on: Annotated[tuple[FailOn, ...], BeforeValidator(_listed)] = Field(
-        (),
+        default=(),
         description="Findings that exit with 1. disagreement: always does; consistency: NEES, "
         "NIS or filter against smoother outside their bands; both: these two; truth: the smoother "
         "is far from the truth; association: no check of the association was possible",
@@ -423,7 +432,7 @@ class MapConfig(Configured):
 
     job: Literal["map"] = "map"
     cloud: CloudFormat | None = Field(
-        None, description="Write the map also as a point cloud; needs Open3D"
+        default=None, description="Write the map also as a point cloud; needs Open3D"
     )
 
     def libraries(self) -> dict[str, str]:
@@ -436,12 +445,12 @@ class SolveConfig(JobConfig):
 
     job: Literal["solve"] = "solve"
     association: SolverAssociation | None = Field(
-        None,
+        default=None,
         description="Data association. known: the log's labels; own: found by the smoother. "
         "Default: known where the log has labels, else own",
     )
     gps: Gps = Field(
-        "off",
+        default="off",
         description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
         "the others out as a reference",
     )
@@ -457,14 +466,14 @@ class CheckConfig(SolveConfig):
 
     job: Literal["check"] = "check"  # type: ignore[assignment]
     estimate: str = Field(
-        "",
+        default="",
         description="Trajectory file (TUM, KITTI, CSV), or folder of an estimate (docs/formats.md)",
     )
     times: str | None = Field(
-        None, description="Time stamps of a KITTI trajectory. Default: times.txt beside it"
+        default=None, description="Time stamps of a KITTI trajectory. Default: times.txt beside it"
     )
     require: RequiredGrade | None = Field(
-        None,
+        default=None,
         description="Lowest grade that exits with 0. equal: to the reference EKF; like: within 5 % "
         "of it; plausible: as near to the optimum as that is certain. Default: like where "
         'estimate.toml says estimator = "ekf", else plausible',
@@ -484,7 +493,7 @@ class OdometryConfig(JobConfig):
     job: Literal["odometry"] = "odometry"
     front_end: FrontEndConfig = FrontEndConfig()
     cloud: CloudFormat | None = Field(
-        None, description="Write the map also as a point cloud; needs Open3D"
+        default=None, description="Write the map also as a point cloud; needs Open3D"
     )
 
     def libraries(self) -> dict[str, str]:

@@ -65,9 +65,16 @@ def configure(
 
 
 def run_config(**values: Any) -> RunConfig:
-    """Return a run's configuration from options named as the command line's: `filter`, `motion`.
+    """Return a run's configuration from options named as the command line's.
 
-    Raises InputError.
+    Args:
+        values: Options of `slamcheck run` by name: `filter="compressed"`, `motion="scan"`.
+
+    Returns:
+        The configuration, all defaults filled in.
+
+    Raises:
+        InputError: There is no such option, or it has no such value.
     """
     return configure(RunConfig, flags=run_options(values))
 

@@ -71,7 +71,14 @@ _SINGULAR = 1e-13
 
 
 def recognises(tag: str) -> bool:
-    """Whether a file's first word is one of a graph, be it one that is not read."""
+    """Return whether a word is the tag of a graph, be it one that is not read.
+
+    Args:
+        tag: A file's first word.
+
+    Returns:
+        True also for spatial graphs, so that an error can say what the file is.
+    """
     return tag in _TAGS or tag.startswith(("VERTEX_", "EDGE_", "PARAMS_SE")) or _spatial(tag)
 
 
@@ -89,15 +96,28 @@ class G2oContents(NamedTuple):
 
 
 def holds(problem: SlamProblem) -> bool:
-    """Whether g2o can say where positions were measured: it knows no antenna off the pose."""
+    """Return whether g2o can say where positions were measured: it knows no antenna off the pose.
+
+    Args:
+        problem: What would be written.
+
+    Returns:
+        False where there are positions of an antenna with a lever arm.
+    """
     return not len(problem.position) or problem.lever_m == (0.0, 0.0)
 
 
 def write_g2o(path: Path, contents: G2oContents) -> None:
-    """Write a problem with a solution. Raises ValueError for an antenna off the pose's origin.
+    """Write a problem with a solution.
 
-    g2o has no edge for one; such positions would be taken for the pose's own. Raises
-    SingularProblemError that names the edge whose covariance has no inverse.
+    Args:
+        path: The file, replaced if it exists.
+        contents: Problem, poses (K, 3) and points (L, 2).
+
+    Raises:
+        ValueError: There are pose landmarks, or positions of an antenna off the pose's origin, for
+            which g2o has no edge: they would be taken for the pose's own.
+        SingularProblemError: A covariance has no inverse; its edge is named.
     """
     problem, poses, landmarks, _ = contents
     if problem.pose_landmarks.count:
@@ -179,9 +199,17 @@ def read_g2o(path: Path) -> G2oContents:
 
     The first edge from a pose to the next is its increment, all others between poses are closures,
     whose robust kernel g2o cannot tell. Two poses that follow each other may have no such edge;
-    vertices may be missing. Raises ValueError naming the line at fault, for unknown tags, for
-    numbers that are missing or not finite, for information that is not positive definite, and for
-    poses that no edges connect.
+    vertices may be missing.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The problem, and the values of the file's vertices.
+
+    Raises:
+        ValueError: Names the line at fault: an unknown tag, a number that is missing or not finite,
+            information that is not positive definite, a pose that no edges connect.
     """
     found: dict[str, list[_Record]] = {tag.name: [] for tag in _TAGS.values()}
     for record in _records(path):
@@ -391,10 +419,16 @@ def _covariances(path: Path, records: Sequence[_Record], triangles: Array, size:
 
 
 def inverses(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Inverses of covariances or informations (N, n, n); (N,) which are positive definite.
+    """Return the inverses of covariances or informations, and which there are.
 
-    The variances are scaled to near one first, by powers of two, which round nothing: sigmas as
-    far apart as 1e-12 and 1e12 cost no digits. The inverse of what is not definite is of no use.
+    The variances are scaled to near one first, by powers of two, which round nothing: sigmas as far
+    apart as 1e-12 and 1e12 cost no digits.
+
+    Args:
+        matrix: (N, n, n), symmetric.
+
+    Returns:
+        (N, n, n), and (N,) which are positive definite; the inverse of another is of no use.
     """
     variance = np.einsum("nii->ni", matrix)
     regular: NDArray[np.bool_] = ((variance > 0.0) & np.isfinite(variance)).all(axis=1)

@@ -19,15 +19,27 @@ KERNELS = ("none", "huber", "cauchy")
 
 
 def gaussian(covariance: Array) -> gtsam.noiseModel.Gaussian:
-    """A noise model with all correlations.
+    """Return a noise model with all correlations.
 
-    By default gtsam takes every off-diagonal entry below 1e-9, whatever its unit, for zero.
+    Args:
+        covariance: (n, n), positive definite, in gtsam's order of the residual.
+
+    Returns:
+        A full Gaussian.
     """
     return gtsam.noiseModel.Gaussian.Covariance(covariance, False)
 
 
 def prior_factor(key: int, problem: SlamProblem) -> gtsam.PriorFactorPose2:
-    """The prior, its covariance turned into gtsam's tangent at the prior pose."""
+    """Return the prior of the first pose, its covariance turned into gtsam's tangent there.
+
+    Args:
+        key: Of the pose.
+        problem: Has the prior, of the additive global error.
+
+    Returns:
+        The factor.
+    """
     turn = to_tangent(problem.prior_pose[2:3])[0]
     noise = gaussian(turn @ problem.prior_covariance @ turn.T)
     return gtsam.PriorFactorPose2(key, gtsam.Pose2(*problem.prior_pose), noise)
@@ -36,7 +48,17 @@ def prior_factor(key: int, problem: SlamProblem) -> gtsam.PriorFactorPose2:
 def increment_factors(
     departures: list[int], arrivals: list[int], problem: SlamProblem
 ) -> list[gtsam.BetweenFactorPose2]:
-    """One factor per increment, between the keys given."""
+    """Return one factor for each increment.
+
+    Args:
+        departures: (K - 1) keys of the poses that the increments start from.
+        arrivals: (K - 1) keys of the poses that they end at.
+        problem: Has the increments, with covariances of the right perturbation, as gtsam takes
+            them.
+
+    Returns:
+        The factors, in order.
+    """
     return _between(departures, arrivals, problem.increment, problem.increment_covariance)
 
 
@@ -53,9 +75,18 @@ def _between(
 def measurement_factors(
     poses: list[int], landmarks: list[int], problem: SlamProblem, kernel: str = "none"
 ) -> list[gtsam.BearingRangeFactor2D]:
-    """One factor per measurement, between the keys given; gtsam wants the bearing first.
+    """Return one factor for each measurement of a point; gtsam wants the bearing first.
 
     Those of equal sigmas share a noise model: a long log's graph takes 0.4 of the memory.
+
+    Args:
+        poses: (M) keys of the poses.
+        landmarks: (M) keys of the landmarks.
+        problem: Has ranges, bearings and their standard deviations.
+        kernel: Of KERNELS.
+
+    Returns:
+        The factors, in order.
     """
     diagonal = gtsam.noiseModel.Diagonal.Sigmas
     sigmas, kind = np.unique(problem.sigma[:, ::-1], axis=0, return_inverse=True)
@@ -71,7 +102,18 @@ def measurement_factors(
 def position_factor(
     key: int, z: Array, covariance: Array, lever_m: tuple[float, float], kernel: str = "none"
 ) -> gtsam.NonlinearFactor:
-    """An absolute position (2,) of the antenna; our own factor only where there is a lever arm."""
+    """Return the factor of an absolute position; our own one only where there is a lever arm.
+
+    Args:
+        key: Of the pose.
+        z: (2,) of the antenna, east, north [m].
+        covariance: (2, 2) [m^2].
+        lever_m: The antenna, forward and left of the pose.
+        kernel: Of KERNELS.
+
+    Returns:
+        The factor; a custom one is slow.
+    """
     noise = robust(gaussian(covariance), kernel)
     if lever_m == (0.0, 0.0):
         return gtsam.PoseTranslationPrior2D(key, z, noise)
@@ -91,7 +133,18 @@ def position_factor(
 
 
 def robust(noise: gtsam.noiseModel.Base, kernel: str) -> gtsam.noiseModel.Base:
-    """The noise under a robust kernel of KERNELS, with its usual constant (95 % efficiency)."""
+    """Return a noise model under a robust kernel, with its usual constant (95 % efficiency).
+
+    Args:
+        noise: A Gaussian.
+        kernel: Of KERNELS.
+
+    Returns:
+        The noise itself for `none`.
+
+    Raises:
+        ValueError: There is no such kernel.
+    """
     if kernel == "none":
         return noise
     estimator = gtsam.noiseModel.mEstimator
@@ -103,11 +156,17 @@ def robust(noise: gtsam.noiseModel.Base, kernel: str) -> gtsam.noiseModel.Base:
 
 
 def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFactorGraph:
-    """The graph of the whole problem.
+    """Return the graph of a whole problem.
 
     Pose k has key POSE_KEY + k, point landmark j LANDMARK_KEY + j, pose landmark j
     POSE_LANDMARK_KEY + j.
-    kernel: of KERNELS, for all but prior, increments and surveyed landmarks.
+
+    Args:
+        problem: What is known.
+        kernel: Of KERNELS, for all but prior, increments and surveyed landmarks.
+
+    Returns:
+        The graph, its factors in the order that `last_poses` describes.
     """
     graph = gtsam.NonlinearFactorGraph()
     graph.push_back(prior_factor(POSE_KEY, problem))
@@ -162,7 +221,14 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
 
 
 def last_poses(problem: SlamProblem) -> Index:
-    """(F,) the last pose that each factor of build_graph touches, 0 for priors of landmarks."""
+    """Return the last pose that each factor of `build_graph` touches.
+
+    Args:
+        problem: The graph's.
+
+    Returns:
+        (F,) indices of poses, 0 for priors of landmarks.
+    """
     return np.concatenate(
         (
             [0],
@@ -178,7 +244,14 @@ def last_poses(problem: SlamProblem) -> Index:
 
 
 def to_tangent(heading_rad: Array) -> Array:
-    """(N, 3, 3) matrices that take additive global pose errors into the pose's own tangent."""
+    """Return the matrices that take additive global pose errors into the pose's own tangent.
+
+    Args:
+        heading_rad: (N,) of the poses.
+
+    Returns:
+        (N, 3, 3), blkdiag(R^T, 1).
+    """
     cos, sin = np.cos(heading_rad), np.sin(heading_rad)
     turn = np.zeros((len(cos), 3, 3))
     turn[:, 0, 0] = turn[:, 1, 1] = cos
@@ -189,9 +262,16 @@ def to_tangent(heading_rad: Array) -> Array:
 
 
 def right_perturbation(measured: Array, covariance: Array) -> Array:
-    """Covariances (N, 3, 3) of what is added to x, y, heading (N, 3), as of the right perturbation.
+    """Return covariances of what is added to x, y, heading as of the right perturbation.
 
     To first order: from the frame that something is seen from into its own.
+
+    Args:
+        measured: (N, 3) x, y, heading in the frame that it is seen from.
+        covariance: (N, 3, 3) of the error added to these.
+
+    Returns:
+        (N, 3, 3), in the frame of what is measured.
     """
     turn = to_tangent(measured[:, 2])
     turned: Array = turn @ covariance @ turn.transpose(0, 2, 1)
@@ -204,9 +284,16 @@ def to_values(
     seen: Index,
     pose_landmarks: PoseLandmarkMeasurements | None = None,
 ) -> gtsam.Values:
-    """Values of poses (K, 3) and of those landmarks (L, 2) that `seen` lists.
+    """Return gtsam's values of poses and landmarks.
 
-    pose_landmarks: measurements of pose landmarks, which are put where they were first seen.
+    Args:
+        poses: (K, 3).
+        landmarks: (L, 2).
+        seen: Which landmarks have a value; others must not be in the graph.
+        pose_landmarks: Measurements of pose landmarks, which are put where they were first seen.
+
+    Returns:
+        The values, with the keys of `build_graph`.
     """
     values = gtsam.Values()
     for key, pose in enumerate(poses.tolist(), start=POSE_KEY):
@@ -223,17 +310,30 @@ def to_values(
 
 
 def unwrap(poses: Array, problem: SlamProblem) -> None:
-    """Unwrap the headings of poses (K, 3), in place, along the odometry."""
+    """Unwrap the headings of poses along the odometry, in place.
+
+    Args:
+        poses: (K, 3), changed.
+        problem: Has the prior and the increments; a pose's turn is taken within pi of its
+            increment's.
+    """
     expected = np.concatenate((problem.prior_pose[2:], problem.increment[:, 2]))
     excess = np.diff(poses[:, 2], prepend=0.0) - expected
     poses[:, 2] = np.cumsum(expected + excess - 2.0 * np.pi * np.round(excess / (2.0 * np.pi)))
 
 
 def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Array]:
-    """Poses (K, 3) and point landmarks (L, 2) of a solution; NaN where a landmark is absent.
+    """Return poses and points of a solution.
 
     gtsam wraps headings; they are unwrapped along the odometry, so that a whole turn between two
     poses counts.
+
+    Args:
+        values: The solution, with the keys of `build_graph`.
+        problem: What was solved.
+
+    Returns:
+        Poses (K, 3) and points (L, 2), NaN where a landmark is absent.
     """
     poses = np.array(
         [
@@ -250,6 +350,14 @@ def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Arra
 
 
 def pose_landmarks_from(values: gtsam.Values, problem: SlamProblem) -> Array:
-    """(Q, 3) pose landmarks of a solution: x, y, heading."""
+    """Return the pose landmarks of a solution.
+
+    Args:
+        values: The solution, with the keys of `build_graph`.
+        problem: What was solved.
+
+    Returns:
+        (Q, 3) x, y, heading, wrapped.
+    """
     poses = [values.atPose2(POSE_LANDMARK_KEY + j) for j in range(problem.pose_landmarks.count)]
     return np.array([(p.x(), p.y(), p.theta()) for p in poses]).reshape(-1, 3)

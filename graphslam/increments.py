@@ -57,10 +57,24 @@ def ackermann_samples(
     stabilisation: Stabilisation,
     geometry: AckermannGeometry,
 ) -> Samples:
-    """Car with encoder on the rear left wheel, pose at the laser (Nieto 2005, A.3 and A.4).
+    """Return the motion of a car with an encoder on the rear left wheel, its pose at the laser.
 
-    In the body frame A.4 says: the axle's middle advances by ds, the laser at (a, b) also swings
-    by -b and a times the turn ds tan(alpha) / L.
+    In the body frame A.4 says: the axle's middle advances by ds, the laser at (a, b) also swings by
+    -b and a times the turn ds tan(alpha) / L.
+
+    Args:
+        speed_mps: (N,) of the encoder.
+        steering_rad: (N,), positive to the left.
+        duration_s: (N,) for which each sample holds.
+        sigma_speed_mps: Of every sample, independent.
+        sigma_steering_rad: Of every sample, independent.
+        stabilisation: Noise added to every sample.
+        geometry: Measures of the car.
+
+    Returns:
+        Displacements in the departing frame, covariances in the arriving one.
+
+    Source: Nieto 2005, eqs. A.3 and A.4.
     """
     wheelbase_m = geometry.wheelbase_m
     forward_m, left_m = geometry.sensor_forward_m, geometry.sensor_left_m
@@ -94,7 +108,19 @@ def unicycle_samples(
     sigma_yaw_rate_radps: float,
     stabilisation: Stabilisation,
 ) -> Samples:
-    """Differential drive: a chord along the heading in the middle of each sample."""
+    """Return the motion of a differential drive: a chord along the heading halfway.
+
+    Args:
+        speed_mps: (N,), forward.
+        yaw_rate_radps: (N,), positive to the left.
+        duration_s: (N,) for which each sample holds.
+        sigma_speed_mps: Of every sample, independent.
+        sigma_yaw_rate_radps: Of every sample, independent.
+        stabilisation: Noise added to every sample.
+
+    Returns:
+        Displacements in the departing frame, covariances in the arriving one.
+    """
     turn = duration_s * yaw_rate_radps
     chord = duration_s * speed_mps
     cos, sin = np.cos(0.5 * turn), np.sin(0.5 * turn)
@@ -110,18 +136,31 @@ def unicycle_samples(
 
 
 def relative_pose_samples(displacement: Array, covariance: Array) -> Samples:
-    """Measured displacements (N, 3) with covariances (N, 3, 3) in the frame of arrival."""
+    """Return measured displacements as samples.
+
+    Args:
+        displacement: (N, 3) dx, dy [m], dheading [rad] in the departing frame.
+        covariance: (N, 3, 3) of the right perturbation, in the arriving frame.
+
+    Returns:
+        The same arrays; nothing is copied.
+    """
     return Samples(displacement, covariance)
 
 
 def compose(samples: Samples, interval: Index, count: int) -> Samples:
-    """Compose the samples of each of `count` intervals into one increment.
+    """Compose the samples of each interval into one increment.
 
-    interval: (N,) the interval of each sample, not decreasing. An interval without samples gives
-    a zero increment with zero covariance.
+    A perturbation xi_i at the arrival of sample i reaches the end of the interval as Ad(T_i^-1)
+    xi_i, T_i the motion from i to the end; the covariances add, being independent.
 
-    A perturbation xi_i at the arrival of sample i reaches the end of the interval as
-    Ad(T_i^-1) xi_i, T_i the motion from i to the end; the covariances add, being independent.
+    Args:
+        samples: N samples, in order of time.
+        interval: (N,) the interval of each sample, not decreasing.
+        count: How many intervals.
+
+    Returns:
+        `count` increments; zero, with zero covariance, for an interval without samples.
     """
     heading, x, y = _dead_reckoning(samples.displacement)
     start = np.searchsorted(interval, np.arange(count), side="left")
@@ -149,7 +188,15 @@ def compose(samples: Samples, interval: Index, count: int) -> Samples:
 
 
 def dead_reckoned(prior_pose: Array, displacement: Array) -> Array:
-    """(N + 1, 3) poses that displacements (N, 3) lead to from the prior (3,) on their own."""
+    """Return the poses that displacements lead to on their own.
+
+    Args:
+        prior_pose: (3,) x, y [m], heading [rad].
+        displacement: (N, 3), each in the departing frame.
+
+    Returns:
+        (N + 1, 3), headings unwrapped.
+    """
     heading, x, y = _dead_reckoning(displacement)
     cos, sin = np.cos(prior_pose[2]), np.sin(prior_pose[2])
     turned = np.column_stack((cos * x - sin * y, sin * x + cos * y, heading))

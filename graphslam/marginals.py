@@ -30,7 +30,17 @@ class Marginal(NamedTuple):
 
 
 def eliminate(graph: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:
-    """Eliminate all variables by QR; raises RuntimeError when the graph is singular."""
+    """Eliminate all variables by QR.
+
+    Args:
+        graph: A linear problem.
+
+    Returns:
+        gtsam's Bayes tree, for solution and marginals.
+
+    Raises:
+        RuntimeError: The graph is singular (gtsam's own exception, of many lines).
+    """
     ordering = gtsam.Ordering.ColamdGaussianFactorGraph(graph)
     return graph.eliminateMultifrontal(ordering, gtsam.EliminateQR)
 
@@ -41,7 +51,20 @@ def last_pose_and_landmarks(
     landmark_count: int,
     pose_landmark_count: int = 0,
 ) -> Marginal:
-    """The joint marginal of the last pose, points and pose landmarks. See joint_marginal."""
+    """Return the joint marginal of the last pose, points and pose landmarks.
+
+    Args:
+        graph: A linear problem, with the keys of graph_builder.build_graph.
+        pose_count: K poses.
+        landmark_count: L points.
+        pose_landmark_count: Q pose landmarks.
+
+    Returns:
+        Mean and covariance of 3 + 2 L + 3 Q numbers, in the graph's own local increments.
+
+    Raises:
+        SingularProblemError: Some direction is left without information.
+    """
     kept = [
         POSE_KEY + pose_count - 1,
         *range(LANDMARK_KEY, LANDMARK_KEY + landmark_count),
@@ -51,11 +74,22 @@ def last_pose_and_landmarks(
 
 
 def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int) -> Marginal:
-    """Eliminate all other variables and invert what remains of `kept`, `size` numbers.
+    """Return the joint marginal of some variables of a linear problem.
 
     By QR: gtsam's default, Cholesky, squares the condition number, and two measurements a
-    millisecond apart would cost half the digits. The result is in the coordinates of the graph's
-    own increments. Raises SingularProblemError when some direction is left without information.
+    millisecond apart would cost half the digits.
+
+    Args:
+        graph: The linear problem.
+        kept: Keys of the variables, in the order of the result.
+        size: Numbers that they have together.
+
+    Returns:
+        Mean (size,) and covariance (size, size), in the coordinates of the graph's own increments:
+        of poses in their own tangent, not yet of the global error.
+
+    Raises:
+        SingularProblemError: Some direction is left without information.
     """
     try:
         if size > PARTS_BEYOND:
@@ -89,19 +123,32 @@ def _remaining(graph: gtsam.GaussianFactorGraph, kept: Sequence[int]) -> tuple[A
 
 
 def to_global(covariance: Array, heading_rad: float, oriented_rad: Array | None = None) -> Array:
-    """Turn poses in a joint covariance (n, n) into the global error.
+    """Turn poses in a joint covariance from their own tangent into the global error.
 
-    The pose at `heading_rad` comes first, pose landmarks at headings (Q,) last. See turned.
+    Args:
+        covariance: (n, n), the pose's three numbers first, pose landmarks last.
+        heading_rad: Of the pose.
+        oriented_rad: (Q,) headings of the pose landmarks; none by default.
+
+    Returns:
+        (n, n) of the additive global error.
     """
     last = np.zeros(0) if oriented_rad is None else oriented_rad
     return turned(covariance, (0, np.array([heading_rad])), (len(covariance) - 3 * len(last), last))
 
 
 def turned(covariance: Array, *groups: tuple[int, Array]) -> Array:
-    """Return a joint covariance (n, n) of local errors as that of global ones.
+    """Return a joint covariance of local errors as that of global ones.
 
-    P_global = blkdiag(R, I, ...) P_local blkdiag(R, I, ...)^T, R a pose's rotation. groups: where
-    poses or pose landmarks begin that follow each other, and their headings (m,).
+    P_global = blkdiag(R, I, ...) P_local blkdiag(R, I, ...)^T, R a pose's rotation.
+
+    Args:
+        covariance: (n, n).
+        groups: Entry where poses or pose landmarks begin that follow each other, and their headings
+            (m,) [rad].
+
+    Returns:
+        (n, n).
     """
     turn = np.eye(len(covariance))
     for start, headings in groups:
@@ -115,9 +162,18 @@ def turned(covariance: Array, *groups: tuple[int, Array]) -> Array:
 def pose_covariances(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, headings_rad: Array
 ) -> Array:
-    """Covariance (K, 3, 3) of every pose on its own, additive global error.
+    """Return the covariance of every pose on its own.
 
-    Raises SingularProblemError when some direction is left without information.
+    Args:
+        graph: The problem.
+        values: Its solution.
+        headings_rad: (K,) of the solution's poses.
+
+    Returns:
+        (K, 3, 3) of the additive global error.
+
+    Raises:
+        SingularProblemError: Some direction is left without information.
     """
     try:
         tree = eliminate(graph.linearize(values))

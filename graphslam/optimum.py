@@ -47,7 +47,15 @@ class ChiSquareTest:
 
 
 def chi_square_test(error: float, dof: int) -> ChiSquareTest:
-    """Test a least-squares error (half the squared norm) against its degrees of freedom."""
+    """Test the error at an optimum by chi-square.
+
+    Args:
+        error: Half the squared norm of the whitened residuals.
+        dof: Scalar measurements, the prior's among them, less scalar unknowns.
+
+    Returns:
+        chi2 = 2 error with its two-sided band.
+    """
     tail = 1e-3
     lower, upper = (
         (2.0 * float(gammainccinv(0.5 * dof, p)) for p in (1.0 - tail, tail))
@@ -75,7 +83,16 @@ class Stationarity:
 
 
 def stationarity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Stationarity:
-    """Examine the linear problem at `values`; elimination fails unless it is definite."""
+    """Examine the first and second order conditions at a point.
+
+    Args:
+        graph: The problem.
+        values: The point.
+
+    Returns:
+        The Newton decrement, and whether the linear problem is positive definite: its elimination
+        fails unless it is.
+    """
     linear = graph.linearize(values)
     try:
         step = eliminate(linear).optimize()
@@ -122,7 +139,15 @@ class Exploration:
 
 
 def same_error(one: float, other: float) -> bool:
-    """Two errors are equal as far as the optimisers settle."""
+    """Return whether two errors are equal as far as the optimisers settle.
+
+    Args:
+        one: Half the squared norm of whitened residuals.
+        other: Of another point, in the same units.
+
+    Returns:
+        Whether they differ by at most AGREEMENT, relative to one more than the smaller.
+    """
     return abs(one - other) <= AGREEMENT * (1.0 + min(one, other))
 
 

@@ -27,7 +27,14 @@ class Merges:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     def before(self, pose_count: int) -> Merges:
-        """Those found at the first `pose_count` poses."""
+        """Return the merges that were known by an early pose.
+
+        Args:
+            pose_count: How many of the first poses.
+
+        Returns:
+            The same columns, fewer rows.
+        """
         rows = self.pose < pose_count
         return Merges(**_of(self, rows))
 
@@ -53,7 +60,14 @@ class PoseLandmarkMeasurements:
         return int(self.landmark.max(initial=-1)) + 1
 
     def before(self, pose_count: int) -> PoseLandmarkMeasurements:
-        """Those from the first `pose_count` poses."""
+        """Return what was measured from the first poses.
+
+        Args:
+            pose_count: How many of the first poses.
+
+        Returns:
+            The same columns, fewer rows; landmarks keep their numbers.
+        """
         rows = self.pose < pose_count
         return PoseLandmarkMeasurements(**_of(self, rows), merges=self.merges.before(pose_count))
 
@@ -79,7 +93,14 @@ class LoopClosures:
         return np.maximum(self.first, self.second)
 
     def before(self, pose_count: int) -> LoopClosures:
-        """Those among the first `pose_count` poses."""
+        """Return the closures between the first poses.
+
+        Args:
+            pose_count: How many of the first poses; both ends of a closure must be among them.
+
+        Returns:
+            The same columns, fewer rows.
+        """
         rows = self.last < pose_count
         return LoopClosures(**_of(self, rows), kernel=self.kernel)
 
@@ -152,7 +173,14 @@ class SlamProblem:
         return 3 * (self.pose_count + self.pose_landmarks.count) + 2 * self.landmark_count
 
     def prefix(self, pose_count: int) -> SlamProblem:
-        """The same problem up to its first `pose_count` poses; landmark numbers are kept."""
+        """Return the problem up to an early pose.
+
+        Args:
+            pose_count: How many of the first poses stay.
+
+        Returns:
+            A smaller problem; landmarks keep their numbers, also those that are no longer measured.
+        """
         return replace(
             self.keep(self.measurement_pose < pose_count, self.position_pose < pose_count),
             increment=self.increment[: pose_count - 1],
@@ -162,7 +190,15 @@ class SlamProblem:
         )
 
     def keep(self, measurements: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:
-        """The same with some of its measurements (M,) and positions (G,)."""
+        """Return the problem with some of its measurements.
+
+        Args:
+            measurements: (M,) which measurements of point landmarks stay.
+            positions: (G,) which absolute positions stay.
+
+        Returns:
+            The same poses and landmarks, fewer measurements.
+        """
         return replace(
             self,
             measurement_pose=self.measurement_pose[measurements],

@@ -115,12 +115,20 @@ class SmootherResult:
         return int(self.values.dim())
 
     def initial_error(self) -> float:
-        """The error where the increments lead, landmarks standing where they were first seen."""
+        """Return the error where the increments lead, landmarks where they were first seen.
+
+        Returns:
+            Half the squared norm of the whitened residuals there.
+        """
         start = extension(self.problem, gtsam.Values(), 0, self.problem.pose_count)
         return float(self.graph.error(start))
 
     def pose_landmarks(self) -> Array:
-        """(Q, 3) pose landmarks: x, y, heading."""
+        """Return the pose landmarks at the optimum.
+
+        Returns:
+            (Q, 3) x, y [m], heading [rad], wrapped as gtsam has it.
+        """
         if self.lagged is not None:
             return self.lagged.pose_landmarks
         return pose_landmarks_from(self.values, self.problem)
@@ -128,9 +136,15 @@ class SmootherResult:
     def joint(
         self, poses: Sequence[int], landmarks: Sequence[int], pose_landmarks: Sequence[int] = ()
     ) -> Array:
-        """Joint covariance (n, n) of any poses, points and pose landmarks, in this order.
+        """Return the joint covariance of any poses, points and pose landmarks, in this order.
 
-        Of the additive global error, at the optimum; n is 3 P + 2 L + 3 Q.
+        Args:
+            poses: P indices of poses.
+            landmarks: L indices of points.
+            pose_landmarks: Q indices of pose landmarks.
+
+        Returns:
+            (n, n) at the optimum, of the additive global error; n = 3 P + 2 L + 3 Q.
         """
         frames = [POSE_KEY + k for k in poses], [POSE_LANDMARK_KEY + j for j in pose_landmarks]
         keys = frames[0] + [LANDMARK_KEY + j for j in landmarks] + frames[1]
@@ -143,9 +157,11 @@ class SmootherResult:
         return turned(local, (0, headings[0]), (second, headings[1]))
 
     def marginal(self) -> Marginal:
-        """Last pose and all landmarks jointly: mean and covariance, additive global error.
+        """Return the last pose and all landmarks jointly.
 
-        pose landmarks come last; their headings are as gtsam has them, wrapped.
+        Returns:
+            Mean and covariance of the additive global error. Pose landmarks come last; their
+            headings are as gtsam has them, wrapped.
         """
         if self.lagged is not None:
             return self.lagged.marginal
@@ -160,7 +176,14 @@ class SmootherResult:
         return Marginal(mean, to_global(local.covariance, self.poses[-1, 2], pose_landmarks[:, 2]))
 
     def pose_covariances(self) -> Array:
-        """Covariance (K, 3, 3) of every pose, given all it was told; additive global error."""
+        """Return the covariance of every pose alone, given all measurements, later ones among them.
+
+        Returns:
+            (K, 3, 3), additive global error.
+
+        Raises:
+            SingularProblemError: Some direction is left without information.
+        """
         if self.lagged is not None:
             return self.lagged.pose_covariance
         return pose_covariances(self.graph, self.values, self.poses[:, 2])
@@ -174,11 +197,23 @@ def smooth(
 ) -> SmootherResult:
     """Find the optimum of a problem, or follow it along the way and say how far it is.
 
-    guesses: other estimators' poses (K, 3) and landmarks (L, 2) by name, tried first. Then comes
-    the relaxed start, which needs no guess, and the incremental method's end; tracking, where
-    no guess agrees with the relaxed start; and the search for other minima. Raises
-    SingularProblemError when every attempt fails for want of information, and ValueError for
-    closures that reach beyond a fixed lag and, but in a batch, for poses that only later ones fix.
+    The relaxed start, which needs no guess, and the incremental method's end come after the
+    guesses; then tracking, where no guess agrees with the relaxed start, and the search for other
+    minima.
+
+    Args:
+        problem: What is known; it is not changed.
+        guesses: Poses (K, 3) and landmarks (L, 2) of other estimators by name, tried first.
+        progress: Called with the name of each stage.
+        options: Method, optimiser and robust kernel; batch Levenberg-Marquardt by default.
+
+    Returns:
+        The lowest minimum that was found, with the evidence that it is the optimum.
+
+    Raises:
+        SingularProblemError: Every attempt fails for want of information.
+        ValueError: A closure reaches beyond the fixed lag; or, but in a batch, only later poses fix
+            an earlier one; or robust is gnc beside what it cannot weigh.
     """
     options = options or SmootherOptions()
     reach = int(np.abs(problem.loop_closures.first - problem.loop_closures.second).max(initial=0))

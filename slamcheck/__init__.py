@@ -1,24 +1,34 @@
-"""Is my EKF-SLAM right? The public interface; everything else is private.
+"""Is my EKF-SLAM right? The public interface: these names and their public methods.
 
     import slamcheck
 
     log = slamcheck.load_log("simulated-loop", seed=7)
-    run = slamcheck.compare(log, slamcheck.run_config(filter="compressed"))
+    run = slamcheck.compare(log, filter="compressed")
     print(run.verdict.summary)
+    print(run.to_pandas("gaps"))
     mine = slamcheck.check(log, "my-filter-output")
     print(mine.outcome, *mine.causes, sep="\\n")
+
+A job (`compare`, `check`, `solve`, `odometry`, `dense_map`) takes a log and its options, named as
+the command's on the command line (`--smoother-association own` is `smoother_association="own"`), or
+a whole configuration in their place. Its result shows itself in a notebook; `to_pandas()` returns
+its tables as data frames, where pandas is installed. What a user can mend raises `InputError`, in
+one line. The modules `comparisons`, `ekf_reference` and `graphslam` that these names come from are
+private: they may change in any release.
 
 A name is imported when it is first used, so `import slamcheck` takes no time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from comparisons.config import CheckConfig as CheckConfig
+    from comparisons.config import JobConfig
     from comparisons.config import MapConfig as MapConfig
     from comparisons.config import OdometryConfig as OdometryConfig
     from comparisons.config import RunConfig as RunConfig
@@ -28,22 +38,23 @@ if TYPE_CHECKING:
     from comparisons.estimates.external import ExternalEstimate as ExternalEstimate
     from comparisons.estimates.external import read_external as read_estimate
     from comparisons.estimates.folder import write_estimate as write_estimate
+    from comparisons.experiments.montecarlo.study import Outcome as MonteCarlo
     from comparisons.experiments.montecarlo.study import montecarlo as montecarlo
     from comparisons.logs.log import Log as Log
     from comparisons.logs.log_folder import write_log_folder as write_log
+    from comparisons.options import Flag
     from comparisons.pipeline.check import ExternalCheck as ExternalCheck
     from comparisons.pipeline.compare import Comparison as Comparison
-    from comparisons.pipeline.compare import compare as compare
     from comparisons.pipeline.dense_map import DenseMapping as DenseMapping
-    from comparisons.pipeline.dense_map import map_log as dense_map
     from comparisons.pipeline.odometry import FrontEnd as FrontEnd
-    from comparisons.pipeline.odometry import run_front_end as odometry
     from comparisons.pipeline.solve import Solution as Solution
-    from comparisons.pipeline.solve import solve as solve
     from comparisons.settings import run_config as run_config
     from ekf_reference.core.ekf import Ekf as Ekf
     from ekf_reference.filters.compressed import CompressedEkf as CompressedEkf
     from ekf_reference.filters.misono import DirectionCosineEkf as DirectionCosineEkf
+
+    C = TypeVar("C", bound=JobConfig)
+    Progress = Callable[[str, int, int], None]
 
 _PLACES = {
     "CheckConfig": "comparisons.config",
@@ -59,17 +70,14 @@ _PLACES = {
     "InputError": "comparisons.errors",
     "Log": "comparisons.logs.log",
     "MapConfig": "comparisons.config",
+    "MonteCarlo": "comparisons.experiments.montecarlo.study:Outcome",
     "OdometryConfig": "comparisons.config",
     "RunConfig": "comparisons.config",
     "Solution": "comparisons.pipeline.solve",
     "SolveConfig": "comparisons.config",
-    "compare": "comparisons.pipeline.compare",
-    "dense_map": "comparisons.pipeline.dense_map:map_log",
     "montecarlo": "comparisons.experiments.montecarlo.study",
-    "odometry": "comparisons.pipeline.odometry:run_front_end",
     "read_estimate": "comparisons.estimates.external:read_external",
     "run_config": "comparisons.settings",
-    "solve": "comparisons.pipeline.solve",
     "write_estimate": "comparisons.estimates.folder",
     "write_log": "comparisons.logs.log_folder:write_log_folder",
 }
@@ -89,6 +97,7 @@ __all__ = [
     "InputError",
     "Log",
     "MapConfig",
+    "MonteCarlo",
     "OdometryConfig",
     "RunConfig",
     "Solution",
@@ -104,6 +113,7 @@ __all__ = [
     "solve",
     "write_estimate",
     "write_log",
+    "write_report",
 ]
 
 
@@ -111,11 +121,15 @@ def load_log(source: str | Path, **settings: Any) -> Log:
     """Return a log by its bundled name or its path.
 
     Args:
-        source: a name of `slamcheck logs`, or a file or folder in any readable format.
-        settings: fields of the configuration's `log` section, as `seed`, `robot` or `format`.
+        source: A name of `slamcheck logs`, or a file or folder in any readable format.
+        settings: Fields of the configuration's `log` section, as `seed`, `robot` or `format`.
+
+    Returns:
+        The log in SI units: headings counter-clockwise from east, bearings counter-clockwise from
+        straight ahead, whatever the file's own convention.
 
     Raises:
-        InputError: the log cannot be read, or a setting is unknown or out of range.
+        InputError: The log cannot be read, or a setting is unknown or out of range.
     """
     from comparisons.config import LogSection
     from comparisons.pipeline.read import load_log as load
@@ -123,29 +137,221 @@ def load_log(source: str | Path, **settings: Any) -> Log:
     return load(LogSection.of(source=str(source), **settings))
 
 
+def compare(
+    log: Log,
+    config: RunConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Comparison:
+    """Run EKF and smoother over a log and judge whether they agree.
+
+    Args:
+        log: Both estimators read it, with one set of standard deviations and one prior.
+        config: A whole configuration, in place of options.
+        progress: Called with the stage, how much is done, and of how much (0 if unknown).
+        options: Options of `slamcheck run` by name: `filter="compressed"`, `association="nn"`.
+
+    Returns:
+        Both estimates, the gaps between them, the verdict with its causes, and consistency.
+
+    Raises:
+        InputError: The log cannot be used as configured, or an option is unknown.
+        graphslam.marginals.SingularProblemError: The smoother has no unique solution.
+    """
+    from comparisons.config import RunConfig
+    from comparisons.options import RUN
+    from comparisons.pipeline.compare import compare as run
+    from comparisons.pipeline.prepare import no_progress
+
+    return run(log, _configured(RunConfig, RUN, config, options), progress or no_progress)
+
+
 def check(
-    log: Log, estimate: ExternalEstimate | Estimate | str | Path, config: CheckConfig | None = None
+    log: Log,
+    estimate: ExternalEstimate | Estimate | str | Path,
+    config: CheckConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
 ) -> ExternalCheck:
     """Grade another system's estimate of a log.
 
     Args:
-        log: what the estimate was made from.
-        estimate: a path to a trajectory or an estimate folder, or the estimate itself.
-        config: settings; `require` is the least grade that agrees.
+        log: The log that the estimate was made from.
+        estimate: A trajectory file, an estimate folder, or arrays as a `ExternalEstimate`.
+        config: A whole configuration, in place of options.
+        progress: Called with the stage, how much is done, and of how much (0 if unknown).
+        options: Options of `slamcheck check` by name: `require="like"` is the least grade that
+            agrees.
+
+    Returns:
+        Grade, outcome and causes; with the filter's trace also its gaps.
 
     Raises:
-        InputError: the estimate cannot be read, or has no pose within the log's time.
-        graphslam.marginals.SingularProblemError: the smoother has no unique solution.
+        InputError: The estimate cannot be read, has arrays of other shapes than expected, or has
+            no pose within the log's time; or an option is unknown.
+        graphslam.marginals.SingularProblemError: The smoother has no unique solution.
     """
+    from comparisons.config import CheckConfig
     from comparisons.estimates.estimate import Estimate
     from comparisons.estimates.external import ExternalEstimate, read_external
+    from comparisons.options import CHECK
     from comparisons.pipeline.check import check as check_external_estimate
+    from comparisons.pipeline.prepare import no_progress
 
+    settings = _configured(CheckConfig, CHECK, config, options)
     if isinstance(estimate, Estimate):
         estimate = ExternalEstimate.of(estimate)
-    elif not isinstance(estimate, ExternalEstimate):
-        estimate = read_external(Path(estimate))
-    return check_external_estimate(log, estimate, config)
+    if not isinstance(estimate, ExternalEstimate):
+        times = None if settings.times is None else Path(settings.times)
+        estimate = read_external(Path(estimate), times)
+    return check_external_estimate(log, estimate.validated(), settings, progress or no_progress)
+
+
+def solve(
+    log: Log,
+    config: SolveConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Solution:
+    """Run the smoother alone.
+
+    Args:
+        log: The log.
+        config: A whole configuration, in place of options.
+        progress: Called with the stage, how much is done, and of how much (0 if unknown).
+        options: Options of `slamcheck solve` by name: `association="own"`, `robust="huber"`.
+
+    Returns:
+        The optimum with its covariances, and whether it is verified (a strict local minimum on
+        which independent starts agree, and a plausible chi-square; no certificate).
+
+    Raises:
+        InputError: The log cannot be used as configured, or an option is unknown.
+        graphslam.marginals.SingularProblemError: The smoother has no unique solution.
+    """
+    from comparisons.config import SolveConfig
+    from comparisons.options import GPS, SMOOTHER, SOLVER_ASSOCIATION
+    from comparisons.pipeline.prepare import no_progress
+    from comparisons.pipeline.solve import solve as run
+
+    table = (SOLVER_ASSOCIATION, GPS, *SMOOTHER)
+    return run(log, _configured(SolveConfig, table, config, options), progress or no_progress)
+
+
+def odometry(
+    log: Log,
+    config: OdometryConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> FrontEnd:
+    """Run scan odometry, loop closure and the scan pose graph over a log's scans.
+
+    Args:
+        log: A log with scans or clouds.
+        config: A whole configuration, in place of options.
+        progress: Called with the stage, how much is done, and of how much (0 if unknown).
+        options: Options of `slamcheck odometry` by name: `loop_closure=False`, `matcher="gicp"`.
+
+    Returns:
+        The trajectories by wheels, scan odometry and graph, and their errors.
+
+    Raises:
+        InputError: The log has no scans, or an option is unknown.
+        graphslam.scan.libraries.MissingLibraryError: KISS-ICP or Open3D is not installed.
+    """
+    from comparisons.config import OdometryConfig
+    from comparisons.options import FRONT_END
+    from comparisons.pipeline.odometry import run_front_end
+    from comparisons.pipeline.prepare import no_progress
+
+    settings = _configured(OdometryConfig, FRONT_END, config, options)
+    return run_front_end(log, settings, progress or no_progress)
+
+
+def dense_map(
+    log: Log,
+    config: MapConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> DenseMapping:
+    """Run the EKF with a dense map beside it, anchored to its landmarks.
+
+    Args:
+        log: A log with scans.
+        config: A whole configuration, in place of options.
+        progress: Called with the stage, how much is done, and of how much (0 if unknown).
+        options: Options of `slamcheck map` by name: `layer=["occupancy"]`, `resolution=0.1`.
+
+    Returns:
+        The layers as the landmarks lie in the end, and their distances from true surfaces.
+
+    Raises:
+        InputError: The log cannot be used as configured, or an option is unknown.
+        graphslam.scan.libraries.MissingLibraryError: Open3D is needed and not installed.
+
+    Source: Nieto 2005, chapters 4 and 6.2.
+    """
+    from comparisons.config import MapConfig
+    from comparisons.options import EKF, MAP
+    from comparisons.pipeline.dense_map import map_log
+    from comparisons.pipeline.prepare import no_progress
+
+    if config is None:
+        options = {"layer": ["points", "occupancy"], **options}
+    settings = _configured(MapConfig, (*EKF, *MAP), config, options)
+    return map_log(log, settings, progress or no_progress)
+
+
+def write_report(result: Comparison | ExternalCheck | Solution, folder: str | Path) -> None:
+    """Write the folder that the command line writes: JSON, estimates, pictures, `report.html`.
+
+    Args:
+        result: Of `compare`, `check` or `solve`.
+        folder: New or empty, or one that an earlier job has written, which is replaced.
+
+    Raises:
+        InputError: The folder holds other files, or cannot be written.
+    """
+    from comparisons.pipeline.check import ExternalCheck
+    from comparisons.pipeline.compare import Comparison
+    from comparisons.report.folder import JobFolder, write_job_folder
+
+    content: JobFolder
+    if isinstance(result, Comparison):
+        from comparisons.report.result import build_result
+        from comparisons.report.run import run_folder
+
+        content = run_folder(result, build_result(result))
+    elif isinstance(result, ExternalCheck):
+        from comparisons.report.check import build_check_result, check_folder
+
+        content = check_folder(result, build_check_result(result))
+    else:
+        from comparisons.report.solution import build_solution_result, solution_folder
+
+        content = solution_folder(result, build_solution_result(result))
+    write_job_folder(content, Path(folder))
+
+
+def _configured(
+    job: type[C], table: Iterable[Flag], config: C | None, options: Mapping[str, Any]
+) -> C:
+    """Return a configuration, or that of options; those of the log are none, for it is given."""
+    from comparisons.errors import InputError
+    from comparisons.options import options as flags
+    from comparisons.settings import configure
+
+    if config is None:
+        table = [one for one in table if not one.field.startswith("log.")]
+        return configure(job, flags=flags(table, options))
+    if options:
+        raise InputError(f"give a configuration or options ({', '.join(options)}), not both")
+    return config
 
 
 def __getattr__(name: str) -> Any:

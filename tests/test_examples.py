@@ -99,7 +99,7 @@ def test_the_own_filter_is_like_ours(log_folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "gap", "told"),
+    ("old", "new", "gap", "reported"),
     [
         ('seen["bearing_rad"][k]', '-seen["bearing_rad"][k]', "model", "bearings are clockwise"),
         ("self.p[:, :3] @ f.T", "self.p[:, :3] @ f", "algebra", ""),

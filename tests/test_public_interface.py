@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import ast
+import inspect
+import re
 import subprocess
 import sys
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from html import escape
+from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,24 +25,34 @@ SOURCE = Path(slamcheck.__file__)
 
 def test_every_name_exists_and_type_checkers_see_the_same_object() -> None:
     tree = ast.parse(SOURCE.read_text())
-    typed = {}
-    for node in ast.walk(tree):
+    typed: dict[str | None, str] = {}
+    for node in tree.body:
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
             for one in node.body:
-                assert isinstance(one, ast.ImportFrom)
-                for alias in one.names:
-                    typed[alias.asname] = f"{one.module}:{alias.name}"
+                if isinstance(one, ast.ImportFrom):
+                    named = [alias for alias in one.names if alias.asname is not None]
+                    typed |= {alias.asname: f"{one.module}:{alias.name}" for alias in named}
     places = {
         name: place if ":" in place else f"{place}:{name}"
         for name, place in slamcheck._PLACES.items()
     }
+    own = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     assert typed == places
-    assert set(slamcheck.__all__) == {*places, "check", "load_log"}
+    assert set(slamcheck.__all__) == {*places, *(name for name in own if name[0] != "_")}
     for name in slamcheck.__all__:
         assert getattr(slamcheck, name) is not None
     assert dir(slamcheck) == sorted(slamcheck.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = slamcheck.nothing
+
+
+@pytest.mark.parametrize("package", ["slamcheck", "comparisons", "ekf_reference", "graphslam"])
+def test_types_reach_a_users_type_checker(package: str) -> None:
+    """Without the mark everything that comes from a package is Any to its users (PEP 561)."""
+    root = SOURCE.parents[1]
+    assert (root / package / "py.typed").exists()
+    found = tomllib.loads((root / "pyproject.toml").read_text())
+    assert "py.typed" in found["tool"]["setuptools"]["package-data"][package]
 
 
 def test_importing_it_loads_nothing_heavy() -> None:
@@ -48,7 +66,7 @@ def test_importing_it_loads_nothing_heavy() -> None:
 
 def test_a_log_is_run_checked_and_solved(tmp_path: Path) -> None:
     log = slamcheck.load_log("simulated-loop", seed=7)
-    run = slamcheck.compare(log, slamcheck.run_config(filter="compressed"))
+    run = slamcheck.compare(log, filter="compressed")
     assert run.verdict.outcome == "agree"
     estimate = run.ekf.estimate
     slamcheck.write_estimate(estimate, tmp_path)
@@ -72,3 +90,254 @@ def test_faults_are_input_errors() -> None:
         slamcheck.load_log("simulated-loop", sede=1)
     with pytest.raises(slamcheck.InputError, match="no-such-log"):
         slamcheck.load_log("no-such-log")
+
+
+JOBS: dict[str, Callable[..., object]] = {
+    "compare": slamcheck.compare,
+    "solve": slamcheck.solve,
+    "odometry": slamcheck.odometry,
+    "dense_map": slamcheck.dense_map,
+}
+
+
+@pytest.mark.parametrize("job", sorted(JOBS))
+def test_a_job_takes_options_or_a_configuration(job: str, log: slamcheck.Log) -> None:
+    for name in ("filtr", "seed", "features"):  # the log is read already
+        with pytest.raises(slamcheck.InputError, match=f"option {name}: is unknown, expected some"):
+            JOBS[job](log, **{name: "trees"})
+    with pytest.raises(slamcheck.InputError, match=r"or options \(gps\), not both"):
+        JOBS[job](log, slamcheck.RunConfig(), gps="off")
+
+
+@pytest.mark.parametrize(
+    ("fields", "reported"),
+    [
+        ({"pose": np.zeros((3, 2))}, r"pose has shape \(3, 2\), expected \(3, 3\)"),
+        ({"time_s": [0.0, 2.0, 1.0]}, "time_s must hold at least one time, in increasing order"),
+        ({"time_s": []}, "time_s must hold at least one time"),
+        ({"pose": [[0, 0, 0], [0, np.nan, 0], [0, 0, 0]]}, r"pose\[1\] holds a value that is not"),
+        ({"pose": [["a", "b", "c"]] * 3}, "pose must hold numbers"),
+        ({"landmark": np.zeros((2, 2))}, "landmark and landmark_id both"),
+        ({"landmark": np.zeros((2, 2)), "landmark_id": [1, 1]}, "whole numbers, each once"),
+        (
+            {"joint_covariance": np.eye(5)},
+            r"has shape \(5, 5\), expected \(3, 3\)",
+        ),
+    ],
+)
+def test_a_fault_in_own_arrays_is_named(
+    fields: dict[str, Any], reported: str, log: slamcheck.Log
+) -> None:
+    sound = {"time_s": np.arange(3.0), "pose": np.zeros((3, 3))}
+    given = slamcheck.ExternalEstimate(**{**sound, **fields})
+    with pytest.raises(slamcheck.InputError, match=reported):
+        slamcheck.check(log, given)
+
+
+HOSTILE = "<script>alert('x')</script><img src=x onerror=y>"
+
+
+@pytest.fixture(scope="module")
+def log() -> slamcheck.Log:
+    return replace(slamcheck.load_log("simulated-loop", seed=7), name=HOSTILE)
+
+
+@pytest.fixture(scope="module")
+def run(log: slamcheck.Log) -> slamcheck.Comparison:
+    return slamcheck.compare(log)
+
+
+@pytest.fixture(scope="module")
+def checked(log: slamcheck.Log, run: slamcheck.Comparison) -> slamcheck.ExternalCheck:
+    """Of lists, with half of the variance."""
+    e = run.ekf.estimate
+    return slamcheck.check(
+        log,
+        slamcheck.ExternalEstimate(
+            time_s=e.time_s.tolist(),
+            pose=e.pose.tolist(),
+            pose_covariance=0.5 * e.pose_covariance,
+            landmark_id=e.landmark_id,
+            landmark=e.landmark,
+            joint_covariance=0.5 * e.joint_covariance,
+            estimator="ekf",
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def results(
+    log: slamcheck.Log, run: slamcheck.Comparison, checked: slamcheck.ExternalCheck
+) -> dict[str, Any]:
+    return {
+        "Comparison": run,
+        "ExternalCheck": checked,
+        "Solution": slamcheck.solve(log),
+        "MonteCarlo": slamcheck.montecarlo("circle", runs=2),
+        "Log": log,
+        "Estimate": run.ekf.estimate,
+    }
+
+
+class _Seen(HTMLParser):
+    """Tags that are open, all that were used, their attributes, and the text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.attributes: set[str] = set()
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.attributes |= {name for name, _ in attrs}
+        if tag != "img":  # which has no end
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_a_name_taken_for_markup_is_seen() -> None:
+    seen = _Seen()
+    seen.feed(f"<b>{HOSTILE}</b>")
+    assert "script" in seen.tags
+    assert "onerror" in seen.attributes
+
+
+SHOWN = {"Comparison", "ExternalCheck", "Solution", "MonteCarlo", "Log", "Estimate"}
+
+
+@pytest.mark.parametrize("name", sorted(SHOWN))
+def test_a_result_shows_itself_in_a_notebook(name: str, results: dict[str, Any]) -> None:
+    shown = results[name]._repr_html_()
+    seen = _Seen()
+    seen.feed(shown)
+    assert seen.open == []
+    assert seen.tags.isdisjoint({"script", "img", "link", "iframe"})
+    assert not {one for one in seen.attributes if one.startswith("on") or one in ("id", "src")}
+    assert "http" not in shown
+    assert len(shown) < 300_000
+    assert len(repr(results[name])) < 300
+    if name not in ("MonteCarlo", "Estimate"):
+        assert HOSTILE in seen.text
+    if name != "MonteCarlo":
+        assert "svg" in seen.tags
+    for rule in re.findall(r"([^{}]+)\{", re.findall("<style>(.*?)</style>", shown)[0]):
+        assert all(one.startswith(".slamcheck-view") for one in rule.split(",")), rule
+    for colour in re.findall(
+        r"(?:color|background)\w*:([^;}]+)", shown
+    ):  # of lines and words alone
+        assert colour.startswith("#")
+
+
+def test_a_run_shows_verdict_gaps_and_causes(results: dict[str, Any]) -> None:
+    shown = results["Comparison"]._repr_html_()
+    assert results["Comparison"].verdict.summary in shown
+    assert [gap for gap in ("algebra", "model", "linearisation", "truth") if gap not in shown] == []
+    checked = results["ExternalCheck"]
+    assert checked.outcome == "disagree"
+    assert all(escape(cause.evidence) in checked._repr_html_() for cause in checked.causes)
+
+
+def test_a_large_map_stays_small() -> None:
+    poses, landmarks = 200_000, 5_000
+    spread = np.random.default_rng(0).normal(size=(landmarks, 2))
+    large = slamcheck.Estimate(
+        time_s=np.arange(float(poses)),
+        pose=np.random.default_rng(1).normal(size=(poses, 3)),
+        pose_covariance=np.broadcast_to(np.eye(3), (poses, 3, 3)),
+        landmark_id=np.arange(landmarks),
+        landmark=spread,
+        joint_covariance=np.eye(3),
+        information="filtered",
+    )
+    assert len(large._repr_html_()) < 100_000
+    assert len(large.to_pandas("landmarks").columns) == 3  # without covariances
+
+
+TABLES = {
+    "Comparison": ("gaps", "landmarks", "nees", "nis", "causes", "settings"),
+    "ExternalCheck": ("causes", "gaps", "poses", "landmarks", "nees", "settings"),
+    "Solution": ("poses", "landmarks", "settings"),
+    "MonteCarlo": ("filters", "pairs", "nees"),
+    "Log": ("odometry", "measurements", "positions", "truth", "truth_landmarks"),
+    "Estimate": ("poses", "landmarks"),
+}
+
+
+@pytest.mark.parametrize("name", sorted(TABLES))
+def test_tables_are_data_frames(name: str, results: dict[str, Any]) -> None:
+    pytest.importorskip("pandas")
+    one, typed = results[name], get_type_hints_of(results[name].to_pandas)
+    assert typed == TABLES[name]
+    with pytest.raises(slamcheck.InputError) as reported:
+        one.to_pandas("nothing")
+    assert str(reported.value).endswith(f"expected one of {', '.join(offered(reported.value))}")
+    assert set(offered(reported.value)) == set(TABLES[name])
+    empty = {"ExternalCheck": ("gaps",), "Log": ("positions",), "Comparison": ("causes",),
+             "MonteCarlo": ("pairs",)}  # fmt: skip
+    for table in TABLES[name]:
+        frame = one.to_pandas(table)
+        assert (len(frame) > 0) == (table not in empty.get(name, ())), table
+        assert not any(frame[column].map(np.ndim).any() for column in frame if table != "settings")
+
+
+def get_type_hints_of(method: Callable[..., object]) -> tuple[str, ...]:
+    """The names that the type of `table` allows."""
+    words = inspect.signature(method).parameters["table"].annotation
+    return tuple(re.findall(r"[\"'](\w+)[\"']", words))
+
+
+def offered(error: Exception) -> list[str]:
+    """The names that an error offers."""
+    return str(error).rpartition("expected one of ")[2].split(", ")
+
+
+def test_figures_of_a_table_are_the_results(results: dict[str, Any]) -> None:
+    pytest.importorskip("pandas")
+    run, e = results["Comparison"], results["Estimate"]
+    gaps = run.to_pandas().set_index("gap")
+    assert gaps["sigma"]["linearisation"] == run.agreement.linearisation.sigma
+    poses = e.to_pandas()
+    assert np.array_equal(poses[["x_m", "y_m", "heading_rad"]].to_numpy(), e.pose)
+    assert np.allclose(poses["sigma_x_m"] ** 2, e.pose_covariance[:, 0, 0], rtol=1e-12)
+    nees = run.to_pandas("nees").groupby("estimate")["nees"].mean()
+    assert nees["ekf"] == pytest.approx(run.consistency.ekf.poses.pose.mean)
+    settings = run.to_pandas("settings").set_index("setting")
+    assert settings["value"]["ekf.filter"] == "full"
+
+
+def test_without_pandas_an_error_says_what_to_install(
+    run: slamcheck.Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(slamcheck.InputError, match="pip install pandas"):
+        run.to_pandas()
+
+
+@pytest.mark.slow
+def test_a_report_folder_is_written(results: dict[str, Any], tmp_path: Path) -> None:
+    files = {"Comparison": "result", "ExternalCheck": "check", "Solution": "solution"}
+    for name, file in files.items():
+        slamcheck.write_report(results[name], tmp_path / name)
+        assert (tmp_path / name / f"{file}.json").exists()
+        slamcheck.write_report(results[name], str(tmp_path / name))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.txt").write_text("mine")
+    with pytest.raises(slamcheck.InputError, match="other"):
+        slamcheck.write_report(results["Comparison"], tmp_path / "other")
+
+
+@pytest.mark.slow
+def test_scan_jobs_show_themselves() -> None:
+    pytest.importorskip("kiss_icp")
+    log = slamcheck.load_log("scan-loop")
+    for result in (slamcheck.dense_map(log, layer=["occupancy"]), slamcheck.odometry(log)):
+        shown = result._repr_html_()
+        assert "<svg" in shown
+        assert len(shown) < 300_000

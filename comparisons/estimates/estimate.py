@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """The result of one estimator on one log.
+    """Hold what one estimator found on one log: a trajectory, a map, and how certain it is of both.
 
-    time_s: (K,). pose: (K, 3), headings unwrapped. pose_covariance: (K, 3, 3), each pose alone.
-    landmark_id: (L,). landmark: (L, 2). pose_landmark_id: (Q,) and pose_landmarks: (Q, 3) x, y,
-    heading of pose landmarks, such as scan landmarks. joint_covariance: (n, n) of the last
-    pose, the landmarks and then these. All covariances are of the additive global error.
-    information: `filtered` (pose k knows the log up to k), `smoothed` (every pose has seen the
-    future) or `fixed-lag` (pose k has seen the next few). Only the last
-    pose and the map of the two may be compared directly.
+    All covariances are of the additive global error (x, y, heading). Only the last pose and the map
+    of a filtered and a smoothed estimate may be compared directly.
+
+    Attributes:
+        time_s: (K,) of the poses.
+        pose: (K, 3) x, y [m], heading [rad], unwrapped.
+        pose_covariance: (K, 3, 3) of each pose alone.
+        landmark_id: (L,) of point landmarks.
+        landmark: (L, 2) x, y [m].
+        joint_covariance: (n, n) of the last pose, the point landmarks and then the pose landmarks;
+            n = 3 + 2 L + 3 Q.
+        information: `filtered` (pose k knows the log up to k), `smoothed` (every pose knows the
+            whole log) or `fixed-lag` (pose k knows a little of what follows).
+        provenance: Free text by key.
+        pose_landmark_id: (Q,) of pose landmarks, such as scan landmarks.
+        pose_landmarks: (Q, 3) x, y [m], heading [rad].
     """
 
     time_s: Array
@@ -40,13 +52,40 @@ class Estimate:
         count = len(self.landmark) + len(self.pose_landmarks)
         return f"<Estimate: {len(self.time_s):,} {self.information} poses, {count:,} landmarks>"
 
+    def _repr_html_(self) -> str:
+        from comparisons.report.notebook import estimate_html
+
+        return estimate_html(self)
+
+    def to_pandas(self, table: Literal["poses", "landmarks"] = "poses") -> DataFrame:
+        """Return a table as a pandas data frame.
+
+        Args:
+            table: `poses`: time_s, x_m, y_m, heading_rad (unwrapped) and their standard deviations;
+                `landmarks`: id, x_m, y_m, their standard deviations and covariance, and heading_rad
+                for landmarks that have one. All in the log's frame.
+
+        Returns:
+            One row for each pose or landmark.
+
+        Raises:
+            InputError: pandas is not installed, or there is no such table.
+        """
+        from comparisons.report.tables import data_frame, estimate_tables
+
+        return data_frame(estimate_tables(self), table)
+
     @property
     def joint_mean(self) -> Array:
         """(n,) the last pose and all landmarks, n = 3 + 2 L + 3 Q."""
         return np.concatenate((self.pose[-1], self.landmark.ravel(), self.pose_landmarks.ravel()))
 
     def pose_landmark_covariances(self) -> Array:
-        """(Q, 3, 3) of each pose landmark alone."""
+        """Return the covariance of each pose landmark alone.
+
+        Returns:
+            (Q, 3, 3) of x, y, heading [m, m, rad], additive global error.
+        """
         first = len(self.joint_covariance) - 3 * len(self.pose_landmarks)
         which = np.arange(len(self.pose_landmarks))
         own = self.joint_covariance[first:, first:].reshape(len(which), 3, len(which), 3)
@@ -54,7 +93,11 @@ class Estimate:
         return blocks
 
     def landmark_covariances(self) -> Array:
-        """(L, 2, 2) of each landmark alone."""
+        """Return the covariance of each point landmark alone.
+
+        Returns:
+            (L, 2, 2) [m^2], additive global error; the diagonal blocks of `joint_covariance`.
+        """
         points = 3 + 2 * len(self.landmark)
         return landmark_blocks(self.joint_covariance[:points, :points])
 

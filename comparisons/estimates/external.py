@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,15 +34,23 @@ _ARRAYS = ("pose", "landmarks", "last_pose_and_landmarks")
 
 @dataclass(frozen=True, kw_only=True)
 class ExternalEstimate:
-    """What was handed in; None for what was not.
+    """Hold an external estimate, with None for whatever was not handed in.
 
-    time_s: (K,). pose: (K, 3) x, y, heading, unwrapped. landmark_id: (L,) and landmark: (L, 2),
-    both None without a map. pose_covariance: (K, 3, 3). landmark_covariance: (L, 2, 2).
-    joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and all landmarks. All covariances are
-    of the additive global error. information: as of Estimate, None where it was not said.
-    estimator: what it calls itself.
-    trace: what the filter linearised where.
-    sha256: of the files it was read from, by name.
+    Sequences in place of arrays will do: `slamcheck.check` converts and checks them. All
+    covariances are of the additive global error (x, y, heading).
+
+    Attributes:
+        time_s: (K,) of the poses, increasing, on the log's clock.
+        pose: (K, 3) x, y [m], heading [rad], unwrapped, in the log's frame.
+        landmark_id: (L,) whole numbers, by the log's labels where it has them; None without a map.
+        landmark: (L, 2) x, y [m]; None without a map.
+        pose_covariance: (K, 3, 3) of each pose alone.
+        landmark_covariance: (L, 2, 2) of each landmark alone.
+        joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and all landmarks.
+        information: What the poses know of the log, as of `Estimate`; None where it was not stated.
+        estimator: What made it: `ekf`, `smoother` or `other`.
+        trace: Where the filter linearised, for its algebra and model gaps.
+        sha256: Of the files that it was read from, by name.
     """
 
     time_s: Array
@@ -59,7 +67,15 @@ class ExternalEstimate:
 
     @classmethod
     def of(cls, estimate: Estimate) -> ExternalEstimate:
-        """Return an estimate with all it has, as somebody else would hand it in."""
+        """Return an estimate with all it has, as somebody else would hand it in.
+
+        Args:
+            estimate: Of this project's estimators, or built from arrays. Pose landmarks are left
+                out.
+
+        Returns:
+            The same poses, landmarks and covariances; what made them is not stated.
+        """
         return cls(
             time_s=estimate.time_s,
             pose=estimate.pose,
@@ -71,10 +87,50 @@ class ExternalEstimate:
             information=estimate.information,
         )
 
+    def validated(self) -> ExternalEstimate:
+        """Return the same with float64 arrays, once their shapes and values are checked.
+
+        Returns:
+            A copy whose arrays are arrays, whatever sequences were given.
+
+        Raises:
+            InputError: An array has another shape than expected or holds no finite number, times
+                do not increase, or only one of `landmark` and `landmark_id` is given.
+        """
+        time_s = _numbers("time_s", self.time_s, (-1,))
+        if not len(time_s) or not (np.diff(time_s) > 0.0).all():
+            raise InputError("estimate: time_s must hold at least one time, in increasing order")
+        if (self.landmark is None) != (self.landmark_id is None):
+            raise InputError("estimate: give landmark and landmark_id both, or neither")
+        count = 0 if self.landmark is None else len(self.landmark)
+        state = 3 + 2 * count
+        shapes = {
+            "pose": (len(time_s), 3),
+            "pose_covariance": (len(time_s), 3, 3),
+            "landmark_id": (count,),
+            "landmark": (count, 2),
+            "landmark_covariance": (count, 2, 2),
+            "joint_covariance": (state, state),
+        }
+        found: dict[str, Any] = {
+            name: _numbers(name, value, shape)
+            for name, shape in shapes.items()
+            if (value := getattr(self, name)) is not None
+        }
+        if (ids := found.get("landmark_id")) is not None:
+            found["landmark_id"] = ids.astype(np.int64)
+            if (found["landmark_id"] != ids).any() or len(np.unique(ids)) < count:
+                raise InputError("estimate: landmark_id must hold whole numbers, each once")
+        if self.landmark_covariance is None and "joint_covariance" in found and count:
+            found["landmark_covariance"] = landmark_blocks(found["joint_covariance"])
+        return replace(self, time_s=time_s, **found)
+
     def padded(self) -> Estimate:
         """Return it as an estimate with all parts: no landmarks, and covariances NaN, if not given.
 
-        The joint covariance is then of the last pose alone, whatever landmarks there are.
+        Returns:
+            An estimate; its joint covariance is of the last pose alone where none was given,
+            whatever landmarks there are.
         """
         unknown = np.full((len(self.pose), 3, 3), np.nan)
         ids, places = self.landmark_id, self.landmark
@@ -91,7 +147,14 @@ class ExternalEstimate:
         )
 
     def may_be(self, information: Information) -> bool:
-        """Whether its poses may know so much of the log; an EKF's know what is past."""
+        """Return whether its poses may know so much of the log; an EKF's know what is past.
+
+        Args:
+            information: `filtered`, `smoothed` or `fixed-lag`.
+
+        Returns:
+            True where the estimate says so, or where it says nothing and its kind allows it.
+        """
         if self.information is None and self.estimator == "other":
             return information != "fixed-lag"
         default = "smoothed" if self.estimator == "smoother" else "filtered"
@@ -113,9 +176,17 @@ class ExternalEstimate:
 
 
 def read_external(path: Path, times: Path | None = None) -> ExternalEstimate:
-    """A trajectory's file, or a folder with `trajectory.tum` and any files of an estimate folder.
+    """Read a trajectory file, or a folder with `trajectory.tum` and more of an estimate folder.
 
-    times: of a KITTI file. Raises InputError.
+    Args:
+        path: A TUM, KITTI or CSV trajectory, or a folder (docs/formats.md).
+        times: The file with the times of a KITTI trajectory; `times.txt` beside it by default.
+
+    Returns:
+        Everything that is there: headings unwrapped, covariances of the additive global error.
+
+    Raises:
+        InputError: A file is missing, unreadable, or not of the form it should have.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder, expected a trajectory or a folder")
@@ -129,6 +200,20 @@ def read_external(path: Path, times: Path | None = None) -> ExternalEstimate:
     return ExternalEstimate(
         time_s=time_s, pose=pose, pose_covariance=covariance, sha256=_hashes(files)
     )
+
+
+def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> Array:
+    """An array of finite float64 of a shape, -1 for any length. Raises InputError."""
+    try:
+        found = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"estimate: {name} must hold numbers, of shape {shape}") from None
+    if found.ndim != len(shape) or shape not in (found.shape, (-1,)):
+        raise InputError(f"estimate: {name} has shape {found.shape}, expected {shape}")
+    if not (usable := np.abs(found) <= LARGEST**2).all():
+        row = int(np.argwhere(~usable)[0][0])
+        raise InputError(f"estimate: {name}[{row}] holds a value that is not a finite number")
+    return found
 
 
 def _hashes(files: Iterable[Path]) -> dict[str, str]:

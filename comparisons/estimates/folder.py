@@ -38,7 +38,12 @@ class Meta(BaseModel):
 
 
 def write_estimate(estimate: Estimate, folder: Path) -> None:
-    """Write into a folder that exists and is empty."""
+    """Write an estimate folder: trajectory, landmarks, covariances and what they are of.
+
+    Args:
+        estimate: What to write; numbers come back to the bit, headings up to rounding.
+        folder: Exists, and is empty.
+    """
     (folder / "trajectory.tum").write_text(
         tum_text(estimate.time_s, estimate.pose), encoding="utf-8"
     )

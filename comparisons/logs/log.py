@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ from comparisons.logs.validation import (
     standard_deviation,
     within,
 )
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Ids = NDArray[np.int64]
 Columns = Mapping[str, Any]
@@ -242,12 +245,27 @@ class Prior:
 
 @dataclass(frozen=True, kw_only=True)
 class Log:
-    """One drive: its streams, its prior, and where they come from.
+    """Hold one drive: its streams, its prior, and where they come from.
 
-    format: the reader's name. provenance: free text by key, for reports. known_landmarks and
-    known_measurements: landmarks surveyed beforehand, and the measurements that refer to their ids.
-    loop_closures: of relative poses, some of which they may stand for. Odometry and measurements
-    may be empty only where there are scans, measurements where there are closures, too.
+    Arrays are read-only. Times are in seconds, angles in radians, headings counter-clockwise from
+    east, bearings counter-clockwise from straight ahead.
+
+    Attributes:
+        name: For reports.
+        format: The reader's name.
+        prior: Where the vehicle starts.
+        odometry: Wheels, or relative poses; may be empty only where there are scans.
+        measurements: Range-bearing measurements of landmarks; may be empty only where there are
+        scans
+            or closures.
+        positions: Absolute positions, such as GPS.
+        loop_closures: Measured motions between poses that do not follow each other.
+        known_landmarks: Landmarks surveyed beforehand.
+        known_measurements: Measurements that refer to the ids of these.
+        scans: Planar laser scans.
+        clouds: Spatial point clouds.
+        truth: What is known independently of the sensors; no estimator is given it.
+        provenance: Free text by key, for reports.
     """
 
     name: str
@@ -323,8 +341,12 @@ class Log:
             prior: Where the vehicle starts; by default where the truth is then, else the origin.
             name: The log's.
 
+        Returns:
+            A validated log; its arrays are read-only copies.
+
         Raises:
-            InputError: names stream, row, value and expectation.
+            InputError: A record is missing or out of range; stream, row, value and expectation are
+                named.
         """
         from comparisons.logs.from_arrays import log_from_arrays
 
@@ -342,6 +364,35 @@ class Log:
         """Return name, counts and duration in one line."""
         counts = ", ".join(f"{count:,} {name}" for name, count in self.records.items())
         return f"<Log {self.name}: {counts}; {self.duration_s:.1f} s>"
+
+    def _repr_html_(self) -> str:
+        from comparisons.report.notebook import log_html
+
+        return log_html(self)
+
+    def to_pandas(
+        self,
+        table: Literal[
+            "odometry", "measurements", "positions", "truth", "truth_landmarks"
+        ] = "measurements",
+    ) -> DataFrame:
+        """Return a stream as a pandas data frame.
+
+        Args:
+            table: `odometry`: the samples of the wheels, or relative poses; `measurements`: range,
+                bearing and their standard deviations, landmark (-1 where the sensor names none);
+                `positions`: absolute ones with their covariance; `truth`: true poses;
+                `truth_landmarks`: the true map. Units are in the columns' names.
+
+        Returns:
+            One row for each record; none where the log has no such stream.
+
+        Raises:
+            InputError: pandas is not installed, or there is no such table.
+        """
+        from comparisons.report.tables import data_frame, log_tables
+
+        return data_frame(log_tables(self), table)
 
     def _check_loop_closures(self) -> None:
         """They are between poses of the odometry, and there where it lacks motions."""

@@ -128,8 +128,13 @@ def read_log_folder(folder: Path) -> Log:
 def write_log_folder(log: Log, folder: Path, remarks: Mapping[str, str] | None = None) -> None:
     """Write a log into a new or empty folder, which appears whole or not at all.
 
-    remarks: comments in `log.toml`, by key.
-    Raises InputError where something is there already: a log may be the only copy of its data.
+    Args:
+        log: What to write.
+        folder: Where (docs/formats.md says what stands in each file).
+        remarks: Comments in `log.toml`, by key.
+
+    Raises:
+        InputError: Something is there already: a log may be the only copy of its data.
     """
     with fresh_folder(folder) as work:
         _write_odometry(work / "odometry.csv", log.odometry)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,9 @@ from comparisons.pipeline.prepare import Progress, no_progress
 from comparisons.pipeline.references import reference_ekf, smoother, variants
 from comparisons.pipeline.solve import Solution, solve
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 _OWN = ("data", "algebra", "model")
 """Causes that the filter's trace shows whatever the smoother found."""
 _HOPELESS_SIGMA = 10.0
@@ -59,12 +63,22 @@ class Graded:
 
 @dataclass(frozen=True, kw_only=True)
 class ExternalCheck:
-    """What the check found.
+    """Hold what the check of an external estimate found.
 
-    solution: the smoother's; optimum: at the given times. peers: right estimates of the kinds that
-    it may be. agreement: with the smoother. coverage: of the log's time. consistency: errors and
-    covariances. accuracy: of the given estimate where the log has truth or positions. trace: the
-    filter's own gaps, where it left one. grade, outcome, causes, remarks: the verdict.
+    Attributes:
+        given: The estimate that was checked.
+        solution: The smoother's, of the same log.
+        optimum: The smoother at the given times.
+        peers: Correct estimates of the kinds that the given one may be.
+        agreement: The estimate against the smoother.
+        coverage: Share of the log's time that it covers.
+        consistency: Its errors, and whether its covariances match them.
+        accuracy: Its errors, where the log has truth or positions.
+        trace: The filter's own gaps, where it handed in a trace.
+        grade: `equal`, `like`, `plausible` or `wrong`, with what it was compared with.
+        outcome: `agree`, `disagree` or `unverified`.
+        causes: Why the grade is not higher, the most important first.
+        remarks: What narrows the verdict.
     """
 
     given: ExternalEstimate
@@ -86,6 +100,32 @@ class ExternalCheck:
         gaps = ", ".join(one.gap for one in self.causes)
         name, grade = self.solution.log.name, self.grade.value or "none"
         return f"<ExternalCheck of {name}: {self.outcome}, grade {grade}{gaps and f' ({gaps})'}>"
+
+    def _repr_html_(self) -> str:
+        from comparisons.report.notebook import check_html
+
+        return check_html(self)
+
+    def to_pandas(
+        self, table: Literal["causes", "gaps", "poses", "landmarks", "nees", "settings"] = "causes"
+    ) -> DataFrame:
+        """Return a table as a pandas data frame.
+
+        Args:
+            table: `causes` of the verdict; `gaps`: those of the filter's trace, where it was handed
+                in; `poses` as they were handed in; `landmarks`: the estimate against the smoother,
+                by landmark; `nees`: of the estimate and the smoother against truth, by instant,
+                with the 95 % band of one value; `settings`: value and default of each.
+
+        Returns:
+            The table, one row for each of what it lists; no rows where there is none.
+
+        Raises:
+            InputError: pandas is not installed, or there is no such table.
+        """
+        from comparisons.report.tables import check_tables, data_frame
+
+        return data_frame(check_tables(self), table)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -35,6 +35,8 @@ from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.position_gate import RejectedFixes
@@ -66,11 +68,17 @@ class Assessment:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Everything one run found out.
+    """Hold everything that one run of both estimators found.
 
-    dead_reckoned: (K, 3) where the odometry alone leads. consistency: whether the filter is as
-    certain as it may be; it has remarks, and no say in the verdict. findings: of the extensions,
-    by name.
+    Attributes:
+        prepared: The log as the estimators read it, and the configuration.
+        ekf: The EKF's estimate (`ekf.estimate`) and trace.
+        gaps: The chain of estimates from the EKF to the smoother.
+        dead_reckoned: (K, 3) poses where the odometry alone leads.
+        consistency: NEES, NIS, whiteness, filter against smoother; it has no say in the verdict.
+        assessment: Errors of each estimate against truth, where the log has it.
+        findings: Of the extensions that took part, by name.
+        verdict: Outcome, causes (the most important first) and remarks.
     """
 
     prepared: Prepared[RunConfig]
@@ -85,6 +93,33 @@ class Comparison:
     def __repr__(self) -> str:
         """Return log and verdict in one line."""
         return f"<Comparison of {self.log.name}: {self.verdict.summary}>"
+
+    def _repr_html_(self) -> str:
+        from comparisons.report.notebook import comparison_html
+
+        return comparison_html(self)
+
+    def to_pandas(
+        self, table: Literal["gaps", "landmarks", "nees", "nis", "causes", "settings"] = "gaps"
+    ) -> DataFrame:
+        """Return a table as a pandas data frame.
+
+        Args:
+            table: `gaps`: the gaps between EKF, both linear problems, smoother and truth;
+                `landmarks`: EKF against smoother, by landmark; `nees`: of EKF and smoother against
+                truth, by instant, with the 95 % band of one value; `nis`: of the innovations, mean
+                over stretches of time with its 95 % band; `causes` of the verdict; `settings`:
+                value and default of each.
+
+        Returns:
+            The table, one row for each of what it lists; no rows where there is none.
+
+        Raises:
+            InputError: pandas is not installed, or there is no such table.
+        """
+        from comparisons.report.tables import comparison_tables, data_frame
+
+        return data_frame(comparison_tables(self), table)
 
     @property
     def log(self) -> Log:
@@ -107,7 +142,17 @@ class Comparison:
         return self.gaps.agreement
 
     def find(self, kind: type[F]) -> F:
-        """Return the finding of a class. Raises LookupError where there is none."""
+        """Return the finding of an extension.
+
+        Args:
+            kind: The class of the finding.
+
+        Returns:
+            The first finding of that class.
+
+        Raises:
+            LookupError: No extension that ran has such a finding.
+        """
         for found in self.findings.values():
             if isinstance(found, kind):
                 return found

@@ -32,12 +32,17 @@ REQUIRED = Required(
 
 @dataclass(frozen=True, kw_only=True)
 class DenseMapping:
-    """What the map job found.
+    """Hold a dense map that is anchored to the filter's landmarks.
 
-    placed: the regions as the landmarks lie in the end; layers: what each layer holds there.
-    classic: the same scans in one grid in the world's frame, as is usual without DenseSLAM.
-    errors: by layer, `classic` (where regions are) among them, against true surfaces where the
-    log has them.
+    Attributes:
+        prepared: The log as the filter read it, and the configuration.
+        setup: What ran beside the filter.
+        ekf: The filter's estimate and trace.
+        dense: The map, and how it came about.
+        placed: The regions as the landmarks lie in the end.
+        layers: What each layer holds there, by its name.
+        classic: The same scans in one grid in the world's frame, as is usual without regions.
+        errors: Distances from true surfaces by layer, `classic` among them; empty without truth.
     """
 
     prepared: Prepared[MapConfig]
@@ -52,6 +57,11 @@ class DenseMapping:
     def __repr__(self) -> str:
         """Return log and layers in one line."""
         return f"<DenseMapping of {self.log.name}: {', '.join(self.layers)}>"
+
+    def _repr_html_(self) -> str:
+        from comparisons.report.notebook import dense_map_html
+
+        return dense_map_html(self)
 
     @property
     def log(self) -> Log:

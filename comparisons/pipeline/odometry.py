@@ -37,12 +37,22 @@ from graphslam.smoother import SmootherResult, smooth
 
 @dataclass(frozen=True, kw_only=True)
 class FrontEnd:
-    """What the scans of a log say.
+    """Hold what the scans of a log say of the vehicle's motion.
 
-    motion: scan odometry, chained from its own origin. odometry, wheels: (K, 3) poses at time_s by
-    scan odometry and by the wheels alone, from the log's prior; wheels None without odometry.
-    graph: the smoothed scan pose graph; estimate: its trajectory, and landmarks if labelled or
-    surveyed.
+    Attributes:
+        prepared: The log as it was read, and the configuration.
+        motion: Scan odometry, chained from its own origin.
+        time_s: (K,) of the poses.
+        odometry: (K, 3) poses by scan odometry, from the log's prior.
+        wheels: (K, 3) poses by the wheels alone, from the log's prior; None without odometry.
+        closed: The loop closures, and all that were tried.
+        graph: The smoothed scan pose graph.
+        estimate: The graph's trajectory, and landmarks where they are labelled or surveyed.
+        clouds: The points of each scan, by the index of its pose.
+        increments: Scan odometry against the wheels; None without odometry.
+        accuracy_wheels: Errors of the wheels' poses.
+        accuracy_odometry: Errors of scan odometry.
+        accuracy_graph: Errors of the graph.
     """
 
     prepared: Prepared[OdometryConfig]
@@ -63,13 +73,22 @@ class FrontEnd:
         """Return log and counts in one line."""
         return f"<FrontEnd of {self.log.name}: {len(self.time_s):,} poses by scans>"
 
+    def _repr_html_(self) -> str:
+        from comparisons.report.notebook import front_end_html
+
+        return front_end_html(self)
+
     @property
     def log(self) -> Log:
         """The log as it was read, surveyed landmarks' measurements among the others."""
         return self.prepared.log
 
     def map_points(self) -> Array:
-        """(P, 3) what the scans saw, placed by the graph."""
+        """Return what the scans saw, placed by the graph's poses.
+
+        Returns:
+            (P, 3) points [m] in the log's frame.
+        """
         return placed(list(self.clouds.values()), self.estimate.pose[list(self.clouds)])
 
 

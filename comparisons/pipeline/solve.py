@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -33,14 +34,26 @@ from comparisons.pipeline.prepare import (
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """What the smoother found.
+    """Hold what the smoother found on its own.
 
-    landmark_index: (M,) landmark of each of the log's measurements, negative where unused.
-    association: how it compares with the log's labels, when it was made without them;
-    association_check: and with others that are made without them.
+    Attributes:
+        prepared: The log as the smoother read it, and the configuration.
+        landmark_index: (M,) landmark index of each of the log's measurements, negative where
+        unused.
+        result: The optimum with the evidence for it.
+        estimate: Smoothed poses and landmarks.
+        dead_reckoned: (K, 3) poses where the odometry alone leads.
+        accuracy: Errors of the estimate; None without truth and positions.
+        accuracy_dead_reckoned: Errors of the odometry alone.
+        association: How its own association compares with the log's labels; None where it used
+            them.
+        association_check: How its own association compares with others made without labels.
     """
 
     prepared: Prepared[SolveConfig]
@@ -57,6 +70,28 @@ class Solution:
         """Return log, error and whether that is verified, in one line."""
         word = "verified" if self.verified else "not verified"
         return f"<Solution of {self.log.name}: error {self.result.error:.2f}, {word}>"
+
+    def _repr_html_(self) -> str:
+        from comparisons.report.notebook import solution_html
+
+        return solution_html(self)
+
+    def to_pandas(self, table: Literal["poses", "landmarks", "settings"] = "poses") -> DataFrame:
+        """Return a table as a pandas data frame.
+
+        Args:
+            table: `poses` and `landmarks` of the estimate, as `Estimate.to_pandas` has them;
+                `settings`: value and default of each.
+
+        Returns:
+            The table, one row for each of what it lists; no rows where there is none.
+
+        Raises:
+            InputError: pandas is not installed, or there is no such table.
+        """
+        from comparisons.report.tables import data_frame, solution_tables
+
+        return data_frame(solution_tables(self), table)
 
     @property
     def verified(self) -> bool:

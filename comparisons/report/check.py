@@ -168,7 +168,7 @@ def check_page(check: ExternalCheck, result: CheckResult) -> PageContent:
     given, solution = check.given, check.solution
     reported, panels = external_panels(check)
     ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
-    map_content, marked = _map(check, ours, theirs)
+    map_content, marked = check_map(check, ours, theirs)
     rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
     grade = "no grade" if result.grade is None else _grade_words(result)
     source = Path(str(result.config.get("estimate") or "arrays")).name
@@ -229,7 +229,7 @@ def _both_names(own: int, given: int) -> str:
     return str(own) if own == given else f"{own} (given as {given})"
 
 
-def _map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapContent, Index]:
+def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapContent, Index]:
     """The smoother's, the given estimate, and filters it was compared with.
 
     ours, theirs: rows of the landmarks that both have. The smoother's that are marked come second.

@@ -89,13 +89,13 @@ def default_folder(
     the command's own defaults.
     """
     given = config.model_dump()
-    leaves, changed, words = dict(_leaves(given)), _changed(config, base), list[str]()
+    found, changed, words = dict(leaves(given)), _changed(config, base), list[str]()
     for flag in FLAGS:
         value, places = flag.read(given)
         if not changed.isdisjoint(places):
             words.append(_words(flag.option.lstrip("-"), value))
             changed -= {*places, ".".join(flag.field.split(".")[:2])}
-    words += [_words(p.rpartition(".")[2], leaves.get(p, True)) for p in sorted(changed)]
+    words += [_words(p.rpartition(".")[2], found.get(p, True)) for p in sorted(changed)]
     tail = folder_name("-".join(words)) if words else ""
     if len(tail) > _LONG:
         whole = hashlib.sha256("-".join(words).encode()).hexdigest()
@@ -125,10 +125,10 @@ def _other_run(folder: Path, config: JobConfig) -> str:
         found = read_toml(folder / CONFIG)
         if (job := found.get("job")) != config.job:
             return f"of slamcheck {shown(job)}"
-        then = dict(_leaves(type(config).of(**found).model_dump()))
+        then = dict(leaves(type(config).of(**found).model_dump()))
     except InputError:
         return "its config.toml is not of this version"
-    now = dict(_leaves(config.model_dump()))
+    now = dict(leaves(config.model_dump()))
     paths = [p for p in {**then, **now} if p.split(".")[0] not in _BESIDE]
     differ = [
         p for p in paths if then.get(p) != now.get(p) and p not in ("log.sha256", "log.format")
@@ -149,7 +149,7 @@ def _changed(config: JobConfig, base: Mapping[str, Any]) -> set[str]:
     """Paths of settings that are not as usual, and of extensions that were asked for."""
     named = config.log.model_dump(include={"source", "format", "sha256"})
     usual = type(config).of(**{**base, "preset": config.preset, "log": named})
-    before, now = (dict(_leaves(one.model_dump())) for one in (usual, config))
+    before, now = (dict(leaves(one.model_dump())) for one in (usual, config))
     changed = {path for path, value in now.items() if (path, value) not in before.items()}
     changed |= {"preset"} if config.preset != "recommended" else set()
     if isinstance(config, Configured):
@@ -178,11 +178,12 @@ def _as_usual(config: Configured, base: Mapping[str, Any]) -> set[str]:
     return found
 
 
-def _leaves(values: Mapping[str, Any], below: str = "") -> Iterator[tuple[str, Any]]:
+def leaves(values: Mapping[str, Any], below: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted path and the value of every setting in nested mappings."""
     for key, value in values.items():
         path = f"{below}.{key}" if below else str(key)
         if isinstance(value, Mapping) and value:
-            yield from _leaves(value, path)
+            yield from leaves(value, path)
         else:
             yield path, value
 

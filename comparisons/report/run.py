@@ -103,7 +103,7 @@ def run_page(
         causes=result.causes,
         remarks=result.remarks,
         steps=ladder(result),
-        map=_map(comparison, marked),
+        map=run_map(comparison, marked),
         reported=panels.reported,
         panels=panels.every,
         curves_file="consistency.png",
@@ -146,7 +146,7 @@ def _facts(result: Result) -> list[tuple[str, str]]:
     return facts
 
 
-def _map(c: Comparison, marked: Index) -> MapContent:
+def run_map(c: Comparison, marked: Index) -> MapContent:
     """Both estimates and those of the extensions. marked: (m,) landmarks."""
     ekf, smoothed = c.ekf.estimate, c.smoothed
     ids = ekf.landmark_id[marked]

@@ -32,7 +32,16 @@ class Attributes(Protocol):
     """Contract of what an association rule asks about attributes."""
 
     def distances(self, landmark_index: Index, seen: Measurements) -> AttributeDistances:
-        """Return the distances from all measurements (m) to landmarks by landmark index (L,)."""
+        """Return how far measurements are from landmarks by their attributes.
+
+        Args:
+            landmark_index: (L,) landmark indices.
+            seen: m measurements.
+
+        Returns:
+            (m, L) normalised squares, what they add to N (Nieto 2005, eq. 2.60), and degrees of
+            freedom.
+        """
 
 
 class NoAttributes:
@@ -55,7 +64,12 @@ class AttributeEstimates:
     """
 
     def __init__(self, repeats: Array) -> None:
-        """Start without landmarks."""
+        """Start without landmarks.
+
+        Args:
+            repeats: (A,) measurements with the information of an independent one; 1 where errors
+                are independent.
+        """
         nothing = np.zeros((0, len(repeats)))
         self.repeats, self.count = repeats, nothing.astype(np.intp)
         self._information = self._weighted = self._least = nothing
@@ -90,7 +104,14 @@ class AttributeEstimates:
         )
 
     def note(self, landmark_indices: Index, measured: MeasuredAttributes) -> None:
-        """Average in the attributes of measurements that were given to landmarks (m,)."""
+        """Average in the attributes of measurements that were associated.
+
+        Args:
+            landmark_indices: (m,) landmark indices; negative codes are passed over.
+            measured: Attributes of these m measurements; NaN where not measured.
+
+        Source: Guivant 2002, eq. 16.
+        """
         row, column = np.nonzero(np.isfinite(measured.value) & (landmark_indices >= 0)[:, None])
         landmark_index, variance = landmark_indices[row], measured.variance[row, column]
         self._reach(landmark_index)
@@ -126,9 +147,16 @@ class RememberedAttributes:
 def compared(
     seen: MeasuredAttributes, mean: Array, variance: Array, anyone: tuple[Array, Array]
 ) -> AttributeDistances:
-    """Return the distances to landmarks with attributes (L, A), NaN where unknown.
+    """Return how far measurements are from landmarks with known attributes.
 
-    anyone: (A,) mean and variance of what a landmark that lacks one stands with.
+    Args:
+        seen: Attributes of m measurements.
+        mean: (L, A) of the landmarks, NaN where unknown.
+        variance: (L, A), NaN where unknown.
+        anyone: (A,) mean and variance of what a landmark that lacks one stands with.
+
+    Returns:
+        (m, L) normalised squares and degrees of freedom of what both have, and what they add to N.
     """
     known = np.isfinite(mean)
     spread = np.where(known, variance, anyone[1]) + seen.variance[:, None]
@@ -140,7 +168,16 @@ def compared(
 
 
 def population(mean: Array, variance: Array) -> tuple[Array, Array]:
-    """Return mean and variance (A,) over landmarks (L, A), NaN while none has the attribute."""
+    """Return mean and variance of each attribute over all landmarks that have it.
+
+    Args:
+        mean: (L, A), NaN where unknown.
+        variance: (L, A), NaN where unknown.
+
+    Returns:
+        (A,) and (A,): spread between landmarks and their own variance together; NaN while none has
+        it.
+    """
     known = np.isfinite(mean)
     landmarks = known.sum(axis=0)
     share = known / np.where(landmarks, landmarks, np.nan)
@@ -151,7 +188,15 @@ def population(mean: Array, variance: Array) -> tuple[Array, Array]:
 
 
 def same_tail(gate: float, dof: Index) -> Array:
-    """Return the chi-square bounds exceeded as often as `gate` with 2 dof. dof: each 2 or more."""
+    """Return the chi-square bounds that are exceeded as often as a gate with 2 degrees of freedom.
+
+    Args:
+        gate: For 2 degrees of freedom.
+        dof: Degrees of freedom, each 2 or more, of any shape.
+
+    Returns:
+        Bounds of the same shape.
+    """
     more = np.arange(3, int(dof.max(initial=2)) + 1)
     wider = 2.0 * gammainccinv(0.5 * more, math.exp(-0.5 * gate))
     bounds: Array = np.concatenate((np.full(3, gate), wider))[dof]

@@ -27,7 +27,17 @@ class Distances(NamedTuple):
 
 
 def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurements) -> LocalMap:
-    """Return the landmarks that these measurements could be of."""
+    """Return the landmarks that measurements could be of.
+
+    Args:
+        state: The filter's, after the prediction.
+        model: How these landmarks are measured.
+        seen: At least one measurement.
+
+    Returns:
+        Points within the longest range and a margin of the vehicle, without those that `seen`
+        closes.
+    """
     longest, variance = float(model.range_m(seen.z).max()), state.pose_covariance.diagonal()
     sigma = math.sqrt(variance[:2].sum()) + longest * math.sqrt(variance[2:].sum())
     local = state.local_map(longest + max(SEARCH_MARGIN_M, SEARCH_SIGMAS * sigma))
@@ -36,7 +46,18 @@ def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurem
 
 
 def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measurements) -> Distances:
-    """Return the distances of all measurements to all landmarks (Nieto 2005, 2.57, 2.58, 2.60)."""
+    """Return the distances of all measurements to all landmarks.
+
+    Args:
+        local: L landmarks with the joint covariance.
+        model: How they are measured.
+        seen: m measurements.
+
+    Returns:
+        (m, L) normalised innovations squared, N = nis + ln |S|, and innovations, angles wrapped.
+
+    Source: Nieto 2005, eqs. 2.57, 2.58 and 2.60.
+    """
     predicted = model.predict(local.pose, local.landmark)
     hv, hl = predicted.jacobian_pose, predicted.jacobian_landmark
     through_pose = hv @ local.vehicle @ hv.transpose(0, 2, 1)
@@ -55,7 +76,15 @@ def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measure
 
 
 def match_in_order(cost: Array, allowed: Mask) -> Index:
-    """Return the column of each row (m,), -1 for none: cheapest pairs first, none used twice."""
+    """Pair rows with columns: the cheapest pair first, none used twice.
+
+    Args:
+        cost: (m, L).
+        allowed: (m, L), pairs that may be.
+
+    Returns:
+        (m,) column of each row, -1 for none.
+    """
     column = np.full(len(cost), -1, dtype=np.intp)
     taken: set[int] = set()
     for i, j in np.argwhere(allowed)[np.argsort(cost[allowed], kind="stable")].tolist():
@@ -66,7 +95,17 @@ def match_in_order(cost: Array, allowed: Mask) -> Index:
 
 
 def indices_of(column: Index, far: Mask, local_index: Index, count: int) -> Index:
-    """Return landmark indices (m,) by local column; one far (m, L) from all is new from `count`."""
+    """Return the landmark index of each measurement from its column in a local map.
+
+    Args:
+        column: (m,) of the local map, -1 for none.
+        far: (m, L), whether a measurement is far enough from a landmark to be of another one.
+        local_index: (L,) landmark indices of the local map.
+        count: Landmarks in the state so far.
+
+    Returns:
+        (m,) landmark indices; from `count` upward what is far from all, AMBIGUOUS for the rest.
+    """
     landmark_indices = np.full(len(column), AMBIGUOUS, dtype=np.intp)
     matched = column >= 0
     landmark_indices[matched] = local_index[column[matched]]

@@ -23,7 +23,14 @@ class DynamicGuard(Protocol):
     """Tells where things move."""
 
     def is_dynamic(self, point: Array) -> Mask:
-        """Return which points (N, 2) of the world [m] lie in a dynamic region (N,)."""
+        """Return which points lie in a dynamic region.
+
+        Args:
+            point: (N, 2) east, north [m].
+
+        Returns:
+            (N,).
+        """
 
 
 @dataclass

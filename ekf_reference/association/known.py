@@ -69,7 +69,18 @@ def reject_beyond(
     model: MeasurementModel,
     seen: Measurements,
 ) -> Index:
-    """Return the landmark indices, REJECTED where removed or where the nis exceeds the gate."""
+    """Reject labels that the gate contradicts, and those of removed landmarks.
+
+    Args:
+        gate: Largest normalised innovation squared, infinite to trust every label.
+        landmark_indices: (m,) landmark indices that the labels name.
+        state: The filter's, after the prediction.
+        model: How these landmarks are measured.
+        seen: The measurements.
+
+    Returns:
+        (m,) landmark indices, REJECTED where one is not used; new landmarks pass.
+    """
     landmark_indices = landmark_indices.copy()
     mapped = np.flatnonzero((landmark_indices >= 0) & (landmark_indices < state.landmark_count))
     gone = state.layout.first[seen.width][landmark_indices[mapped]] == ABSENT

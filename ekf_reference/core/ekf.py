@@ -44,7 +44,15 @@ class StepNoise(Protocol):
     """Contract of the noise that every step adds, whatever the control."""
 
     def covariance(self, duration_s: float, pose: Array) -> Array:
-        """Return the noise (p, p) of a step that arrives at a pose (p,)."""
+        """Return the noise of a step.
+
+        Args:
+            duration_s: The step's [s].
+            pose: (p,) at which the step arrives.
+
+        Returns:
+            (p, p), positive semidefinite, additive in the pose's entries.
+        """
 
 
 @dataclass(frozen=True)
@@ -89,7 +97,16 @@ class Ekf:
         stabilisation: StepNoise | None = None,
         trace: Trace | None = None,
     ) -> None:
-        """prior_pose: (p,). prior_covariance: (p, p), positive definite."""
+        """Start at a prior, with an empty map.
+
+        Args:
+            motion: The vehicle model.
+            association: Which rule finds the landmark of a measurement.
+            prior_pose: (p,) x, y [m], heading [rad], unwrapped.
+            prior_covariance: (p, p), positive definite, of the additive global error.
+            stabilisation: Noise that every step adds; none by default.
+            trace: Receives every linearisation; by default nothing is recorded.
+        """
         self.motion, self.association = motion, association
         self.models: dict[int, MeasurementModel] = {POINT: RangeBearing(), POSE: RelativePose()}
         self.fixes, self.splitter = PositionFixes(), UpdateSplitter()
@@ -102,7 +119,22 @@ class Ekf:
         self.trace.prior(prior_pose, prior_covariance)
 
     def step(self, control: Control, seen: Measurements) -> Index:
-        """Do one cycle (Nieto 2005, 2.3); return landmark indices (m,), negative where unused."""
+        """Do one cycle: predict, associate, update, augment.
+
+        Args:
+            control: What moved the vehicle since the last cycle.
+            seen: The measurements at the end of the step, all of point landmarks.
+
+        Returns:
+            (m,) landmark index of each measurement, or a negative code where it was not used
+            (core.measurements).
+
+        Raises:
+            ValueError: The measurements are of pose landmarks, which no rule associates.
+            FilterDivergedError: The innovation covariance is not positive definite.
+
+        Source: Nieto 2005, section 2.3.
+        """
         self.predict(*control)
         landmark_indices = self.associate(seen)
         self.update(seen, landmark_indices)
@@ -110,7 +142,12 @@ class Ekf:
         return landmark_indices
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
-        """Move under a control (m,) with covariance (m, m) for a time.
+        """Move the vehicle; the map stays.
+
+        Args:
+            control: (m,) in the motion model's units, constant during the step.
+            covariance: (m, m) of the control's error.
+            duration_s: The step's [s].
 
         Source: Guivant 2002, eq. 7; Misono 2007, eqs. 10 and 11; Nieto 2005, eqs. 2.32 to 2.36.
         """
@@ -121,7 +158,21 @@ class Ekf:
         self.trace.step(StepRecord(departed, pose, f, noise))
 
     def associate(self, seen: Measurements) -> Index:
-        """Return the landmark indices (m,) of points (Nieto 2005, 2.4); ValueError for poses."""
+        """Find the landmark of each measurement; the state does not change.
+
+        Args:
+            seen: Measurements of point landmarks.
+
+        Returns:
+            (m,) landmark indices. Indices from the present landmark count upward are of new
+            landmarks, in order; negative codes are of measurements that are not used
+            (core.measurements).
+
+        Raises:
+            ValueError: The measurements are of pose landmarks, which no rule associates.
+
+        Source: Nieto 2005, section 2.4.
+        """
         if seen.width != POINT:
             raise ValueError(f"measurements of {seen.width} entries, expected {POINT}: of points")
         if not len(seen):
@@ -129,7 +180,19 @@ class Ekf:
         return self.association.assign(self.state, self.models[seen.width], seen)
 
     def update(self, seen: Measurements, landmark_indices: Index) -> None:
-        """Fuse the measurements of landmarks that are in the state (Nieto 2005, 2.37 to 2.47)."""
+        """Fuse the measurements of landmarks that are in the state, all of them as one.
+
+        Args:
+            seen: The measurements of this instant.
+            landmark_indices: (m,) landmark indices as `associate` returns them; those of new
+            landmarks are
+                passed over.
+
+        Raises:
+            FilterDivergedError: The innovation covariance is not positive definite.
+
+        Source: Nieto 2005, eqs. 2.37 to 2.47.
+        """
         mapped = len(self.state.layout.first[seen.width])
         self._fuse(
             seen,
@@ -138,9 +201,16 @@ class Ekf:
         )
 
     def augment(self, seen: Measurements, landmark_indices: Index) -> None:
-        """Initialise the landmarks that are not in the state yet (Nieto 2005, 2.48 to 2.56).
+        """Initialise the landmarks that are not in the state yet.
 
-        Follows `update`. Fuses second measurements of a new landmark; counts all for the trace.
+        Must follow `update` at every instant: it also counts the measurements for the trace. A
+        second measurement of a new landmark is fused.
+
+        Args:
+            seen: The measurements of this instant.
+            landmark_indices: (m,) landmark indices as `associate` returns them.
+
+        Source: Nieto 2005, eqs. 2.48 to 2.56.
         """
         new = np.flatnonzero(landmark_indices >= len(self.state.layout.first[seen.width]))
         if len(new):
@@ -157,9 +227,17 @@ class Ekf:
         time_s: float = 0.0,
         attributes: MeasuredAttributes = NOT_MEASURED,
     ) -> Index:
-        """Do a cycle without a step, with ranges [m] and bearings [rad] (m, 2) of points.
+        """Do a cycle without a step, with ranges and bearings of points.
 
-        sigma: (m, 2). identity: (m,) labels, negative for none. attributes: for association.
+        Args:
+            z: (m, 2) range [m] and bearing [rad], relative to the heading, counter-clockwise.
+            sigma: (m, 2) standard deviations [m, rad].
+            identity: (m,) labels, negative for none.
+            time_s: When [s]; rules that wait for a second measurement need it.
+            attributes: What else was measured, for association.
+
+        Returns:
+            (m,) landmark indices, negative where a measurement was not used.
         """
         own = self.models[POINT].measured(z, sigma)
         seen = Measurements(*own, identity, time_s=time_s, attributes=attributes)
@@ -169,10 +247,18 @@ class Ekf:
         return landmark_indices
 
     def observe_known(self, z: Array, noise: Array, landmark_index: Index) -> Index:
-        """Update and augment with measurements (m, w), R (m, w, w), of known landmark indices (m,).
+        """Update and augment with measurements whose landmarks are known.
 
-        NEW stands for a new landmark; the landmark indices returned have its own. Raises ValueError
-        for a landmark that is not in the state.
+        Args:
+            z: (m, w); w = 2 for points, 3 for pose landmarks.
+            noise: (m, w, w), R.
+            landmark_index: (m,) landmark index among those of this kind, or NEW for a new landmark.
+
+        Returns:
+            (m,) landmark indices, NEW replaced by the index that the landmark was given.
+
+        Raises:
+            ValueError: A landmark is not in the state.
         """
         seen = Measurements(z, noise, landmark_index)
         mapped = len(self.state.layout.first[seen.width])
@@ -188,7 +274,17 @@ class Ekf:
         return landmark_indices
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
-        """Fuse an absolute position (2,) with covariance (2, 2); False when it is rejected."""
+        """Fuse an absolute position, such as GPS, if it is within the gate.
+
+        Args:
+            z: (2,) east, north [m], of the antenna.
+            covariance: (2, 2) [m^2].
+
+        Returns:
+            False where the fix was rejected.
+
+        Source: Guivant 2002, section 4.2.
+        """
         number = self.take_numbers("position")
 
         def linearise() -> Linearised:
@@ -219,9 +315,16 @@ class Ekf:
     ) -> None:
         """Fuse m measurements together, in as many parts as the splitter asks for, and record each.
 
-        linearise: the measurements at the state as it then is. noise: (m, r, r), R of each.
-        number, landmark index, origin: as in MeasurementRecord. splitter: the filter's own unless
-        told.
+        Args:
+            linearise: Linearises the measurements at the state as it then is; called once a part.
+            noise: (m, r, r), R of each.
+            number: (m,) as in MeasurementRecord; of `take_numbers`.
+            landmark_index: (m,) landmark indices as in MeasurementRecord.
+            origin: VEHICLE, or the landmark from which the others are measured (a merge).
+            splitter: How far one part may correct the pose; by default the filter's own.
+
+        Raises:
+            FilterDivergedError: The innovation covariance is not positive definite.
         """
         m, r = len(noise), block_diagonal(noise)
         for weight, at in (splitter or self.splitter).split(linearise, r):
@@ -248,14 +351,26 @@ class Ekf:
             self.trace.measurement(record)
 
     def take_numbers(self, kind: str | int, count: int = 1) -> Index:
-        """Return the next numbers (count,) of a kind of measurements, for `fuse`."""
+        """Return the next numbers of a kind of measurements, for `fuse`.
+
+        Args:
+            kind: The width of the landmarks, or a name of one's own.
+            count: How many.
+
+        Returns:
+            (count,) numbers, ascending from the kind's first that is free.
+        """
         self._count[kind] += count
         return self._count[kind] - count + np.arange(count)
 
     def insert_surveyed(self, point: Array, covariance: Array) -> None:
-        """Put points of known position (k, 2) and covariance (k, 2, 2) into the map.
+        """Put points of known position into the map, independent of the vehicle so far.
 
-        Guivant 2002, section 4.2: absolute information, so far independent of the vehicle.
+        Args:
+            point: (k, 2) east, north [m].
+            covariance: (k, 2, 2) [m^2], positive definite.
+
+        Source: Guivant 2002, section 4.2.
         """
         if m := len(point):
             new = _independent(point, len(self.state.pose))
@@ -263,7 +378,15 @@ class Ekf:
             self._append(np.full(m, -1), landmark_indices, new, covariance, weight=0.0)
 
     def remove(self, landmark_index: Index, width: int = POINT) -> None:
-        """Marginalise landmarks (m,) of a kind out. Raises ValueError for removed ones."""
+        """Marginalise landmarks out of the state; the estimate of everything else stays.
+
+        Args:
+            landmark_index: (m,) landmark indices, which are not given again.
+            width: Of the kind: POINT or POSE.
+
+        Raises:
+            ValueError: A landmark was removed already.
+        """
         entries = self.state.layout.columns(landmark_index, width)[len(self.state.pose) :]
         self.state.remove(landmark_index, width)
         self.trace.removal(RemovalRecord(landmark_index, width, entries))

@@ -39,27 +39,77 @@ class MeasurementModel(Protocol):
     """
 
     def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
-        """Convert what a sensor measured, with sigmas (m, w), to the model's z and R (m, w, w)."""
+        """Convert what a sensor measured to the model's own measurements.
+
+        Args:
+            z: (m, w) as the sensor has it.
+            sigma: (m, w) standard deviations of its entries.
+
+        Returns:
+            z (m, w) and R (m, w, w) of the model.
+        """
         return z, diagonal_noise(sigma)
 
     def range_m(self, z: Array) -> Array:
-        """Return the distances (m,) of what was measured [m]."""
+        """Return the distances of what was measured.
+
+        Args:
+            z: (m, w).
+
+        Returns:
+            (m,) [m].
+        """
 
     def predict(self, T_world_vehicle: Array, landmarks: Array) -> PredictedMeasurements:
-        """Predict the measurements of landmarks (m, w)."""
+        """Predict the measurements of landmarks, with Jacobians at the given state.
+
+        Args:
+            T_world_vehicle: (p,) the pose, heading unwrapped.
+            landmarks: (m, w).
+
+        Returns:
+            Expected measurements, angles not wrapped, and Jacobians by pose and landmark.
+        """
 
     def innovation(self, z: Array, predicted: Array) -> Array:
-        """Return z - predicted (..., w), wrapped (Nieto 2005, eqs. 2.38, 2.57 and 3.15)."""
+        """Return z - predicted, its angle wrapped to (-pi, pi].
+
+        Args:
+            z: (..., w) measured.
+            predicted: (..., w).
+
+        Returns:
+            (..., w). Only here an angle is wrapped; states keep theirs unwrapped.
+
+        Source: Nieto 2005, eqs. 2.38, 2.57 and 3.15.
+        """
         difference: Array = z - predicted
         difference[..., -1] = wrap_angle(difference[..., -1])
         return difference
 
     def invert(self, T_world_vehicle: Array, z: Array) -> NewLandmarks:
-        """Return the landmarks that are measured as z."""
+        """Return the landmarks that measurements imply, with Jacobians for their covariance.
+
+        Args:
+            T_world_vehicle: (p,) the pose.
+            z: (m, w).
+
+        Returns:
+            Landmarks (m, w), and Jacobians by pose and measurement.
+        """
 
 
 def diagonal_noise(sigma: Array) -> Array:
-    """Return R (m, w, w) of independent errors with sigmas (m, w) (Nieto 2005, eq. 2.41)."""
+    """Return the covariance of independent errors.
+
+    Args:
+        sigma: (m, w) standard deviations.
+
+    Returns:
+        (m, w, w), R.
+
+    Source: Nieto 2005, eq. 2.41.
+    """
     covariance = np.zeros((*sigma.shape, sigma.shape[1]))
     covariance[:, range(sigma.shape[1]), range(sigma.shape[1])] = sigma**2
     return covariance

@@ -32,18 +32,41 @@ class Layout:
 
     @classmethod
     def of_pose(cls, pose_size: int) -> Layout:
-        """Return the layout of a pose alone."""
+        """Return the layout of a pose alone.
+
+        Args:
+            pose_size: p, entries of the pose.
+
+        Returns:
+            A layout without landmarks.
+        """
         return cls(pose_size, pose_size, {width: np.zeros(0, dtype=np.intp) for width in WIDTHS})
 
     def present(self, width: int = POINT) -> Index:
-        """Return the landmark indices of a kind that are in the state, ascending."""
+        """Return the landmarks of a kind that are in the state.
+
+        Args:
+            width: Of the kind: POINT or POSE.
+
+        Returns:
+            (m,) landmark indices, ascending.
+        """
         return np.flatnonzero(self.first[width] != ABSENT)
 
     def columns(self, landmark_index: Index, width: int = POINT) -> Index:
-        """Return the entries (p + w m,) of the pose and some landmarks (m,) of a kind.
+        """Return the state entries of the pose and of some landmarks.
+
+        Args:
+            landmark_index: (m,) landmark indices, in any order, also repeated.
+            width: Of the kind: POINT or POSE.
+
+        Returns:
+            (p + w m,) entries: the pose's, then those of each landmark in the order asked for.
+
+        Raises:
+            ValueError: A landmark is not in the state.
 
         Source: Guivant 2002, eq. 4; Misono 2007, eq. 7; Nieto 2005, eqs. 2.2, 2.12, 2.25, 5.3, 6.1.
-        Raises ValueError for a landmark that is absent.
         """
         first = self.first[width][landmark_index]
         if first.min(initial=0) < 0:
@@ -59,19 +82,42 @@ class Layout:
         return np.concatenate((np.arange(p), *entries))
 
     def appended(self, count: int, width: int) -> Layout:
-        """Return the layout with `count` more landmarks of a kind."""
+        """Return the layout with more landmarks behind the last entry.
+
+        Args:
+            count: How many.
+            width: Of their kind.
+
+        Returns:
+            The larger layout.
+        """
         new = np.concatenate((self.first[width], self.size + width * np.arange(count)))
         return Layout(self.pose_size, self.size + width * count, {**self.first, width: new})
 
     def continued(self, part: Layout, start: int) -> Layout:
-        """Return the layout with the landmarks that a part of it has beyond its entry `start`."""
+        """Return the layout with the landmarks that a part of it has beyond one of its entries.
+
+        Args:
+            part: Layout of some of this one's entries, grown by new landmarks.
+            start: The part's first entry that is new.
+
+        Returns:
+            The larger layout, the new landmarks behind the last entry.
+        """
         first, shift = dict(self.first), self.size - start
         for width, own in self.first.items():
             first[width] = np.concatenate((own, part.first[width][len(own) :] + shift))
         return Layout(self.pose_size, part.size + shift, first)
 
     def part(self, columns: Index) -> Layout:
-        """Return the layout of a state that has only some entries (c,), the pose's first."""
+        """Return the layout of a state that has only some entries.
+
+        Args:
+            columns: (c,) entries, the pose's first; whole landmarks.
+
+        Returns:
+            The smaller layout; landmark indices are the same, ABSENT for what is left out.
+        """
         place = np.full(self.size + 1, ABSENT)  # one more: what is ABSENT stays so
         place[columns] = np.arange(len(columns))
         first = {width: place[entry] for width, entry in self.first.items()}

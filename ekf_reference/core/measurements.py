@@ -33,7 +33,14 @@ class MeasuredAttributes:
     variance: Array
 
     def take(self, rows: Index) -> MeasuredAttributes:
-        """Return some of them."""
+        """Return some rows.
+
+        Args:
+            rows: (k,) of the measurements.
+
+        Returns:
+            Attributes of these.
+        """
         if not self.value.size:
             return self
         return MeasuredAttributes(self.value[rows], self.variance[rows])
@@ -70,7 +77,14 @@ class Measurements:
         return int(self.z.shape[1])
 
     def take(self, rows: Index) -> Measurements:
-        """Return some of them."""
+        """Return some rows.
+
+        Args:
+            rows: (k,) of the measurements.
+
+        Returns:
+            These, of the same instant.
+        """
         own = {name: getattr(self, name)[rows] for name in ("z", "noise", "identity")}
         return replace(self, **own, attributes=self.attributes.take(rows))
 
@@ -79,7 +93,14 @@ class Association(Protocol):
     """Contract of all association rules."""
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
-        """Return the landmark indices (m,) of landmarks in the state, or negative codes.
+        """Find the landmark of each measurement.
 
-        Landmark indices from the present landmark count upward name new landmarks, in order.
+        Args:
+            state: The filter's, after the prediction; not to be changed.
+            model: How these landmarks are measured.
+            seen: Measurements of one instant.
+
+        Returns:
+            (m,) landmark indices of the state, or negative codes of what is not used. Indices from
+            the present landmark count upward name new landmarks, in order.
         """

@@ -72,7 +72,14 @@ class LocalMap:
         return own
 
     def take(self, rows: Index) -> LocalMap:
-        """Return the pose and some of the landmarks (k,)."""
+        """Return the pose and some of the landmarks.
+
+        Args:
+            rows: (k,) of the landmarks here, which are no landmark indices.
+
+        Returns:
+            The smaller map with its own joint covariance.
+        """
         p, width = len(self.pose), self.landmark.shape[1]
         entry = np.concatenate((np.arange(p), (p + width * rows[:, None] + range(width)).ravel()))
         covariance, columns = self.covariance[entry[:, None], entry], self.columns[entry]
@@ -97,7 +104,12 @@ class KalmanState:
     """
 
     def __init__(self, pose: Array, covariance: Array) -> None:
-        """pose: (p,). covariance: (p, p), symmetric positive definite."""
+        """Start with a pose alone.
+
+        Args:
+            pose: (p,), heading unwrapped; copied.
+            covariance: (p, p), symmetric positive definite; copied.
+        """
         self._layout = Layout.of_pose(len(pose))
         self._mean = np.array(pose, dtype=float)
         self._covariance = np.array(covariance, dtype=float)
@@ -138,24 +150,56 @@ class KalmanState:
         return len(self.layout.first[POINT])
 
     def places(self, width: int) -> Array:
-        """Return all landmarks (L, w), a copy; NaN where removed (Nieto 2005, eqs. 5.5, 6.4)."""
+        """Return all landmarks of a kind.
+
+        Args:
+            width: w, POINT or POSE.
+
+        Returns:
+            (L, w) by landmark index, a copy; NaN where one was removed.
+
+        Source: Nieto 2005, eqs. 5.5 and 6.4.
+        """
         first = self._layout.first[width]
         place: Array = self._mean[first[:, None] + np.arange(width)]
         place[first < 0] = np.nan
         return place
 
     def local_map(self, reach_m: float) -> LocalMap:
-        """Return the points at most `reach_m` east, west, north or south of the vehicle."""
+        """Return the points near the vehicle.
+
+        Args:
+            reach_m: Half the side of a square around the vehicle, its sides east-west and north-
+                south [m].
+
+        Returns:
+            Pose and points with their joint covariance.
+        """
         return self.map_of(self._near(reach_m, POINT))
 
     def columns_near(self, reach_m: float) -> Index:
-        """Return the entries (c,) of the pose and all landmarks so near, ascending."""
+        """Return the state entries of the pose and of all landmarks near the vehicle.
+
+        Args:
+            reach_m: As in `local_map`.
+
+        Returns:
+            (c,) entries, ascending.
+        """
         p = self._layout.pose_size
         near = [self._layout.columns(self._near(reach_m, w), w)[p:] for w in WIDTHS]
         return np.sort(np.concatenate((np.arange(p), *near)))
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
-        """Return the landmark indices of a kind at most `reach_m` from the vehicle."""
+        """Return the landmarks of a kind within a circle around the vehicle.
+
+        Args:
+            reach_m: Its radius [m].
+            width: POINT or POSE.
+
+        Returns:
+            (m,) landmark indices, ascending.
+        """
         offset = self.places(width)[:, :2] - self.pose[:2]
         return np.flatnonzero(np.hypot(*offset.T) <= reach_m)
 
@@ -164,25 +208,55 @@ class KalmanState:
         return np.flatnonzero(np.abs(offset).max(axis=1) <= reach_m)
 
     def map_of(self, landmark_index: Index, width: int = POINT) -> LocalMap:
-        """Return some landmarks (m,) of a kind. Raises ValueError for removed ones."""
+        """Return the pose and some landmarks with their joint covariance.
+
+        Args:
+            landmark_index: (m,) landmark indices.
+            width: POINT or POSE.
+
+        Returns:
+            Copies, in the order asked for.
+
+        Raises:
+            ValueError: A landmark was removed.
+        """
         columns = self._layout.columns(landmark_index, width)
         landmark = self._mean[columns[self._layout.pose_size :]].reshape(-1, width)
         return LocalMap(self.pose, landmark_index, landmark, self.covariance_of(columns), columns)
 
     def snapshot(self, width: int = POINT) -> MapSnapshot:
-        """Return all landmarks of a kind, all of them current."""
+        """Return all landmarks of a kind, and which of them are current.
+
+        Args:
+            width: POINT or POSE.
+
+        Returns:
+            Places, and the indices of current ones: here all that are in the state.
+        """
         return MapSnapshot(self.places(width), self._layout.present(width))
 
     def covariance_of(self, columns: Index) -> Array:
-        """Return the covariance (c, c) of some entries, a copy."""
+        """Return the covariance of some entries.
+
+        Args:
+            columns: (c,) state entries.
+
+        Returns:
+            (c, c), a copy.
+        """
         part: Array = self._covariance[columns[:, None], columns]
         return part
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
-        """Move the vehicle to f(x, u) (p,), with F (p, p) and all of the step's noise (p, p).
+        """Move the vehicle; the map stays, so the Jacobian of the whole is diag(F, I).
+
+        Args:
+            pose: (p,) f(x, u), heading unwrapped.
+            jacobian_pose: (p, p), F = df/dx at the departed pose, of the additive global error.
+            noise: (p, p), all of the step's.
 
         Source: Guivant 2002, eqs. 5 to 7; Misono 2007, eqs. 1, 6 and 11; Nieto 2005, eqs. 2.14 and
-        2.32 to 2.36. The map stays: the Jacobian of the whole is diag(F, I).
+        2.32 to 2.36.
         """
         v, n, p = self._layout.pose_size, self._layout.size, self._covariance
         self._mean[:v] = pose
@@ -194,14 +268,26 @@ class KalmanState:
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
-        """Fuse one stacked measurement, with H (m, c) by some state entries (c,) and R (m, m).
+        """Fuse one stacked measurement.
+
+        With S = L L^T the term W S W^T is U^T U, U = L^-1 H P: symmetric as computed.
+
+        Args:
+            columns: (c,) state entries that the measurement depends on; may repeat.
+            jacobian: (m, c), H by these entries.
+            innovation: (m,), angles wrapped.
+            noise: (m, m), R.
+
+        Returns:
+            The factors of S and the whitened innovation, for the trace and the compressed filter.
+
+        Raises:
+            FilterDivergedError: S is not positive definite, or S or the innovation is not finite;
+                the state is as before.
 
         Source: Guivant 2002, eq. 8; Misono 2007, eqs. 13 to 15; Nieto 2005, eqs. 2.39, 2.45 to 2.47
         and, for entries that are not measured, 3.11.
         Errata: 2.39 is printed S = H P H + R and 2.47 W = P H S^-1; the transposes belong there.
-        innovation: (m,), wrapped. With S = L L^T the term W S W^T is U^T U, U = L^-1 H P: symmetric
-        as computed.
-        Raises FilterDivergedError when S is not positive definite, or S or nu not finite.
         """
         n = self._layout.size
         p = self._covariance[:n, :n]
@@ -221,9 +307,15 @@ class KalmanState:
     def augment(
         self, landmark: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array
     ) -> None:
-        """Append m landmarks, correlated through the vehicle (Nieto 2005, eqs. 2.48 to 2.53).
+        """Append m landmarks of a kind, correlated with everything through the vehicle.
 
-        landmark: (m, w). jacobian_pose: (m, w, p). jacobian_z: (m, w, w). noise: (m, w, w), R.
+        Args:
+            landmark: (m, w).
+            jacobian_pose: (m, w, p), G_x by the pose.
+            jacobian_z: (m, w, w), G_z by the measurement.
+            noise: (m, w, w), R.
+
+        Source: Nieto 2005, eqs. 2.48 to 2.53.
         """
         v, n = self._layout.pose_size, self._layout.size
         new = slice(n, n + landmark.size)
@@ -238,7 +330,15 @@ class KalmanState:
         self._layout = self._layout.appended(*landmark.shape)
 
     def remove(self, landmark_index: Index, width: int = POINT) -> None:
-        """Marginalise landmarks (m,) out; indices stay empty. ValueError for removed ones."""
+        """Marginalise landmarks out; their indices are not given again.
+
+        Args:
+            landmark_index: (m,) landmark indices.
+            width: POINT or POSE.
+
+        Raises:
+            ValueError: A landmark was removed already.
+        """
         gone = self._layout.columns(landmark_index, width)[self._layout.pose_size :]
         kept = np.setdiff1d(np.arange(self._layout.size), gone)
         self._layout, n = self._layout.part(kept), len(kept)
@@ -246,7 +346,14 @@ class KalmanState:
         self._covariance[:n, :n] = self._covariance[kept[:, None], kept]
 
     def part(self, columns: Index) -> KalmanState:
-        """Return the marginal of some state entries (c,), the pose first, with equal indices."""
+        """Return the marginal of some state entries.
+
+        Args:
+            columns: (c,) entries, the pose's first; whole landmarks.
+
+        Returns:
+            A state of its own; landmark indices are the same.
+        """
         chosen = KalmanState(self._mean[columns], self._covariance[columns[:, None], columns])
         chosen._layout = self._layout.part(columns)
         return chosen
@@ -256,10 +363,15 @@ class KalmanState:
     ) -> None:
         """Take over what a local filter learnt: the global update of the compressed filter.
 
-        Source: Guivant 2002, eqs. 17, 20, 21 and 23. start: (a,) entries that the local state
-        started from. local: its state now, new landmarks behind the first a. phi: (a', a). root:
-        (n, k) with Delta P = root root^T, and shift: (n,) of the mean, for entries outside. spared:
-        entries whose covariance with each other stays as it is.
+        Args:
+            start: (a,) entries that the local state started from.
+            local: Its state now, new landmarks behind the first a entries.
+            phi: (a', a), which carries the correlations: P_ab = phi P_ab(0).
+            root: (n, k) with Delta P = root root^T, for entries outside.
+            shift: (n,) of the mean, for entries outside.
+            spared: (s,) entries whose covariance with each other stays as it is.
+
+        Source: Guivant 2002, eqs. 17, 20, 21 and 23.
         """
         n, a = self._layout.size, len(start)
         total = n + local._layout.size - a
@@ -288,17 +400,34 @@ class KalmanState:
 
 
 def correlation_coefficients(covariance: Array) -> Array:
-    """Return |P_ij| / sqrt(P_ii P_jj) (n, n) of a covariance (n, n) (Nieto 2005, eq. 2.62)."""
+    """Return the absolute correlation coefficients |P_ij| / sqrt(P_ii P_jj).
+
+    Args:
+        covariance: (n, n), with positive diagonal.
+
+    Returns:
+        (n, n), 1 on the diagonal. The sign is lost, as in the source.
+
+    Source: Nieto 2005, eq. 2.62.
+    """
     sigma = np.sqrt(np.diag(covariance))
     coefficients: Array = np.abs(covariance) / np.outer(sigma, sigma)
     return coefficients
 
 
 def subtract(p: Array, root: Array, changed: Index, spared: Index) -> None:
-    """P -= root root^T (n, n) but for the spared block (Guivant 2002, eqs. 20, 21 and 23).
+    """Subtract root root^T from a covariance in place, but for the spared block.
 
     In strips of changed rows, rightward from the first's own entry, and to its left where spared:
     each pair is computed once, and a strip stays in the cache.
+
+    Args:
+        p: (>= n, >= n), changed.
+        root: (n, k).
+        changed: (c,) entries whose rows and columns change, ascending.
+        spared: (s,) entries whose covariance with each other stays, ascending.
+
+    Source: Guivant 2002, eqs. 20, 21 and 23.
     """
     n, across = len(root), root[spared]
     for first in range(0, len(changed), STRIP):

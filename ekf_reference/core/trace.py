@@ -76,19 +76,40 @@ class Trace:
     """Receives every linearisation of a filter, in order; this one keeps nothing."""
 
     def prior(self, pose: Array, covariance: Array) -> None:
-        """Record where the filter starts: a pose (p,) with covariance (p, p)."""
+        """Record where the filter starts.
+
+        Args:
+            pose: (p,) x, y and the direction.
+            covariance: (p, p), of the additive global error.
+        """
 
     def step(self, step: StepRecord) -> None:
-        """Record one step of the vehicle."""
+        """Record one step of the vehicle.
+
+        Args:
+            step: Departed and arrived pose, F and Q as the filter used them.
+        """
 
     def measurement(self, used: MeasurementRecord) -> None:
-        """Record measurements that were fused, or a part of them."""
+        """Record measurements that were fused, or a part of them.
+
+        Args:
+            used: All that were fused together, with the numbers that the filter used.
+        """
 
     def initialisation(self, new: MeasurementRecord) -> None:
-        """Record new landmarks."""
+        """Record new landmarks.
+
+        Args:
+            new: All that were initialised together.
+        """
 
     def removal(self, gone: RemovalRecord) -> None:
-        """Record landmarks that are in the state no longer."""
+        """Record landmarks that are in the state no longer.
+
+        Args:
+            gone: Which, and the state entries that they had.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +134,14 @@ class MeasurementRecords:
     origin: Index
 
     def rows(self, rows: Index) -> MeasurementRecords:
-        """Return some of them."""
+        """Return some rows.
+
+        Args:
+            rows: (k,) of the records.
+
+        Returns:
+            These.
+        """
         return MeasurementRecords(**{name: column[rows] for name, column in vars(self).items()})
 
 
@@ -238,7 +266,14 @@ class RecordedTrace(Trace):
 def stack_records(records: Kept, p: int, width: int, size: int = 0) -> MeasurementRecords:
     """Return one row per measurement; what a record says once holds for all of its rows.
 
-    p, width, size: entries of a pose, a landmark, and a measurement (the landmark's unless told).
+    Args:
+        records: Each with the steps made before it.
+        p: Entries of a pose.
+        width: Entries of a landmark; 0 for absolute positions.
+        size: Entries of a measurement; by default a landmark's.
+
+    Returns:
+        The records as arrays, in order.
     """
     r = size or width
     shapes = {"pose": (p,), "landmark": (width,), "jacobian_pose": (r, p), "noise": (r, r)}
@@ -260,7 +295,14 @@ def stack_records(records: Kept, p: int, width: int, size: int = 0) -> Measureme
 
 
 def removal_records(removals: Sequence[tuple[int, RemovalRecord]]) -> RemovalRecords:
-    """Return one row per landmark. removals: with the steps made before each."""
+    """Return one row per landmark that was removed.
+
+    Args:
+        removals: Each with the steps made before it.
+
+    Returns:
+        The removals as arrays, in order.
+    """
     rows = [
         (step, gone.width, landmark_index)
         for step, gone in removals

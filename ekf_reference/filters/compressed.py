@@ -65,7 +65,13 @@ class CompressedState(KalmanState):
     """
 
     def __init__(self, pose: Array, covariance: Array, areas: LocalAreas) -> None:
-        """Start with one area around the vehicle."""
+        """Start with one area around the vehicle.
+
+        Args:
+            pose: (3,) x, y [m], heading [rad], unwrapped.
+            covariance: (3, 3), symmetric positive definite.
+            areas: How the map is cut.
+        """
         super().__init__(pose, covariance)
         self.areas = areas
         self.updates: list[GlobalUpdate] = []
@@ -192,7 +198,14 @@ class CompressedState(KalmanState):
         self._activate(active - np.searchsorted(gone, active), self._centre, self._extent)
 
     def leave(self, reach_m: float = 0.0, *wanted: Index) -> None:
-        """Make a global update, and enter an area around the vehicle with entries `wanted` (c,)."""
+        """Make a global update, and enter a new area around the vehicle.
+
+        Args:
+            reach_m: How far the new area has to extend beyond where the vehicle may go in it [m].
+            wanted: (c,) state entries of landmarks that must be active, wherever they lie.
+
+        Source: Guivant 2002, eqs. 17 to 23.
+        """
         self._global_update()
         extent = self.areas.half_m + max(reach_m, self._reach_m)
         columns = np.unique(np.concatenate((self.columns_near(extent), *wanted)))
@@ -268,6 +281,19 @@ class CompressedEkf(Ekf):
         trace: Trace | None = None,
         areas: LocalAreas | None = None,
     ) -> None:
-        """areas: how the map is cut. The rest is as in Ekf."""
+        """Start at a prior, with one area around the vehicle.
+
+        Args:
+            motion: The vehicle model.
+            association: Which rule finds the landmark of a measurement.
+            prior_pose: (3,) x, y [m], heading [rad], unwrapped.
+            prior_covariance: (3, 3), positive definite, of the additive global error.
+            stabilisation: Noise that every step adds; none by default.
+            trace: Receives every linearisation; by default nothing is recorded.
+            areas: How the map is cut; with `least_gain` above zero the filter is conservative, else
+                exact.
+
+        Source: Guivant 2002, sections 4 and 4.1.
+        """
         super().__init__(motion, association, prior_pose, prior_covariance, stabilisation, trace)
         self.state = CompressedState(prior_pose, prior_covariance, areas or LocalAreas())

@@ -30,26 +30,58 @@ LEAST_LENGTH = 0.1
 
 
 def from_heading(pose: Array) -> Array:
-    """Return x, y, xi, eta (4,) of x, y, heading (3,)."""
+    """Return a pose with the cosine and sine of its heading.
+
+    Args:
+        pose: (3,) x, y [m], heading [rad].
+
+    Returns:
+        (4,) x, y, xi, eta.
+
+    Source: Misono 2007, eq. 3.
+    """
     return np.array([pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])])
 
 
 def along_circle(pose: Array) -> Array:
-    """Return d(x, y, xi, eta) / d(x, y, heading) (4, 3) at a pose (4,)."""
+    """Return d(x, y, xi, eta) / d(x, y, heading), the tangent of the unit circle.
+
+    Args:
+        pose: (4,) x, y, xi, eta.
+
+    Returns:
+        (4, 3).
+    """
     jacobian = np.eye(4, 3)
     jacobian[2:, 2] = -pose[3], pose[2]
     return jacobian
 
 
 def heading_jacobian(pose: Array) -> Array:
-    """Return d(x, y, heading) / d(x, y, xi, eta) (3, 4) of atan2(eta, xi), also off the circle."""
+    """Return d(x, y, heading) / d(x, y, xi, eta), the heading being atan2(eta, xi).
+
+    Args:
+        pose: (4,) x, y, xi, eta, also off the unit circle.
+
+    Returns:
+        (3, 4).
+    """
     jacobian = along_circle(pose).T.copy()
     jacobian[2] /= pose[2] ** 2 + pose[3] ** 2
     return jacobian
 
 
 def lift(pose: Array, covariance: Array, radial_variance: float) -> Array:
-    """Return the covariance (4, 4) of one (3, 3) of x, y, heading and a variance of the length."""
+    """Return the covariance of x, y, xi, eta from that of x, y, heading.
+
+    Args:
+        pose: (4,) x, y, xi, eta, on the unit circle.
+        covariance: (3, 3) of x, y, heading.
+        radial_variance: Of the pair's length; zero makes the result singular.
+
+    Returns:
+        (4, 4).
+    """
     along, across = along_circle(pose), np.array([0.0, 0.0, pose[2], pose[3]])
     return along @ covariance @ along.T + radial_variance * np.outer(across, across)
 
@@ -251,7 +283,19 @@ class DirectionCosineEkf(Ekf):
         *,
         options: DirectionCosineOptions | None = None,
     ) -> None:
-        """prior_pose: (3,) and prior_covariance: (3, 3) of x, y, heading, as in Ekf."""
+        """Start at a prior of x, y, heading, kept as x, y, cosine, sine.
+
+        Args:
+            motion: The vehicle model, of x, y, heading.
+            association: Which rule finds the landmark of a measurement.
+            prior_pose: (3,) x, y [m], heading [rad].
+            prior_covariance: (3, 3), positive definite, of the additive global error.
+            stabilisation: Noise of x, y, heading that every step adds; none by default.
+            trace: Receives every linearisation; by default nothing is recorded.
+            options: Additions to the published filter; none by default.
+
+        Source: Misono 2007, eqs. 1 to 16.
+        """
         options = options or DirectionCosineOptions()
         self.renormalise, self.stacked = options.renormalise, options.stacked
         self._unwrapped = UnwrappedPose(float(prior_pose[2]))

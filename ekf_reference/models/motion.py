@@ -30,7 +30,18 @@ class MotionStep(NamedTuple):
     def by(
         cls, pose: Array, east: float, north: float, turn: float, jacobian_control: Array
     ) -> MotionStep:
-        """Return the step that moves a pose by so much in the map [m] and turns it [rad]."""
+        """Return the step that moves and turns a pose by known amounts.
+
+        Args:
+            pose: (3,) x, y, heading at the departure.
+            east: Displacement in the map [m].
+            north: Displacement in the map [m].
+            turn: [rad], added without wrapping.
+            jacobian_control: (3, m), df/du.
+
+        Returns:
+            The step, with the Jacobian by the pose that every SE(2)-equivariant model has.
+        """
         by_pose = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
         return cls(pose + (east, north, turn), by_pose, jacobian_control)
 
@@ -39,7 +50,16 @@ class MotionModel(Protocol):
     """Contract of all vehicle models."""
 
     def step(self, T_world_vehicle: Array, control: Array, duration_s: float) -> MotionStep:
-        """Predict the pose after `duration_s` under a constant control (m,)."""
+        """Predict the pose after a step.
+
+        Args:
+            T_world_vehicle: (p,) pose at the departure, heading unwrapped.
+            control: (m,) in the model's units, constant during the step.
+            duration_s: The step's [s].
+
+        Returns:
+            The pose, its heading unwrapped, and the Jacobians by pose and control.
+        """
 
 
 @dataclass(frozen=True)
@@ -91,7 +111,16 @@ class AckermannModel:
 
 
 def bicycle_model(wheelbase_m: float) -> AckermannModel:
-    """Return the classic bicycle, pose and speed at the rear axle (Nieto 2005, eq. 2.6)."""
+    """Return the classic bicycle, pose and speed at the middle of the rear axle.
+
+    Args:
+        wheelbase_m: L, from rear to front axle [m].
+
+    Returns:
+        An AckermannModel without offsets.
+
+    Source: Nieto 2005, eq. 2.6.
+    """
     return AckermannModel(wheelbase_m)
 
 

@@ -17,7 +17,14 @@ class AbsolutePosition(Protocol):
     """Contract of all models of an absolute position."""
 
     def predict(self, T_world_vehicle: Array) -> tuple[Array, Array]:
-        """Return the expected position (2,) and its Jacobian (2, p) by the pose (p,)."""
+        """Predict the position of the antenna.
+
+        Args:
+            T_world_vehicle: (p,) the pose.
+
+        Returns:
+            The position (2,) east, north [m], and its Jacobian (2, p) by the pose.
+        """
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,17 @@ class Streak(NamedTuple):
     covariance: Array = np.eye(2)
 
     def length_with(self, innovation: Array, covariance: Array, gate: float) -> int:
-        """Return the length with one fix more, the first of a streak where it differs."""
+        """Return the length with one more fix beyond the gate.
+
+        Args:
+            innovation: (2,) of the fix [m].
+            covariance: (2, 2), its R [m^2].
+            gate: Normalised squared difference from the last fix up to which it continues the
+                streak.
+
+        Returns:
+            One more than before, or 1 where the fix starts a streak of its own.
+        """
         apart = innovation - self.innovation
         agrees = apart @ np.linalg.solve(covariance + self.covariance, apart) <= gate
         return self.length + 1 if agrees else 1

@@ -126,7 +126,7 @@ def by_the_filters_alone(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("module", "name", "broken", "told"),
+    ("module", "name", "broken", "reported"),
     [
         (normalised, "mean_band", another_level, "EKF NEES, pose, share inside"),
         (normalised, "mean_band", one_more_dof, "smoother NEES, heading, share inside"),

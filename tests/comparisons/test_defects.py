@@ -64,7 +64,7 @@ class FixesTwice(Ekf):
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("kind", "reported"),
     [
         (PredictsTwice, "4800 predictions, expected 2400"),
         (FixesTwice, "120 positions, expected 60"),
@@ -103,7 +103,7 @@ class CurvedRange(RangeBearing):
 
 
 @pytest.mark.parametrize(
-    ("plant", "told"),
+    ("plant", "reported"),
     [
         (start_elsewhere, "check how the initialisation computes the mean"),
         (other_lever, r"antenna is \(-0.600, 0.300\) m, in the log \(0.600, -0.300\) m"),

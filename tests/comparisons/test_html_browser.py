@@ -129,8 +129,8 @@ noted.drag = ticks();
 const row = document.querySelector('#landmarks tbody tr'), before = box.width;
 row.click();
 noted.zoomed = box.width < before;
-const told = document.getElementById('told').textContent;
-noted.told = told.includes(`landmark ${row.dataset.key}:`);
+const label = document.getElementById('chosen').textContent;
+noted.label = label.includes(`landmark ${row.dataset.key}:`);
 const mark = [...document.querySelectorAll('#map circle[data-key]')]
   .find(c => c.dataset.key !== row.dataset.key), r = mark.getBoundingClientRect();
 const map = document.getElementById('map');
@@ -150,7 +150,7 @@ def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
     assert shown(dom, "cursors") == "5"  # all curves over time
     whole, wheel, drag = (shown(dom, name) for name in ("whole", "wheel", "drag"))
     assert len({whole, wheel, drag}) == 3
-    assert shown(dom, "zoomed") == shown(dom, "told") == shown(dom, "chosen") == "true"
+    assert shown(dom, "zoomed") == shown(dom, "label") == shown(dom, "chosen") == "true"
 
 
 @pytest.mark.slow

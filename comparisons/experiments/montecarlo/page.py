@@ -67,6 +67,15 @@ def study_page(outcome: Outcome, remarks: list[str]) -> str:
     return document(f"{study.name}: Monte Carlo", parts, script(_SCRIPTS))
 
 
+def study_summary(outcome: Outcome) -> str:
+    """Return consistency and errors by filter, for a notebook."""
+    from comparisons.report.notebook import view
+
+    study = outcome.study
+    reported = f"{study.config.runs:,} runs, {outcome.landmarks} landmarks; mean NEES and errors"
+    return view(study.name, "", reported, _consistency(outcome), _errors(outcome))
+
+
 def _consistency(outcome: Outcome) -> str:
     rows: list[tuple[str, ...]] = []
     bad: list[int] = []

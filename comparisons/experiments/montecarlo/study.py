@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,9 @@ from comparisons.experiments.montecarlo.workers import check_workers, spread
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
 from comparisons.experiments.scenarios.world import World, build_world, log_of_run, measure
 from comparisons.logs.log_folder import write_log_folder
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _KEPT_LOGS = 3
 """Failed runs of one external filter whose logs are kept."""
@@ -82,10 +86,18 @@ def read_study(config: MonteCarloConfig, *, allow_changed: bool = False) -> Stud
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """figures: by filter. computed: chunks that were not yet there. damaged: files replaced.
+    """Hold what many runs of several filters found.
 
-    failures: of external filters, by name, in the order of seeds. reused: their runs that were not
-    computed again.
+    Attributes:
+        study: Configuration and scenario.
+        time_s: (T,) of the recorded steps.
+        landmarks: How many the scenario has.
+        figures: NEES with its band, and errors, by filter.
+        pairs: Every two filters, compared run by run.
+        computed: Chunks of runs that were not in the folder yet.
+        damaged: Files of the folder that had to be replaced.
+        failures: Of external filters, by name, in the order of seeds.
+        reused: Runs of external filters that were not computed again.
     """
 
     study: Study
@@ -97,6 +109,35 @@ class Outcome:
     damaged: int
     failures: dict[str, tuple[Failure, ...]] = field(default_factory=dict)
     reused: int = 0
+
+    def __repr__(self) -> str:
+        """Return scenario, runs and filters in one line."""
+        runs = f"{self.study.config.runs:,} runs"
+        return f"<MonteCarlo of {self.study.name}: {runs}, filters {', '.join(self.figures)}>"
+
+    def _repr_html_(self) -> str:
+        from comparisons.experiments.montecarlo.page import study_summary
+
+        return study_summary(self)
+
+    def to_pandas(self, table: Literal["filters", "pairs", "nees"] = "filters") -> DataFrame:
+        """Return a table as a pandas data frame.
+
+        Args:
+            table: `filters`: mean NEES by block of the state with its 95 % band, and root mean
+                square errors over all runs; `pairs`: every two filters, run by run; `nees`: mean
+                NEES over the runs, by instant, with its 95 % band.
+
+        Returns:
+            The table, one row for each of what it lists.
+
+        Raises:
+            InputError: pandas is not installed, or there is no such table.
+        """
+        from comparisons.experiments.montecarlo.tables import study_tables
+        from comparisons.report.tables import data_frame
+
+        return data_frame(study_tables(self), table)
 
     @property
     def final_map(self) -> bool:
@@ -121,34 +162,35 @@ def montecarlo(
     runs: int = 50,
     filters: Iterable[str] = ("ekf",),
     *,
-    estimators: Mapping[str, Estimator],
-    folder: Path | None = None,
+    estimators: Mapping[str, Estimator] | None = None,
+    folder: str | Path | None = None,
     workers: int = 1,
 ) -> Outcome:
-    """Run your filters beside variants of ours, over the same runs.
+    """Run variants of the EKF, and your own filters, over the same simulated runs.
 
     Args:
-        scenario: a bundled name, or the path of a scenario's TOML file.
-        runs: how many; a run's number is its seed.
-        filters: variants of our EKF to compare with.
-        estimators: by name; each is given a `Log` without truth and returns an `Estimate` or a
-            `ExternalEstimate`. What it raises is counted as a failure of that run.
-        folder: where finished chunks stay, and logs of runs that failed; none is kept if absent.
-        workers: processes; more than one needs estimators that can be pickled.
+        scenario: A bundled name, or the path of a scenario's TOML file.
+        runs: How many; a run's number is its seed, from 0.
+        filters: Variants of the EKF, by the names of `slamcheck montecarlo --filter`.
+        estimators: Your own filters by name. Each is a function that takes a `Log` without truth
+            and returns an `Estimate` or a `ExternalEstimate`. An exception counts as a failure of
+            that run.
+        folder: Keeps finished runs, and logs of runs that failed. Default: nothing is kept.
+        workers: Processes; more than one needs estimators that can be pickled.
 
     Returns:
-        Figures of each filter and of each pair of filters.
+        Mean NEES with its chi-square band, errors of each filter, and differences of each pair.
+        With `estimators`, figures of landmarks are those of the last step alone.
 
     Raises:
-        InputError: for a scenario or a name that is none, and where every run of one failed.
+        InputError: There is no such scenario or filter, or every run of an estimator failed.
     """
     config = MonteCarloConfig.of(scenario=scenario, runs=runs, filters=tuple(filters))
     if folder is not None:
-        check_folder(folder)
+        check_folder(Path(folder))
     with tempfile.TemporaryDirectory(prefix="slamcheck-montecarlo-") as place:
-        return run_study(
-            read_study(config), folder or Path(place), workers, external=External(estimators)
-        )
+        external = External(estimators or {})
+        return run_study(read_study(config), Path(folder or place), workers, external=external)
 
 
 def run_study(

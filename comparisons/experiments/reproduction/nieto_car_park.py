@@ -445,7 +445,7 @@ def claims_6_18(found: CarPark) -> list[Claim]:
             len(s.found),
             HIGH_LEVEL_COUNT,
             why=f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
-            "landmark must have is not told",
+            "landmark must have is not stated",
         ),
     ]
 

@@ -176,7 +176,8 @@ FIGURES: tuple[AnyFigure, ...] = (
         name="N6.7",
         title="DenseSLAM between the landmarks of Scan-SLAM",
         source="Nieto 2005, Fig. 6.7",
-        says="Without a point landmark the local regions are anchored to scan landmarks, and the dense "
+        says="Without a point landmark the local regions are anchored to scan landmarks, and the "
+        "dense "
         "maps "
         "between them hold much more than the templates by themselves.",
         experiment=SCAN_MAPS,

@@ -135,7 +135,7 @@ FIGURES: tuple[AnyFigure, ...] = (
         "2.10",
         "Errors and stated deviations along the drive",
         "The filter's stated deviations fit its actual errors, and a landmark's uncertainty falls "
-        "with every look at the map.",
+        "with every observation of the map.",
         draw_2_10,
         claim.claims_2_10,
         (11.0, 7.0),

@@ -146,7 +146,7 @@ def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (
             ("step_s = 1.0", "step_s = -1.0"),

@@ -212,7 +212,7 @@ def test_a_command_that_hangs_is_ended_with_its_children(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("python f.py {log}", r"holds no \{out\}, expected for example python my_ekf.py"),
         ("python 'f.py {log} {out}", "no closing quotation"),

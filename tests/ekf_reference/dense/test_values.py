@@ -65,7 +65,7 @@ def test_neighbours_keep_apart_and_the_map_takes_them_along() -> None:
     assert np.isnan(made.around(poles, moved, 0.3).mean).all()
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("reported", [True, False])
 def test_returns_that_wait_keep_their_values(reported: bool) -> None:
     """A return's value follows it by its number; by its row it would get another's."""
     dense = DenseMap(

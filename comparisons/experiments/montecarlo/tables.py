@@ -1,0 +1,50 @@
+"""The tables of a study: columns by name, for `to_pandas`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from comparisons.report.tables import Columns, Tables
+
+if TYPE_CHECKING:
+    from comparisons.experiments.montecarlo.study import Outcome
+
+
+def study_tables(outcome: Outcome) -> Tables:
+    """Return what `Outcome.to_pandas` offers."""
+    return {
+        "filters": lambda: _filters(outcome),
+        "pairs": lambda: [asdict(pair) for pair in outcome.pairs],
+        "nees": lambda: _nees(outcome),
+    }
+
+
+def _filters(outcome: Outcome) -> Columns:
+    rows = []
+    for name, figures in outcome.figures.items():
+        row: dict[str, Any] = {"filter": name, "lost": figures.lost}
+        for block, found in figures.consistency.items():
+            low, high = found.band
+            row |= {f"nees_{block}": found.mean, f"nees_{block}_low": low}
+            row |= {f"nees_{block}_high": high, f"nees_{block}_place": found.place}
+        units = {"position": "m", "heading": "rad", "landmarks": "m"}
+        row |= {f"rmse_{what}_{units[what]}": value for what, value in figures.rmse.items()}
+        rows.append(row)
+    return rows
+
+
+def _nees(outcome: Outcome) -> Columns:
+    return [
+        {
+            "filter": name,
+            "block": block,
+            "time_s": time_s,
+            "nees": nees,
+            "low": found.band[0],
+            "high": found.band[1],
+        }
+        for name, figures in outcome.figures.items()
+        for block, found in figures.consistency.items()
+        for time_s, nees in zip(outcome.time_s.tolist(), found.curve.tolist(), strict=True)
+    ]

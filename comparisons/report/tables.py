@@ -1,0 +1,210 @@
+"""Tables of results as pandas data frames; pandas is imported when one is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from comparisons.arrays import Array, Index
+from comparisons.checks.causes import Cause
+from comparisons.checks.consistency.innovations import SensorInnovations
+from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.config import JobConfig
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Estimate
+from comparisons.logs.log import Log
+from comparisons.pipeline.check import ExternalCheck
+from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.solve import Solution
+from comparisons.report.check import build_check_result
+from comparisons.report.folder import leaves
+from comparisons.report.ladder import check_ladder, ladder
+from comparisons.report.result import build_result
+from comparisons.report.sections import block_fields
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Columns = Mapping[str, Any] | Sequence[Mapping[str, Any]]
+"""Columns by name, or rows."""
+Tables = Mapping[str, Callable[[], Columns]]
+"""What builds each table, by its name."""
+
+
+def data_frame(tables: Tables, table: str) -> DataFrame:
+    """Return one of several tables as a data frame. Raises InputError."""
+    if table not in tables:
+        raise InputError(f"table {table!r} is unknown, expected one of {', '.join(tables)}")
+    try:
+        from pandas import DataFrame
+    except ImportError:
+        raise InputError("to_pandas() needs pandas: pip install pandas") from None
+    return DataFrame(tables[table]())
+
+
+def pose_columns(time_s: Array, pose: Array, covariance: Array | None = None) -> dict[str, Any]:
+    """Return columns of poses (K, 3), with standard deviations of covariances (K, 3, 3)."""
+    found: dict[str, Any] = {"time_s": time_s}
+    found |= dict(zip(("x_m", "y_m", "heading_rad"), pose.T, strict=True))
+    if covariance is not None:
+        names = ("sigma_x_m", "sigma_y_m", "sigma_heading_rad")
+        found |= dict(zip(names, _sigmas(covariance).T, strict=True))
+    return found
+
+
+def landmark_columns(ids: Index, position: Array, covariance: Array | None) -> dict[str, Any]:
+    """Return columns of landmarks (L, 2), with what covariances (L, 2, 2) say."""
+    found: dict[str, Any] = {"id": ids, "x_m": position[:, 0], "y_m": position[:, 1]}
+    if covariance is not None:
+        sigma = _sigmas(covariance)
+        found |= {"sigma_x_m": sigma[:, 0], "sigma_y_m": sigma[:, 1]}
+        found["cov_xy_m2"] = covariance[:, 0, 1]
+    return found
+
+
+def _sigmas(covariance: Array) -> Array:
+    """(N, d) roots of the diagonals of (N, d, d), NaN where one is negative."""
+    variance = np.einsum("nii->ni", covariance)
+    result: Array = np.sqrt(np.where(variance >= 0.0, variance, np.nan))
+    return result
+
+
+def estimate_tables(e: Estimate) -> Tables:
+    """Return what `Estimate.to_pandas` offers."""
+
+    def landmarks() -> Columns:
+        covariance = e.landmark_covariances()
+        known = len(covariance) == len(e.landmark)  # not of an external estimate without any
+        found = landmark_columns(e.landmark_id, e.landmark, covariance if known else None)
+        if not len(e.pose_landmarks):
+            return found
+        own = e.pose_landmark_covariances()[:, :2, :2]
+        more = landmark_columns(e.pose_landmark_id, e.pose_landmarks[:, :2], own)
+        both = {name: np.concatenate((found[name], more[name])) for name in found}
+        heading = np.full(len(e.landmark), np.nan)
+        return {**both, "heading_rad": np.concatenate((heading, e.pose_landmarks[:, 2]))}
+
+    return {
+        "poses": lambda: pose_columns(e.time_s, e.pose, e.pose_covariance),
+        "landmarks": landmarks,
+    }
+
+
+def log_tables(log: Log) -> Tables:
+    """Return what `Log.to_pandas` offers."""
+
+    def true_poses() -> Columns:
+        poses = log.truth.poses
+        return {} if poses is None else pose_columns(poses.time_s, poses.pose)
+
+    def true_landmarks() -> Columns:
+        true = log.truth.landmarks
+        return {} if true is None else landmark_columns(true.id, true.position_m, true.covariance)
+
+    return {
+        "odometry": lambda: _columns(log.odometry),
+        "measurements": lambda: _columns(log.measurements),
+        "positions": lambda: {} if log.positions is None else _columns(log.positions),
+        "truth": true_poses,
+        "truth_landmarks": true_landmarks,
+    }
+
+
+def _columns(stream: object) -> dict[str, Any]:
+    """The arrays (N, ...) of a stream as columns; an array's further indices are in its name."""
+    found: dict[str, Any] = {}
+    for name, value in vars(stream).items():
+        if isinstance(value, np.ndarray):
+            for index in np.ndindex(value.shape[1:]):
+                column = "_".join((name, "".join(map(str, index)))) if index else name
+                found[column] = value[(slice(None), *index)]
+    return found
+
+
+def comparison_tables(c: Comparison) -> Tables:
+    """Return what `Comparison.to_pandas` offers."""
+
+    def landmarks() -> Columns:
+        ids = c.ekf.estimate.landmark_id.tolist()
+        rows = zip(ids, c.agreement.landmarks, strict=True)
+        return [{"id": number, **block_fields(block)} for number, block in rows]
+
+    return {
+        "gaps": lambda: [asdict(step) for step in ladder(build_result(c))],
+        "landmarks": landmarks,
+        "nees": lambda: _nees({"ekf": c.consistency.ekf, "smoother": c.consistency.smoother}),
+        "nis": lambda: _nis(c.consistency.sensors),
+        "causes": lambda: _causes(c.verdict.causes),
+        "settings": lambda: _settings(c.prepared.config),
+    }
+
+
+def check_tables(c: ExternalCheck) -> Tables:
+    """Return what `ExternalCheck.to_pandas` offers."""
+    given, found = c.given, c.agreement
+
+    def landmarks() -> Columns:
+        rows = zip(found.landmark_id.tolist(), found.landmarks, strict=True)
+        return [
+            {"id": number, **asdict(block), "agrees": found.agrees(block)} for number, block in rows
+        ]
+
+    return {
+        "gaps": lambda: [asdict(step) for step in check_ladder(build_check_result(c))],
+        "poses": lambda: pose_columns(given.time_s, given.pose, given.pose_covariance),
+        "landmarks": landmarks,
+        "nees": lambda: _nees({"given": c.consistency.truth, "smoother": c.consistency.smoother}),
+        "causes": lambda: _causes(c.causes),
+        "settings": lambda: _settings(c.solution.prepared.config),
+    }
+
+
+def solution_tables(s: Solution) -> Tables:
+    """Return what `Solution.to_pandas` offers."""
+    return {
+        **estimate_tables(s.estimate),
+        "settings": lambda: _settings(s.prepared.config),
+    }
+
+
+def _nees(estimates: Mapping[str, TruthConsistency | None]) -> Columns:
+    """NEES of the poses by instant, with the 95 % band of one value."""
+    rows = []
+    for name, found in estimates.items():
+        if found is None or found.poses is None:
+            continue
+        p = found.poses
+        band = p.pose.single_band
+        at = p.time_s[p.pose.row].tolist()
+        rows += [
+            {"estimate": name, "time_s": t, "nees": nees, "low": band.low, "high": band.high}
+            for t, nees in zip(at, p.pose.squared.tolist(), strict=True)
+        ]
+    return rows
+
+
+def _nis(sensors: Sequence[SensorInnovations]) -> Columns:
+    """Mean NIS over stretches of the run, by sensor, each with its 95 % band."""
+    return [
+        {"sensor": one.sensor, "time_s": t, "nis": mean, "low": low, "high": high}
+        for one in sensors
+        for t, mean, low, high in np.column_stack(
+            (one.windows.time_s, one.windows.mean, one.windows.low, one.windows.high)
+        ).tolist()
+    ]
+
+
+def _causes(causes: Sequence[Cause]) -> Columns:
+    return {name: [getattr(c, name) for c in causes] for name in ("gap", "evidence", "hint")}
+
+
+def _settings(config: JobConfig) -> Columns:
+    """Every setting with its value and its default."""
+    usual = dict(leaves(type(config).of().model_dump()))
+    return [
+        {"setting": name, "value": value, "default": usual.get(name)}
+        for name, value in leaves(config.model_dump())
+    ]
