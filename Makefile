@@ -6,7 +6,7 @@ CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: run test test-all test-golden lint settings docs nightly clean
+.PHONY: run test test-all test-golden lint settings docs pictures nightly clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -34,6 +34,10 @@ settings: $(VENV)/installed
 # The pages, in build/docs; a dead link is an error.
 docs: $(VENV)/installed-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
+
+# The tutorials' outputs and pictures, by running their commands; needs Chromium.
+pictures: $(VENV)/installed-dev
+	$(BIN)/python docs/pictures.py
 
 # 20,000 damaged files, odd settings, kills and full disks, drawn anew each time; says how many of
 # each kind it has tried.

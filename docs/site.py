@@ -1,38 +1,154 @@
 """Hooks of the documentation's build: generated pages, links to code, formulas.
 
-The README is the first page, the changelog one of its own; the pages on the command line, the
-configuration and the public interface are made from the code. Links to files of the project that
-are no page become their path as code. Formulas become MathML, so that no script and no network is
-needed.
+The README is the first page; the changelog and CONTRIBUTING.md are pages of their own. The pages on
+the command line, the configuration, the fields of results and the public interface are made from
+the code. Links to files of the project that are no page become their path as code. Formulas become
+MathML, so that no script and no network is needed.
 """
 
 from __future__ import annotations
 
 import contextlib
 import html
+import inspect
 import io
 import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
 
 from latex2mathml.converter import convert
+from markdown.extensions.toc import slugify
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from pydantic import BaseModel
 
 import slamcheck
-from comparisons.checks.causes import EXPLANATIONS
 from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured
+from comparisons.experiments.montecarlo.models import MonteCarloResult
+from comparisons.experiments.reproduction.models import ReproductionResult
+from comparisons.extensions.dense_maps.result import DenseResult
+from comparisons.extensions.high_level.result import HighLevelResult
+from comparisons.extensions.own_association.extension import OwnAssociationResult
+from comparisons.extensions.own_matching.result import OwnMatchingResult
 from comparisons.extensions.registry import config_class
+from comparisons.extensions.scan_landmarks.result import ScanSlamResult
+from comparisons.extensions.scan_motion.result import (
+    IncrementResult,
+    ScanOdometryResult,
+    ThreeWayResult,
+)
 from comparisons.options import FLAGS
+from comparisons.report.check import CheckResult
+from comparisons.report.dense_map import MapResult
+from comparisons.report.models import Result, SolutionResult
+from comparisons.report.odometry import FrontEndResult
 
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
 _FLAGS = {(flag.option, flag.help): flag for flag in FLAGS}
 _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
+
+RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
+    "result.json": (Result,),
+    "result.json: entries of extensions": (
+        OwnAssociationResult,
+        OwnMatchingResult,
+        ScanSlamResult,
+        ScanOdometryResult,
+        IncrementResult,
+        ThreeWayResult,
+        DenseResult,
+        HighLevelResult,
+    ),
+    "check.json": (CheckResult,),
+    "solution.json": (SolutionResult,),
+    "odometry.json": (FrontEndResult,),
+    "map.json": (MapResult,),
+    "montecarlo.json": (MonteCarloResult,),
+    "claims.json": (ReproductionResult,),
+}
+"""Files of results, and the models of their contents."""
+UNITS = {"_m": "m", "_m2": "m²", "_rad": "rad", "_s": "s", "_sigma": "sigma", "seconds": "s",
+         "_per_second": "1/s"}  # fmt: skip
+"""Endings of fields' names, and the unit that each stands for."""
+_JSON = {str: "text", float: "number", int: "integer", bool: "true, false", NoneType: "null"}
+_MEANING = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+
+
+def _result_schema() -> str:
+    """Return the page of all fields of result files. Raises KeyError for one without meaning."""
+    parts = [
+        "# Result schema",
+        "Each file is one JSON object; its first table has its fields. Every figure is in SI units "
+        "and radians. JSON has no NaN and no infinity: such a figure is `null`. "
+        "[Formats](formats.md) describes the other files of a folder.",
+    ]
+    seen: dict[type[BaseModel], str] = {}
+    for file, roots in RESULTS.items():
+        new = [kind for kind in dict.fromkeys(_nested(*roots)) if kind not in seen]
+        for kind in new:
+            taken = kind.__name__ in seen.values()
+            seen[kind] = f"{kind.__name__} of {file}" if taken else kind.__name__
+        parts.append(f"## {file}")
+        parts += [_model(kind, seen) for kind in new]
+    return "\n\n".join(parts) + "\n"
+
+
+def _nested(*kinds: Any) -> Iterator[type[BaseModel]]:
+    """Models in types and in the fields of these models, outer ones first."""
+    for kind in kinds:
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield kind
+            yield from _nested(*(field.annotation for field in kind.model_fields.values()))
+        else:
+            yield from _nested(*(one for one in get_args(kind) if not isinstance(one, str)))
+
+
+def _model(kind: type[BaseModel], names: dict[type[BaseModel], str]) -> str:
+    text = meanings(kind)
+    rows = [
+        f"| `{field.alias or name}` | {_cell(text[name])} | {_type(field.annotation, names)} "
+        f"| {_unit(name)} |"
+        for name, field in kind.model_fields.items()
+    ]
+    prose = inspect.cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0]
+    head = "| field | meaning | type | unit |\n|---|---|---|---|\n"
+    return f"### {names[kind]}\n\n{prose}\n\n{head}" + "\n".join(rows)
+
+
+def meanings(kind: type[BaseModel]) -> dict[str, str]:
+    """Return the meaning of each field, from the `Attributes:` of the model and those above it."""
+    found: dict[str, str] = {}
+    for one in reversed(kind.__mro__):
+        listed = inspect.cleandoc(one.__doc__ or "").partition("\n\nAttributes:\n")[2]
+        found |= {name: " ".join(text.split()) for name, text in _MEANING.findall(listed)}
+    return found
+
+
+def _type(kind: Any, names: dict[type[BaseModel], str]) -> str:
+    """A type as JSON has it; models link to their tables."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if kind in names:
+        return f"[{names[kind]}](#{slugify(names[kind], '-')})"
+    if origin is Literal:
+        return ", ".join(f"`{one}`" for one in parts)
+    if origin is list or (origin is tuple and parts[-1] is ...):
+        return f"list of {_type(parts[0], names)}"
+    if origin is tuple:
+        return f"{len(parts)} of {_type(parts[0], names)}"
+    if origin is dict:
+        return "object" if parts[1] is Any else f"object of {_type(parts[1], names)}"
+    return " or ".join(_type(one, names) for one in parts) or _JSON.get(kind, "any")
+
+
+def _unit(name: str) -> str:
+    return next((UNITS[end] for end in sorted(UNITS, key=len)[::-1] if name.endswith(end)), "")
 
 
 def _api() -> str:
@@ -111,28 +227,23 @@ def _configuration() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _causes() -> str:
-    """Return the page of what every kind of cause means, as report.html has it."""
-    parts = [
-        "# Causes",
-        "Every cause of an outcome is of one of these kinds. `report.html` explains each with the "
-        "same sentences.",
-    ]
-    for kind, one in EXPLANATIONS.items():
-        parts.append(f"## {kind}\n\n**{one.title}.** {one.meaning}\n\n{one.check}")
-    return "\n\n".join(parts) + "\n"
+def _moved(text: str) -> str:
+    """A page of the root as one of the site's folder."""
+    text = text.replace("](docs/", "](").replace("](CHANGELOG.md)", "](changes.md)")
+    return text.replace("](CONTRIBUTING.md)", "](contributing.md)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made from other files."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     made = {
-        "index.md": readme.replace("](CHANGELOG.md)", "](changes.md)"),
+        "index.md": _moved(readme),
         "changes.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
+        "contributing.md": _moved((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")),
+        "result-schema.md": _result_schema(),
         "api.md": _api(),
         "command-line.md": _command_line(),
         "configuration.md": _configuration(),
-        "causes.md": _causes(),
     }
     for name, text in made.items():
         files.append(File.generated(config, name, content=text))

@@ -279,7 +279,7 @@ def test_tables_are_data_frames(name: str, results: dict[str, Any]) -> None:
         one.to_pandas("nothing")
     assert str(reported.value).endswith(f"expected one of {', '.join(offered(reported.value))}")
     assert set(offered(reported.value)) == set(TABLES[name])
-    empty = {"ExternalCheck": ("gaps",), "Log": ("positions",), "Comparison": ("causes",),
+    empty = {"Log": ("positions",), "Comparison": ("causes",),
              "MonteCarlo": ("pairs",)}  # fmt: skip
     for table in TABLES[name]:
         frame = one.to_pandas(table)

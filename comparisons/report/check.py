@@ -423,16 +423,28 @@ def _block(found: ExternalAgreement, block: Block) -> dict[str, float | bool | N
 
 
 class ExternalLandmarkResult(BlockResult):
-    """One landmark of both."""
+    """One landmark that the estimate and the smoother have.
+
+    Attributes:
+        id: id of the landmark in the log.
+    """
 
     id: int
 
 
 class NearestResult(Model):
-    """The reference that the estimate is nearest to; see comparisons.checks.grade.Likeness.
+    """The reference that the estimate is nearest to.
 
-    largest_sigma: largest difference of any mean. variance ratios: over all poses, landmarks, and
-    directions, None without covariances.
+    See comparisons.checks.grade.Likeness.
+
+    Attributes:
+        name: name of the reference.
+        largest_sigma: largest difference of any mean, in sigma.
+        variance_ratio_least: least variance over the reference's, of all poses, landmarks and
+            directions; None without covariances.
+        variance_ratio_largest: largest such ratio; None without covariances.
+        parts: parts of the estimate that were compared.
+        missing: parts that the estimate does not have.
     """
 
     name: str
@@ -444,7 +456,22 @@ class NearestResult(Model):
 
 
 class TraceResult(Model):
-    """See comparisons.checks.external_trace.TraceCheck; gaps as in `result.json`."""
+    """The recorded equations of an external filter.
+
+    See comparisons.checks.external_trace.TraceCheck.
+
+    Attributes:
+        steps: predictions.
+        updates: updates.
+        initialised: initialised landmarks.
+        positions: absolute positions.
+        algebra_gap_sigma: as in `result.json`.
+        algebra_gap_covariance: as in `result.json`.
+        model_gap_sigma: as in `result.json`.
+        model_gap_covariance: as in `result.json`.
+        linearisation_gap_sigma: as in `result.json`.
+        linearisation_gap_covariance: as in `result.json`.
+    """
 
     steps: int
     updates: int
@@ -459,14 +486,42 @@ class TraceResult(Model):
 
 
 class CheckResult(Model):
-    """`check.json`: an estimate from elsewhere against a filter like it and the smoother's.
+    """`check.json`: an external estimate compared with reference filters and with the smoother.
 
-    estimate_sha256: of the files that were judged, by name; empty where none were read.
-    grade: None where it is not like any reference, and the optimum is not verified. required: the
-    least that agrees. nearest: of the references. absent: what was not handed in. outside: share
-    of the poses beyond the 99.9 % region of their own covariance, None without covariances.
-    coverage: share of the log's time that the estimate covers; uncovered_s: where it does not.
-    trace: None without one.
+    Attributes:
+        config: all settings.
+        settings: settings that differ from the documents'.
+        log: the log.
+        smoother: the smoother.
+        association_by: who associated.
+        information: what a pose of the estimate knows: filtered or smoothed.
+        estimator: kind of estimator, as the estimate says.
+        absent: parts that were not handed in.
+        poses: poses that were judged.
+        coverage: share of the log's time that the estimate covers.
+        uncovered_s: intervals that it does not cover.
+        rms_m: root mean square distance of the positions from the smoother's.
+        rms_heading_rad: root mean square difference of the headings.
+        outside: share of the poses beyond the 99.9 % region of their own covariance; None without
+            covariances.
+        last_pose: the last pose, compared with the smoother's.
+        landmarks: each landmark, compared with the smoother's.
+        estimate_sha256: hashes of the files that were judged, by name; empty where none were read.
+        consistency: consistency of the estimate's covariances.
+        accuracy: errors of the estimate.
+        smoother_accuracy: errors of the smoother.
+        trace: what the recorded equations say; None without a trace.
+        grade: how near to a reference EKF or to the optimum; None where it is not like any
+            reference and the optimum is not verified.
+        required: the lowest grade that agrees.
+        nearest: the nearest reference.
+        verdict: the verdict.
+        causes: reasons for the verdict, the first one first.
+        remarks: sentences that change no verdict.
+        seconds: wall time, by stage.
+        cpu_s: processor time, by stage.
+        versions: versions of the packages.
+        files: files of the folder.
     """
 
     config: dict[str, Any]

@@ -50,7 +50,12 @@ _LIKELY = 0.5
 
 
 class LayerResult(Model):
-    """A layer. samples: cells, points or Gaussians held; occupied: those above 0.8."""
+    """A layer of the dense map.
+
+    Attributes:
+        samples: cells, points or Gaussians that it holds.
+        occupied: those with a probability above 0.8.
+    """
 
     samples: int
     occupied: int
@@ -59,8 +64,14 @@ class LayerResult(Model):
 class ReturnsResult(Model):
     """What became of the scanner's returns.
 
-    late: fused after a wait. outside: where no region can be. waiting: still, at the end. lost:
-    from the waiting room, which was full, or with a landmark.
+    Attributes:
+        scans: number of scans.
+        returns: number of returns.
+        fused: returns that entered the map.
+        late: of these, those that entered after a wait.
+        outside: returns where no region can be.
+        waiting: returns that still wait at the end.
+        lost: returns that a full buffer dropped, or that were lost with a landmark.
     """
 
     scans: int
@@ -73,18 +84,30 @@ class ReturnsResult(Model):
 
 
 class ClosingResult(Model):
-    """The update that moved the regions the most."""
+    """The update that moved the regions the most.
+
+    Attributes:
+        time_s: time of the update.
+        shift_m: root mean square shift of the regions.
+    """
 
     time_s: float
     shift_m: float
 
 
 class DynamicResult(Model):
-    """Where something moves.
+    """Places where something moves.
 
-    places: connected ones. cells, area_m2: flagged. fast, slow: of these, by what showed them
-    first. compared: pairs of maps; deformed: pairs that could not be, since the region's landmarks
-    had moved against each other. landmarks: ids of those in the map that stand in such a place.
+    Attributes:
+        places: connected places.
+        cells: cells of these places.
+        area_m2: area of these places.
+        fast: cells that a fast change showed first.
+        slow: cells that a slow change showed first.
+        compared: pairs of maps that were compared.
+        deformed: pairs that could not be, since the region's landmarks had moved against each
+            other.
+        landmarks: ids of landmarks of the map that stand in such a place.
     """
 
     places: int
@@ -98,7 +121,29 @@ class DynamicResult(Model):
 
 
 class MapResult(Model):
-    """`map.json`: a dense map between the filter's landmarks, points and pieces of scans."""
+    """`map.json`: a dense map between the filter's landmarks.
+
+    Attributes:
+        config: all settings.
+        settings: settings that differ from the documents'.
+        log: the log.
+        ekf: the filter.
+        accuracy: errors of the filter against truth or GPS.
+        scan_landmarks: landmarks that are templates of scans.
+        regions: local regions of the map.
+        first_condition: how the regions met the first condition.
+        resolution_m: size of a cell.
+        returns: what became of the returns.
+        layers: each layer, by name.
+        surface_errors: distance from true surfaces, by layer.
+        closing: the update that moved the regions the most.
+        dynamic: places where something moves.
+        remarks: sentences that change no verdict.
+        seconds: wall time, by stage.
+        cpu_s: processor time, by stage.
+        versions: versions of the packages.
+        files: files of the folder.
+    """
 
     config: dict[str, Any]
     settings: SettingsResult

@@ -11,7 +11,16 @@ from comparisons.report.settings import SettingsResult
 
 
 class LogResult(Model):
-    """What was read. sha256: of all streams that an estimator may be given."""
+    """The log that was read.
+
+    Attributes:
+        name: name of the log.
+        format: format in which it was read, as `slamcheck logs` names it.
+        records: number of records of each stream.
+        duration_s: time from the first record to the last.
+        sha256: hash of all streams that an estimator may be given.
+        provenance: what the log says about its origin.
+    """
 
     name: str
     format: str
@@ -22,16 +31,29 @@ class LogResult(Model):
 
 
 class EkfResult(Model):
-    """The filter.
+    """The filter: its settings, and what it used and rejected.
 
-    rejected, ambiguous, candidate: measurements that association did not use. dynamic: measurements
-    that were discarded since something moves there; deactivated: landmarks that are used no more,
-    since they stand in such a place. cut_off: scans in which joint compatibility visited its most
-    nodes and took the best set so far. global_updates: of a compressed filter, and the share of the
-    passive covariance that they left alone (set I). attributes: whether diameters and intensities
-    entered association. fixes_in_streaks: rejected positions that are one of five or more in a row;
-    longest_streak: of rejected positions; fixes_rejected_by_smoother: of the rejected ones, those
-    that the same gate rejects at the smoother's optimum.
+    Attributes:
+        filter: value of `--filter`.
+        association: value of `--association`.
+        landmarks: landmarks in the map at the end.
+        rejected: measurements that no landmark explains within the gate.
+        ambiguous: measurements that several landmarks explain.
+        candidate: measurements of landmarks that are not reliable enough for the map yet.
+        dynamic: measurements that were discarded since something moves there.
+        deactivated: landmarks that are no longer used, since something moves where they stand.
+        cut_off: scans in which joint compatibility reached its limit of nodes and took the best set
+            so far.
+        attributes: whether diameters and intensities entered the association.
+        gps: value of `--gps`.
+        fixes_fused: absolute positions that were used.
+        fixes_rejected: absolute positions that the gate rejected.
+        fixes_in_streaks: rejected positions that are one of five or more in a row.
+        longest_streak: most rejected positions in a row.
+        fixes_rejected_by_smoother: rejected positions that the same gate also rejects at the
+            smoother's optimum.
+        global_updates: global updates of a compressed filter.
+        global_update_spared: share of the passive covariance that they left unchanged (set I).
     """
 
     filter: str
@@ -55,7 +77,14 @@ class EkfResult(Model):
 
 
 class StartResult(Model):
-    """One start of the smoother; error is None where it broke down."""
+    """One start of the smoother.
+
+    Attributes:
+        name: how the initial values were made.
+        error: error that it converged to; None where it broke down.
+        iterations: iterations of the optimiser.
+        converged: whether the optimiser converged.
+    """
 
     name: str
     error: float | None
@@ -64,10 +93,15 @@ class StartResult(Model):
 
 
 class MinimumResult(Model):
-    """A minimum, how many attempts ended there, and where it differs most from the lowest one.
+    """A minimum, and where it differs most from the lowest one.
 
-    time_s: of the pose that is farthest off. landmark: the id of the landmark that is; None where
-    the log has no landmarks.
+    Attributes:
+        error: half the sum of squared whitened residuals.
+        starts: attempts that ended there.
+        time_s: time of the pose that differs most.
+        pose_m: how far that pose is from the lowest minimum's.
+        landmark: id of the landmark that differs most; None where the log has no landmarks.
+        landmark_m: how far that landmark is from the lowest minimum's.
     """
 
     error: float
@@ -79,13 +113,35 @@ class MinimumResult(Model):
 
 
 class SmootherResult(Model):
-    """The smoother and the evidence for its optimum. See graphslam.optimum.
+    """The smoother, and the evidence for its optimum.
 
-    distance_sigma: of an incremental estimate from the optimum. rejected: outlier measurements and
-    positions that were left out. rank: unknowns that the measurements determine. lacks: why the
-    optimum is not verified; empty where it is. minima: the distinct ones found, lowest first.
-    hops, random_starts: how many were tried. chance_missed: that the random starts miss a basin as
-    wide as the lowest one's.
+    See graphslam.optimum.
+
+    Attributes:
+        method: value of `--smoother`.
+        optimiser: value of `--optimiser`.
+        robust: value of `--robust`.
+        rejected_measurements: outlying measurements of landmarks that were left out.
+        rejected_positions: outlying absolute positions that were left out.
+        distance_sigma: distance of an incremental estimate from the optimum, in sigma; None of a
+            batch.
+        rank: unknowns that the measurements determine.
+        poses: poses of the problem.
+        error: half the sum of squared whitened residuals at the optimum.
+        chi2: twice the error.
+        dof: degrees of freedom: residuals minus unknowns.
+        chi2_band: two-sided 99.8 % band of chi2.
+        newton_decrement: what a full Gauss-Newton step promises to take off the error.
+        iterations: iterations of the optimiser.
+        converged: whether the optimiser converged.
+        verified: whether all evidence for the global optimum is there.
+        lacks: the first condition that does not hold, in words; empty where it is verified.
+        agreeing_starts: starts that reached the lowest error.
+        starts: all starts.
+        minima: the distinct minima that were found, lowest first.
+        hops: alternatives that were tried.
+        random_starts: random starts that were tried.
+        chance_missed: chance that the random starts miss a basin as wide as the lowest one's.
     """
 
     method: str
@@ -114,9 +170,17 @@ class SmootherResult(Model):
 
 
 class BlockResult(Model):
-    """An estimate against the smoother's in one block of the state.
+    """An estimate compared with the smoother's, in one block of the state.
 
     See comparisons.checks.agreement.BlockAgreement; of `slamcheck check`, external_agreement.Block.
+
+    Attributes:
+        difference_m: distance of the positions.
+        distance_sigma: Mahalanobis distance, in the smoother's sigma.
+        variance_ratio_least: least variance of the estimate over the smoother's, of all directions;
+            below 1 is overconfident; None without covariances.
+        variance_ratio_largest: largest such ratio; None without covariances.
+        agrees: whether the block agrees.
     """
 
     difference_m: float
@@ -127,7 +191,13 @@ class BlockResult(Model):
 
 
 class LandmarkResult(BlockResult):
-    """One landmark's row; positions in metres."""
+    """One landmark, compared.
+
+    Attributes:
+        id: id of the landmark in the log.
+        ekf_m: position by the EKF.
+        smoother_m: position by the smoother.
+    """
 
     id: int
     ekf_m: tuple[float, float]
@@ -135,7 +205,26 @@ class LandmarkResult(BlockResult):
 
 
 class AgreementResult(Model):
-    """The gaps. Covariance gaps are None where a covariance is not positive definite."""
+    """The gaps of the chain of estimates.
+
+    Covariance gaps are None where a covariance is not positive definite.
+
+    Attributes:
+        algebra_gap_sigma: largest difference of the means of EKF and F1, in sigma.
+        algebra_gap_covariance: largest deviation from 1 of the generalised eigenvalues of their
+            covariances.
+        model_gap_sigma: largest difference of the means of F1 and F2, in sigma.
+        model_gap_covariance: the same for the covariances of F1 and F2.
+        linearisation_gap_sigma: largest difference of the means of F2 and the smoother, in sigma.
+        linearisation_gap_covariance: the same for the covariances of F2 and the smoother.
+        optimism: least variance of the EKF over the smoother's, of all directions; below 1 is
+            overconfident.
+        pessimism: largest such ratio.
+        landmark_difference_rms_m: root mean square distance of the landmarks of EKF and smoother.
+        pose: the last pose.
+        map: all landmarks together.
+        landmarks: each landmark.
+    """
 
     algebra_gap_sigma: float | None
     algebra_gap_covariance: float | None
@@ -152,7 +241,24 @@ class AgreementResult(Model):
 
 
 class AccuracyResult(Model):
-    """Against truth or GPS; None where the log has no such reference. See checks.accuracy."""
+    """Errors of one estimate against truth or GPS; None where the log has no such reference.
+
+    See checks.accuracy.
+
+    Attributes:
+        ate_m: root mean square error of the positions, in the log's frame.
+        ate_aligned_m: the same after the best rigid alignment.
+        rpe_10m_m: root mean square error of the relative position over 10 m of path.
+        rpe_10m_rad: root mean square error of the relative heading over 10 m of path.
+        landmark_rmse_m: root mean square error of the landmarks.
+        landmark_rmse_aligned_m: the same after the trajectory's alignment.
+        landmarks_found: true landmarks that the map has.
+        landmarks_true: true landmarks that could be found.
+        gps_median_m: median distance from GPS.
+        gps_median_aligned_m: the same after the best rigid alignment.
+        gps_rms_aligned_m: root mean square distance from GPS after that alignment.
+        coverage: share of the reference's instants within the estimate's time.
+    """
 
     ate_m: float | None
     ate_aligned_m: float | None
@@ -169,7 +275,13 @@ class AccuracyResult(Model):
 
 
 class Accuracies(Model):
-    """One entry per estimator, and what the odometry alone reaches."""
+    """Accuracy of each estimate.
+
+    Attributes:
+        ekf: the filter.
+        smoother: the smoother.
+        dead_reckoning: the odometry alone.
+    """
 
     ekf: AccuracyResult
     smoother: AccuracyResult
@@ -177,16 +289,27 @@ class Accuracies(Model):
 
 
 class PartitionResult(Model):
-    """Pairs of measurements put together, against those that belong together."""
+    """Pairs of measurements put together, compared with the pairs that belong together.
+
+    Attributes:
+        precision: share of its pairs that belong together.
+        recall: share of the pairs that belong together that it has.
+    """
 
     precision: float
     recall: float
 
 
 class AssociationResult(Model):
-    """An association made without labels against the log's. See comparisons.checks.association.
+    """An association made without labels, compared with the labels.
 
-    used: landmarks that have measurements, for as many as are labelled.
+    See comparisons.checks.association.
+
+    Attributes:
+        landmarks: over all measurements with a label.
+        clusters: the same with near landmarks taken as one; None where the true places are unknown.
+        used: landmarks that have measurements.
+        labelled: landmarks that have labelled measurements.
     """
 
     landmarks: PartitionResult
@@ -196,11 +319,16 @@ class AssociationResult(Model):
 
 
 class TruthDistanceResult(Model):
-    """The smoother's poses or landmarks against truth. See comparisons.checks.qualifiers.Distance.
+    """The smoother's poses or landmarks compared with truth.
 
-    sigma: root of the mean NEES over its degrees of freedom, of which limit is the most that a
-    sound run reaches. error_m: root mean square; labels_m: the same with the log's labels, where
-    the run has not used them and they could tell.
+    See comparisons.checks.qualifiers.Distance.
+
+    Attributes:
+        what: poses or landmarks.
+        sigma: root of the mean NEES over its degrees of freedom.
+        limit: the largest value that a sound run reaches.
+        error_m: root mean square error.
+        labels_m: the same with the log's labels, where the run has not used them.
     """
 
     what: str
@@ -211,11 +339,17 @@ class TruthDistanceResult(Model):
 
 
 class TruthGapResult(Model):
-    """The smoother against truth, or against labels. See comparisons.checks.qualifiers.TruthGap.
+    """The smoother compared with truth, or with labels.
 
-    stands: it is far, by its covariance or by what labels reach, and by more than measurement_m,
-    what one measurement errs by; or it is lost: no landmark is near a true one. reference: where it
-    should be, in words.
+    See comparisons.checks.qualifiers.TruthGap.
+
+    Attributes:
+        stands: the smoother is far from truth, by its covariance or by what labels reach, and by
+            more than `measurement_m`; or it is lost.
+        distances: distances of poses and landmarks.
+        measurement_m: the error of a single measurement.
+        lost: no landmark is near a true one.
+        reference: what it is compared with, in words.
     """
 
     stands: bool
@@ -226,11 +360,22 @@ class TruthGapResult(Model):
 
 
 class AssociationVariantResult(Model):
-    """An association made in another way. See comparisons.checks.association_variants.
+    """An association made in another way.
 
-    agreement: share of the pairs of measurements put together by either that both put together.
-    apart: root mean square distance of the poses at the two optima. excess: how much worse it
-    explains the measurements, as squared misfit. disputed: measurements not given to counterparts.
+    See comparisons.checks.association_variants.
+
+    Attributes:
+        name: what was done differently.
+        agreement: share of the pairs of measurements of either that both put together.
+        pairs_both: pairs that both put together.
+        pairs_association: pairs that the association puts together.
+        pairs_variant: pairs that the variant puts together.
+        apart_sigma: root mean square distance of the poses at the two optima, in sigma.
+        apart_m: the same in metres.
+        excess: by how much the variant explains the measurements worse, as squared misfit.
+        disputed: measurements that the two give to different landmarks.
+        elsewhere: the variant's optimum is at another place.
+        against: the variant is evidence against the association.
     """
 
     name: str
@@ -247,7 +392,15 @@ class AssociationVariantResult(Model):
 
 
 class DisputeResult(Model):
-    """Measurements of one landmark, -1 for none, that a variant gives to others."""
+    """Measurements of one landmark that a variant gives to others.
+
+    Attributes:
+        variant: the variant's name.
+        landmark: id of the landmark; -1 for none.
+        measurements: number of measurements.
+        begin_s: time of the first one.
+        end_s: time of the last one.
+    """
 
     variant: str
     landmark: int
@@ -257,7 +410,13 @@ class DisputeResult(Model):
 
 
 class AssociationCheckResult(Model):
-    """Whether an association depends on how it was made. disputes: the largest first."""
+    """Whether an association depends on how it was made.
+
+    Attributes:
+        verified: no variant is evidence against it.
+        variants: all variants.
+        disputes: measurements in dispute, the largest group first.
+    """
 
     verified: bool
     variants: list[AssociationVariantResult]
@@ -265,7 +424,18 @@ class AssociationCheckResult(Model):
 
 
 class MapPairResult(Model):
-    """Two maps of the same landmarks. See comparisons.extensions.scan_motion.three_way.Pair."""
+    """Two maps of the same landmarks.
+
+    See comparisons.extensions.scan_motion.three_way.Pair.
+
+    Attributes:
+        rms_m: root mean square distance of the landmarks.
+        rms_aligned_m: the same after the best rigid alignment.
+        distance_sigma_median: median distance of a landmark, in sigma of the difference.
+        outside: landmarks beyond their 99 % region.
+        landmarks: landmarks that both have.
+        agrees: whether the maps agree.
+    """
 
     rms_m: float
     rms_aligned_m: float
@@ -276,11 +446,21 @@ class MapPairResult(Model):
 
 
 class NeesResult(Model):
-    """Normalised errors squared, each with `dof`. See checks.consistency.normalised.
+    """Normalised errors squared, each with `dof` degrees of freedom.
 
-    mean: `dof` is right. Over time, and over landmarks of one run, the values are correlated: no
-    band holds for their average. single_band: 95 % of single values lie in it; inside: the share
-    that do. last: the last value. unusable: errors without one, by reason.
+    See checks.consistency.normalised.
+
+    Over time, and over landmarks of one run, the values are correlated: no band holds for their
+    average.
+
+    Attributes:
+        dof: degrees of freedom of a value.
+        count: number of values.
+        mean: average; `dof` is right.
+        last: the last value.
+        single_band: interval of 95 % of single values.
+        inside: share of the values in it.
+        unusable: errors without a value, by reason.
     """
 
     dof: int
@@ -295,9 +475,17 @@ class NeesResult(Model):
 class TruthConsistencyResult(Model):
     """NEES against truth, of errors in the log's frame, additive in x, y and wrapped heading.
 
-    pose, position, heading: over the epochs. landmarks: each alone; map: jointly; whole: with the
-    last pose. distance, distances: lengths of a spanning tree over landmarks and last pose, which
-    no frame touches, each alone and jointly; too_short: those left out.
+    Attributes:
+        pose: poses over time.
+        position: positions over time.
+        heading: headings over time.
+        landmarks: each landmark alone.
+        map: all landmarks jointly.
+        whole: all landmarks and the last pose jointly.
+        distance: lengths of a spanning tree over landmarks and last pose, which no frame affects,
+            each alone.
+        distances: the same lengths jointly.
+        too_short: lengths that were left out since they are too short.
     """
 
     pose: NeesResult | None
@@ -312,7 +500,16 @@ class TruthConsistencyResult(Model):
 
 
 class NisResult(Model):
-    """An average of normalised innovations squared, with its own 95 % band."""
+    """An average of normalised innovations squared, with its own 95 % band.
+
+    Attributes:
+        name: sensor or component.
+        dof: degrees of freedom of a value.
+        count: number of innovations.
+        mean: average; `dof` is right.
+        band: 95 % band of the average.
+        reading: what the average says, in words.
+    """
 
     name: str
     dof: int
@@ -323,7 +520,19 @@ class NisResult(Model):
 
 
 class WhitenessResult(Model):
-    """See comparisons.checks.consistency.innovations.Whiteness. band: half widths, lag by lag."""
+    """Autocorrelation of one component's innovations.
+
+    See comparisons.checks.consistency.innovations.Whiteness.
+
+    Attributes:
+        component: component of the innovation.
+        order: by time, or by landmark.
+        autocorrelation: coefficients, by lag from 1.
+        band: half widths of their bands, by lag.
+        p_value: chance of such coefficients for white innovations.
+        mean: average of the standardised innovations; 0 is right.
+        mean_band: half width of its 95 % band.
+    """
 
     component: str
     order: str
@@ -335,7 +544,16 @@ class WhitenessResult(Model):
 
 
 class InnovationResult(Model):
-    """One sensor's innovations. See comparisons.checks.consistency.innovations."""
+    """One sensor's innovations.
+
+    See comparisons.checks.consistency.innovations.
+
+    Attributes:
+        sensor: name of the sensor.
+        nis: the sensor as a whole, then its components.
+        whiteness: each component, by time and by landmark.
+        unusable: innovations that could not be whitened.
+    """
 
     sensor: str
     nis: list[NisResult]
@@ -344,12 +562,22 @@ class InnovationResult(Model):
 
 
 class FilterAgainstSmootherResult(Model):
-    """Filtered poses against smoothed ones. See comparisons.checks.consistency.filter_smoother.
+    """Filtered poses compared with smoothed ones.
 
-    squared_per_dof: 1 is right; band: 95 % of it, for correlated epochs; inside: share of the
-    epochs in their single 95 % band. least_ratio: smallest variance of the filter over the
-    smoother's, at least_ratio_s; overconfident_epochs: how many have one clearly below 1, from
-    overconfident_since_s on.
+    See comparisons.checks.consistency.filter_smoother.
+
+    Attributes:
+        epochs: poses that were compared.
+        squared_per_dof: squared difference over its degrees of freedom, by P_filter - P_smoother; 1
+            is right.
+        band: 95 % band of it, for correlated epochs.
+        inside: share of the epochs in their single 95 % band.
+        least_ratio: least variance of the filter over the smoother's, of all directions and epochs.
+        least_ratio_s: time of that epoch.
+        overconfident_epochs: epochs with a ratio clearly below 1: there the filter is
+        overconfident.
+        overconfident_since_s: time of the first one.
+        unusable: epochs that could not be compared, by reason.
     """
 
     epochs: int
@@ -364,7 +592,14 @@ class FilterAgainstSmootherResult(Model):
 
 
 class ConsistencyResult(Model):
-    """By truth for both estimators, by the filter's innovations, by the smoother."""
+    """Consistency by truth, by the filter's innovations, and by the smoother.
+
+    Attributes:
+        ekf: the filter by truth.
+        smoother: the smoother by truth.
+        innovations: each sensor.
+        filter_against_smoother: the filter by the smoother.
+    """
 
     ekf: TruthConsistencyResult | None
     smoother: TruthConsistencyResult | None
@@ -373,9 +608,12 @@ class ConsistencyResult(Model):
 
 
 class ExternalConsistencyResult(Model):
-    """Of an external estimate's covariances, by truth and by the smoother.
+    """Consistency of an external estimate's covariances, by truth and by the smoother.
 
-    unjudged: why filter_against_smoother is None.
+    Attributes:
+        truth: by truth.
+        filter_against_smoother: by the smoother.
+        unjudged: why there is no comparison with the smoother.
     """
 
     truth: TruthConsistencyResult | None
@@ -384,7 +622,13 @@ class ExternalConsistencyResult(Model):
 
 
 class CauseResult(Model):
-    """One reason for the verdict."""
+    """One reason for the verdict.
+
+    Attributes:
+        gap: gap or check that found it.
+        evidence: what was found, with figures.
+        hint: where to look, or what to do.
+    """
 
     gap: str
     evidence: str
@@ -396,10 +640,34 @@ SCHEMA = 3
 
 
 class Result(Model):
-    """The whole file, and one entry for each extension that ran. config: of the run.
+    """`result.json`: a whole run.
 
-    summary: verdict, qualifiers and the filter's consistency in one line. inconsistent: what of
-    the latter is outside its band; None where nothing tells.
+    Each extension that ran adds an entry of its name.
+
+    Attributes:
+        schema_version: version of the file, `schema`; raised when a field changes its meaning.
+        config: all settings of the run.
+        settings: settings that differ from the documents'.
+        log: the log.
+        ekf: the filter.
+        smoother: the smoother.
+        agreement: the gaps.
+        consistency: consistency of filter and smoother.
+        accuracy: errors against truth or GPS.
+        association: the association compared with the log's labels.
+        truth_gap: the smoother compared with truth.
+        verdict: the verdict.
+        summary: verdict, qualifiers and the filter's consistency in one line.
+        qualifiers: reservations beside the verdict, such as `truth gap`.
+        inconsistent: what of the filter's consistency is outside its band; None where nothing can
+            tell.
+        failed_on: findings that `--fail-on` names and that were made.
+        causes: reasons for the verdict, the first one first.
+        remarks: sentences that change no verdict.
+        seconds: wall time, by stage.
+        cpu_s: processor time, by stage.
+        versions: versions of the packages.
+        files: files of the folder.
     """
 
     model_config = ConfigDict(extra="allow", serialize_by_alias=True, populate_by_name=True)
@@ -434,9 +702,12 @@ class Result(Model):
 
 
 class PoseGraphResult(Model):
-    """A log with closures. unmeasured: pairs of poses in a row that no odometry connects.
+    """A log with loop closures.
 
-    initial_chi2: where odometry alone leads, and guesses where there is none.
+    Attributes:
+        loop_closures: number of closures.
+        unmeasured: pairs of successive poses that no odometry connects.
+        initial_chi2: chi-square where odometry alone leads, and guesses where there is none.
     """
 
     loop_closures: int
@@ -445,10 +716,29 @@ class PoseGraphResult(Model):
 
 
 class SolutionResult(Model):
-    """`solution.json`: the smoother alone. measurements_used: of the log's.
+    """`solution.json`: the smoother alone.
 
-    association_check: of the smoother's own, which must hold for `verified`, too. pose_graph: of a
-    log with closures.
+    Attributes:
+        config: all settings.
+        settings: settings that differ from the documents'.
+        log: the log.
+        association_by: who associated: the log's labels, or the smoother.
+        landmarks: landmarks of the solution.
+        measurements_used: measurements of the log that were used.
+        gps: value of `--gps`.
+        smoother: the smoother.
+        accuracy: errors of the smoother against truth or GPS.
+        dead_reckoning: errors of the odometry alone.
+        association: the association compared with the log's labels.
+        association_check: whether the smoother's own association depends on how it was made; it
+            must hold for `verified`, too.
+        pose_graph: of a log with closures.
+        verdict: whether the optimum is verified.
+        remarks: sentences that change no verdict.
+        seconds: wall time, by stage.
+        cpu_s: processor time, by stage.
+        versions: versions of the packages.
+        files: files of the folder.
     """
 
     config: dict[str, Any]

@@ -46,7 +46,13 @@ from graphslam.scan.clouds import write_cloud
 
 
 class LoopResult(Model):
-    """Loop closure: pairs of poses tried, closed, and the reasons against the others."""
+    """Loop closure.
+
+    Attributes:
+        tried: pairs of poses that were tried.
+        closed: pairs that were closed.
+        reasons: number of the other pairs, by reason.
+    """
 
     tried: int
     closed: int
@@ -54,7 +60,28 @@ class LoopResult(Model):
 
 
 class FrontEndResult(Model):
-    """`odometry.json`: the scan front end alone."""
+    """`odometry.json`: the scan front end alone.
+
+    Attributes:
+        config: all settings.
+        settings: settings that differ from the documents'.
+        log: the log.
+        odometry: scan odometry.
+        loops: loop closure.
+        graph: the smoother of the scan pose graph.
+        landmarks: landmarks of the map.
+        gps: value of `--gps`.
+        increments: errors of the increments by truth or GPS.
+        wheels: errors of the wheels' odometry.
+        scan_odometry: errors of the scan odometry.
+        scan_graph: errors of the scan pose graph.
+        verdict: whether the graph's optimum is verified.
+        remarks: sentences that change no verdict.
+        seconds: wall time, by stage.
+        cpu_s: processor time, by stage.
+        versions: versions of the packages.
+        files: files of the folder.
+    """
 
     config: dict[str, Any]
     settings: SettingsResult

@@ -14,9 +14,13 @@ from comparisons.report.model import Model
 
 
 class DifferingSetting(Model):
-    """A setting of the run, and what the document at `place` states in its place.
+    """A setting of the run that a document states at another value.
 
-    value: in words where it follows from other settings.
+    Attributes:
+        setting: name of the setting.
+        value: value of the run; in words where it follows from other settings.
+        document: value of the document.
+        place: where the document states it.
     """
 
     setting: str
@@ -26,7 +30,12 @@ class DifferingSetting(Model):
 
 
 class SettingsResult(Model):
-    """How the run was set. differing: settings that a document states at another value."""
+    """Settings of the run that are not the documents'.
+
+    Attributes:
+        preset: value of `--preset`.
+        differing: settings that a document states at another value.
+    """
 
     preset: str
     differing: list[DifferingSetting]

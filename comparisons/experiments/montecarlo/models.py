@@ -8,7 +8,16 @@ from comparisons.report.model import Model
 
 
 class ConsistencyResult(Model):
-    """See comparisons.experiments.montecarlo.statistics.Consistency."""
+    """Average NEES over runs and time.
+
+    See comparisons.experiments.montecarlo.statistics.Consistency.
+
+    Attributes:
+        anees: average normalised estimation error squared.
+        band: its two-sided band at the study's level.
+        place: where it is relative to the band.
+        share_above: share of the steps whose own average over the runs is above the band.
+    """
 
     anees: float | None
     band: tuple[float | None, float | None]
@@ -17,7 +26,13 @@ class ConsistencyResult(Model):
 
 
 class LastPosesResult(Model):
-    """How many of the runs' last poses have a NEES within its band, and the count's band."""
+    """NEES of the runs' last poses.
+
+    Attributes:
+        inside: runs whose value is within its band.
+        of: runs that have a value.
+        band: band of the number of such runs.
+    """
 
     inside: int
     of: int
@@ -25,7 +40,16 @@ class LastPosesResult(Model):
 
 
 class MonteCarloFilterResult(Model):
-    """One filter. consistency: by pose, position, heading, landmarks."""
+    """One filter of the study.
+
+    Attributes:
+        lost: runs in which it was lost.
+        consistency: by pose, position, heading and landmarks.
+        rmse_position_m: root mean square error of the positions.
+        rmse_heading_rad: root mean square error of the headings.
+        rmse_landmark_m: root mean square error of the landmarks.
+        last_pose_inside: NEES of the last poses.
+    """
 
     lost: int
     consistency: dict[str, ConsistencyResult]
@@ -36,14 +60,34 @@ class MonteCarloFilterResult(Model):
 
 
 class FailureResult(Model):
-    """A run that an external filter failed on."""
+    """A run in which an external filter failed.
+
+    Attributes:
+        seed: seed of the run.
+        reason: what happened.
+    """
 
     seed: int
     reason: str
 
 
 class PairResult(Model):
-    """First minus second, per run. See comparisons.experiments.montecarlo.statistics.Pair."""
+    """Two filters compared run by run: first minus second.
+
+    See comparisons.experiments.montecarlo.statistics.Pair.
+
+    Attributes:
+        first: name of the first filter.
+        second: name of the second filter.
+        what: quantity that is compared.
+        mean: average difference.
+        interval: confidence interval of the average.
+        runs: runs that both completed.
+        lower: runs in which the first is lower.
+        higher: runs in which the first is higher.
+        family_interval: the interval, corrected for the number of pairs.
+        sign_p: chance of such numbers if neither is lower (sign test).
+    """
 
     first: str
     second: str
@@ -58,10 +102,26 @@ class PairResult(Model):
 
 
 class MonteCarloResult(Model):
-    """The whole file; the same bytes however the work was spread.
+    """`montecarlo.json`: a Monte Carlo study.
 
-    config: repeats the study. level: of bands, intervals. failures: of external filters, by name.
-    final_map: figures of landmarks are those of the last step alone, as there is an external one.
+    The same bytes however the work was spread.
+
+    Attributes:
+        config: all settings; they repeat the study.
+        scenario: name of the scenario.
+        description: what it is.
+        sha256: hash of the scenario.
+        runs: number of runs.
+        steps: steps of a run.
+        recorded_steps: steps at which figures were recorded.
+        duration_s: duration of a run.
+        landmarks: landmarks of the scenario.
+        level: level of bands and intervals.
+        filters: each filter, by name.
+        pairs: each pair of filters.
+        final_map: figures of landmarks are of the last step alone, since an external filter takes
+            part.
+        failures: failed runs of external filters, by name.
     """
 
     config: dict[str, Any]

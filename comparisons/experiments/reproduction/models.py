@@ -8,9 +8,18 @@ from comparisons.report.model import Model
 
 
 class ClaimResult(Model):
-    """See contract.Claim. measured: null where it is not finite.
+    """A claim of a document and what was measured.
 
-    why: what is different here, where the claim does not hold and that is known.
+    See contract.Claim.
+
+    Attributes:
+        text: the claim.
+        measured: the figure; null where it is not finite.
+        relation: how the figure must stand to the limit.
+        limit: the limit.
+        unit: unit of figure and limit.
+        holds: whether the claim holds.
+        why: what is different here, where the claim does not hold and the reason is known.
     """
 
     text: str
@@ -23,9 +32,19 @@ class ClaimResult(Model):
 
 
 class FigureResult(Model):
-    """One figure. seconds: of its experiment, which the figures in `shared` have in common.
+    """A figure of a document.
 
-    cpu_s: of the processor, all threads of the process that ran the experiment.
+    Attributes:
+        name: name of the figure, as `slamcheck reproduce` takes it.
+        title: its title.
+        source: where the document has it.
+        says: what the document says.
+        log: log on which it was run.
+        seconds: wall time of its experiment, which the figures in `shared` have in common.
+        cpu_s: processor time of it, all threads of its process.
+        shared: figures of the same experiment.
+        holds: whether all its claims hold.
+        claims: its claims.
     """
 
     name: str
@@ -41,7 +60,14 @@ class FigureResult(Model):
 
 
 class SkippedResult(Model):
-    """A figure that was asked for and not run."""
+    """A figure that was asked for and not run.
+
+    Attributes:
+        name: name of the figure.
+        title: its title.
+        source: where the document has it.
+        reason: why it was not run.
+    """
 
     name: str
     title: str
@@ -50,9 +76,16 @@ class SkippedResult(Model):
 
 
 class ReproductionResult(Model):
-    """The whole file. holds: every claim of every figure that was run. seconds: of it all.
+    """`claims.json`: figures of the documents and their claims.
 
-    cpu_s: of the processor, of all experiments, whichever process ran them.
+    Attributes:
+        holds: whether every claim of every figure that was run holds.
+        drives: simulated drives of a claim on averages.
+        seconds: wall time of all.
+        cpu_s: processor time of all experiments, whichever process ran them.
+        figures: figures that were run.
+        skipped: figures that were not run.
+        versions: versions of the packages.
     """
 
     holds: bool

@@ -101,7 +101,13 @@ def surface_error_rows(errors: Mapping[str, SurfaceErrorResult]) -> list[Row]:
 
 
 class SurfaceErrorResult(Model):
-    """What is occupied against true surfaces; None where nothing is. occupied: how much."""
+    """Distance of what is occupied from true surfaces; None where nothing is occupied.
+
+    Attributes:
+        median_m: median.
+        p95_m: 95 % quantile.
+        occupied: cells or points that were measured.
+    """
 
     median_m: float | None
     p95_m: float | None
@@ -109,9 +115,16 @@ class SurfaceErrorResult(Model):
 
 
 class DenseLayerResult(Model):
-    """A layer of the filter's dense map against the smoother's returns.
+    """A layer of the filter's dense map, compared with the returns at the smoother's poses.
 
     See comparisons.extensions.dense_maps.check.LayerAgreement.
+
+    Attributes:
+        samples: cells, points or Gaussians that were compared.
+        median_m: median distance from the nearest return.
+        p95_m: 95 % quantile of it.
+        missed_m: median distance from the smoother's returns, inside regions, to the layer: what it
+            misses.
     """
 
     samples: int
@@ -121,7 +134,14 @@ class DenseLayerResult(Model):
 
 
 class DenseRegionResult(Model):
-    """One region of one layer."""
+    """One region of one layer.
+
+    Attributes:
+        layer: name of the layer.
+        region: number of the region.
+        samples: samples that were compared.
+        distance_m: median distance of the samples from the smoother's returns.
+    """
 
     layer: str
     region: int
@@ -132,9 +152,12 @@ class DenseRegionResult(Model):
 class FirstConditionResult(Model):
     """The first condition of regions (Nieto 2005, section 3.5) as the run had it.
 
-    regions: how many were made. by_correlation: of these, at birth all pairs met it by their
-    correlation, the vehicle's position among them where a corner is virtual; by_relative_sigma:
-    the others, which the thesis' rule refuses.
+    Attributes:
+        rule: the rule, in words.
+        regions: regions that were made.
+        by_correlation: of these, regions all of whose pairs met it by their correlation at birth,
+            the vehicle's position among them where a corner is virtual.
+        by_relative_sigma: the others, which the thesis' rule refuses.
     """
 
     rule: str
@@ -144,9 +167,15 @@ class FirstConditionResult(Model):
 
 
 class DenseResult(Model):
-    """Dense maps of filter and smoother. regions: the worst first, at most twenty.
+    """Entry `dense`: dense maps of filter and smoother.
 
-    occupancy_share: of the cells decided in both maps, those decided alike.
+    Attributes:
+        agrees: whether the maps agree.
+        first_condition: how the regions met the first condition.
+        layers: each layer, by name.
+        occupancy_share: of the cells that both maps decide, the share that they decide alike.
+        regions: the worst regions first, at most twenty.
+        surface_errors: distance from true surfaces, by layer.
     """
 
     agrees: bool

@@ -45,12 +45,21 @@ def high_level_rows(made: HighLevelResult) -> list[Row]:
 
 
 class HighLevelResult(Model):
-    """High level landmarks. See comparisons.extensions.high_level.source.HighLevelRun.
+    """Entry `high_level`: high level landmarks.
 
-    corners, pairs: of all searches, None in results of before they were counted. found: accepted by
-    one. kept: seen again, and since then in the state. deactivated: used no more, since their
-    template lies where something moves. looks: at those within reach, by outcome, `seen` among
-    them.
+    See comparisons.extensions.high_level.source.HighLevelRun.
+
+    Attributes:
+        searches: searches of the dense map.
+        corners: corners of all searches; None in results of before they were counted.
+        pairs: pairs of corners of all searches; None as above.
+        candidates: candidates for a landmark.
+        poor: candidates with too few Gaussians.
+        found: candidates that a search accepted.
+        kept: landmarks that were seen again, and since then are in the state.
+        deactivated: landmarks that are no longer used, since their template is where something
+            moves.
+        looks: attempts to measure a landmark within reach, by outcome, `seen` among them.
     """
 
     searches: int

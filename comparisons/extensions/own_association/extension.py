@@ -138,10 +138,24 @@ def _result(own: OwnAssociationCheck) -> OwnAssociationResult:
 
 
 class OwnAssociationResult(Model):
-    """The smoother with its own association. See comparisons.extensions.own_association.check.
+    """Entry `own_association`: the smoother with its own association.
 
-    agreement: share of the pairs of measurements put together by either that both put together.
-    pose_distance_sigma: between the last poses with the one and the other association.
+    See comparisons.extensions.own_association.check.
+
+    Attributes:
+        landmarks: landmarks of the smoother's association.
+        agreement: share of the pairs of measurements of either that both put together.
+        pairs_both: pairs that both put together.
+        pairs_filter: pairs that the filter puts together.
+        pairs_smoother: pairs that the smoother puts together.
+        splits: landmarks of the filter that the smoother splits.
+        merges: landmarks of the filter that the smoother merges.
+        pose_difference_m: distance of the last poses with either association.
+        pose_distance_sigma: the same, in sigma.
+        landmark_rms_m: root mean square distance of the landmarks.
+        verified: whether the optimum with the smoother's association is verified.
+        accuracy: errors with the smoother's association.
+        association: the smoother's association compared with the log's labels.
     """
 
     landmarks: int

@@ -102,11 +102,19 @@ def _sigma(squared: float) -> float | None:
 
 
 class LandmarkMatchingResult(Model):
-    """How the filter's alignments of a scan landmark differ from the smoother's own.
+    """The filter's alignments of one scan landmark compared with the smoother's own.
 
-    common: scans that both aligned it with. distance_sigma: root of the mean squared distance over
-    3, by the sum of both covariances. shift: x, y, heading, weighted mean, in the vehicle's frame.
-    worst: the same of the one farthest apart.
+    Attributes:
+        id: id of the landmark.
+        common: scans that both aligned with it.
+        distance_sigma: root of the mean squared distance over 3, by the sum of both covariances.
+        shift_m: weighted mean difference in x and y, in the vehicle's frame.
+        shift_rad: weighted mean difference in heading.
+        worst_time_s: time of the alignment that differs most.
+        worst_m: its difference in x and y.
+        worst_rad: its difference in heading.
+        worst_sigma: its distance, in sigma.
+        contradicts: whether the smoother's matcher contradicts the filter's.
     """
 
     id: int
@@ -122,11 +130,33 @@ class LandmarkMatchingResult(Model):
 
 
 class OwnMatchingResult(Model):
-    """The smoother with its own matcher. See comparisons.extensions.own_matching.check.
+    """Entry `own_matching`: the smoother with its own matcher.
 
-    filter, own, common: alignments, initialised landmarks left out. shift_sigma: of what all
-    differences have in common, None for too few. ekf, smoother: scan landmarks of each against
-    those of this smoother. pose_distance_sigma: by the sum of both covariances.
+    See comparisons.extensions.own_matching.check.
+
+    Attributes:
+        matcher: name of the matcher.
+        filter: alignments of the filter, initialised landmarks left out.
+        own: alignments of the smoother.
+        common: alignments of both.
+        distance_sigma: root mean square distance of the common ones, in sigma.
+        shift_m: what all differences have in common, x and y.
+        shift_rad: the same in heading.
+        shift_sigma: the same in sigma; None for too few alignments.
+        landmarks: each landmark.
+        ekf: the EKF's scan landmarks and those of this smoother.
+        smoother: the first smoother's scan landmarks and those of this smoother.
+        pose_difference_m: distance of the last poses.
+        pose_distance_sigma: the same, by the sum of both covariances.
+        path_ekf_m: root mean square distance of the EKF's path from this smoother's path.
+        path_smoother_m: root mean square distance of the first smoother's path from this
+            smoother's.
+        agrees: whether the two matchers agree.
+        verified: whether the optimum of this smoother is verified.
+        chi2: its chi-square.
+        dof: its degrees of freedom.
+        reasons: scans without an alignment of its own, by reason.
+        accuracy: errors of this smoother.
     """
 
     matcher: str

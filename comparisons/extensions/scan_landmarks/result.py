@@ -119,7 +119,14 @@ def in_words(rule: TemplateRule) -> str:
 
 
 class ScanLandmarkResult(LandmarkResult):
-    """The same of a scan landmark. measurements: used of it. points: of its template."""
+    """One scan landmark, compared.
+
+    Attributes:
+        ekf_heading_rad: heading by the EKF.
+        smoother_heading_rad: heading by the smoother.
+        measurements: measurements of it that were used.
+        points: points of its template.
+    """
 
     ekf_heading_rad: float
     smoother_heading_rad: float
@@ -130,11 +137,17 @@ class ScanLandmarkResult(LandmarkResult):
 class TemplateRule(Model):
     """How templates are made and observed (Nieto 2005, sections 5.5 and 5.7).
 
-    pieces: joined, all segments of a scan in one template; single, each its own. least_returns: of
-    a template. in_view: least share of it. residual, open_directions, trials: greatest error of a
-    trial over its displacement, directions that it may leave open, copies. tried: most candidates
-    of a scan, 0 for all. every: scans from one that may initialise landmarks to the next. aligned:
-    most templates a scan, 0 for all in view. gate: chi-square.
+    Attributes:
+        pieces: `joined`: all segments of a scan are one template; `single`: each is its own.
+        least_returns: least returns of a template.
+        in_view: least share of a template that must be in view.
+        residual: largest error of a trial over its displacement.
+        open_directions: directions that a trial may leave open.
+        trials: displaced copies of a trial.
+        tried: most candidates of a scan; 0 for all.
+        every: scans from one that may initialise landmarks to the next.
+        aligned: most templates that are aligned with a scan; 0 for all in view.
+        gate: gate of an alignment, chi-square.
     """
 
     pieces: str
@@ -150,13 +163,20 @@ class TemplateRule(Model):
 
 
 class ScanSlamResult(Model):
-    """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
+    """Entry `scan_slam`: Scan-SLAM.
 
-    dynamic: returns left out since something moves there; deactivated: landmarks that are matched
-    no more, since their template lies there.
-    pieces: whether all segments of a scan are one landmark, or each its own. rule: of templates.
-    fused: landmarks found to be others. enriched: alignments that began where what stands around
-    fits. measurements: how often a landmark near the scanner was used, or why not.
+    Attributes:
+        scans: scans that were searched.
+        landmarks: each landmark.
+        rejected: segments that failed their trial.
+        dynamic: returns that were left out since something moves there.
+        deactivated: landmarks that are no longer matched, since their template is where something
+            moves.
+        fused: landmarks that turned out to be another one.
+        enriched: alignments that the surroundings of the template supported.
+        pieces: as in `rule`.
+        rule: how templates are made and observed.
+        measurements: how often a landmark near the scanner was measured, or why not.
     """
 
     scans: int

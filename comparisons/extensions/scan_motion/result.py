@@ -128,9 +128,20 @@ def _increments(i: IncrementResult | None) -> list[Row]:
 
 
 class ThreeWayResult(Model):
-    """EKF and smoother on wheels, each against the smoother on scans.
+    """Entry `three_way`: EKF and smoother on wheels, each compared with the smoother on scans.
 
-    chi2: with closures under their robust kernel, which only lowers it.
+    Attributes:
+        ekf: EKF on wheels and smoother on scans.
+        smoother: smoother on wheels and smoother on scans.
+        loops: loop closures.
+        verified: whether the optimum on scans is verified.
+        chi2: chi-square on scans, with closures under their robust kernel, which only lowers it.
+        dof: its degrees of freedom.
+        accuracy: errors of the smoother on scans.
+        inconsistent source: the motion that is wrong, `wheels` or `scans`; neither where the maps
+        agree or
+            nothing can tell.
+        evidence: what shows it.
     """
 
     ekf: MapPairResult
@@ -145,9 +156,18 @@ class ThreeWayResult(Model):
 
 
 class ScanOdometryResult(Model):
-    """Scan odometry. failures: scans without an increment, by reason; breaks: new beginnings.
+    """Entry `scan_odometry`: motion from scans.
 
-    weak: increments that leave a direction open. overlap, residual_m: medians over the matches.
+    Attributes:
+        guess: first guess of an alignment.
+        scans: scans of the log.
+        used: scans that gave an increment.
+        failures: scans without an increment, by reason.
+        breaks: times that the odometry started anew.
+        weak: increments that leave a direction open.
+        overlap: median share of returns that meet the map.
+        residual_m: median distance of these returns from the map.
+        scans_per_second: speed.
     """
 
     guess: str
@@ -162,7 +182,19 @@ class ScanOdometryResult(Model):
 
 
 class IncrementResult(Model):
-    """Errors of the increments. See extensions.scan_motion.increments."""
+    """Entry `increments`: errors of the motion from scans.
+
+    See extensions.scan_motion.increments.
+
+    Attributes:
+        against: reference: truth, or positions.
+        nees: average normalised squared error per degree of freedom; 1 is right.
+        dof: degrees of freedom of the average.
+        band: 95 % band of the average, for independent errors.
+        factor: factor on the sigmas that would fit.
+        reference_factor: factor on the sigmas of the positions, where these are the reference.
+        median: median normalised squared error over the median of its distribution; by truth only.
+    """
 
     against: str
     nees: float
