@@ -6,7 +6,7 @@ CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: run test test-all test-golden lint settings docs pictures nightly clean
+.PHONY: run test test-all test-golden lint settings docs pictures nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -44,6 +44,11 @@ pictures: $(VENV)/installed-dev
 nightly: $(VENV)/installed-dev
 	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
 		--dist worksteal tests/fuzz
+
+# Source distribution and wheels, built, looked into, and used in fresh environments on Python 3.11,
+# 3.12 and 3.13: those on PATH or PYTHONS="/path/to/python3.11 ...". ALLOW_MISSING=1: those there are.
+release-check: $(VENV)/bin/python
+	$(BIN)/python -m tests.release_check $(if $(ALLOW_MISSING),--allow-missing) $(PYTHONS)
 
 $(VENV)/bin/python:
 	@for p in $(CANDIDATES); do \

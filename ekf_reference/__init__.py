@@ -4,3 +4,5 @@ Plain arrays in, plain arrays out; numpy and scipy only. Poses are (x, y, headin
 radians, heading counter-clockwise from east and kept unwrapped; the state is the pose, then the
 landmarks in order of incorporation. Covariances are of the additive global error.
 """
+
+__part_of__ = "slamcheck"

@@ -6,6 +6,8 @@ leave this package as those of the additive global error, whatever gtsam's tange
 
 from importlib.util import find_spec
 
+__part_of__ = "slamcheck"
+
 if find_spec("gtsam") is None:
     raise ModuleNotFoundError(
         "graphslam needs gtsam 4.3, which is not installed: pip install 'gtsam>=4.3,<4.4'; "

@@ -26,6 +26,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from slamcheck._packages import check_packages
+
 if TYPE_CHECKING:
     from comparisons.config import CheckConfig as CheckConfig
     from comparisons.config import JobConfig
@@ -131,6 +133,7 @@ def load_log(source: str | Path, **settings: Any) -> Log:
     Raises:
         InputError: The log cannot be read, or a setting is unknown or out of range.
     """
+    check_packages()
     from comparisons.config import LogSection
     from comparisons.pipeline.read import load_log as load
 
@@ -179,7 +182,7 @@ def check(
 
     Args:
         log: The log that the estimate was made from.
-        estimate: A trajectory file, an estimate folder, or arrays as a `ExternalEstimate`.
+        estimate: A trajectory file, an estimate folder, or arrays as an `ExternalEstimate`.
         config: A whole configuration, in place of options.
         progress: Called with the stage, how much is done, and of how much (0 if unknown).
         options: Options of `slamcheck check` by name: `require="like"` is the least grade that
@@ -193,6 +196,7 @@ def check(
             no pose within the log's time; or an option is unknown.
         graphslam.marginals.SingularProblemError: The smoother has no unique solution.
     """
+    check_packages()
     from comparisons.config import CheckConfig
     from comparisons.estimates.estimate import Estimate
     from comparisons.estimates.external import ExternalEstimate, read_external
@@ -254,7 +258,7 @@ def odometry(
         log: A log with scans or clouds.
         config: A whole configuration, in place of options.
         progress: Called with the stage, how much is done, and of how much (0 if unknown).
-        options: Options of `slamcheck odometry` by name: `loop_closure=False`, `matcher="gicp"`.
+        options: Options of `slamcheck odometry` by name, as `loop_closure=False`.
 
     Returns:
         The trajectories by wheels, scan odometry and graph, and their errors.
@@ -355,9 +359,14 @@ def _configured(
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("slamcheck")
     place = _PLACES.get(name)
     if place is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    check_packages()
     module, _, attribute = place.partition(":")
     found = globals()[name] = getattr(import_module(module), attribute or name)
     return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -14,8 +13,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
-ROOT = Path(__file__).resolve().parents[1]
-BUILT = ("ekf_reference", "graphslam", "comparisons", "pyproject.toml", "README.md", "LICENSE")
+from tests.release_check import ROOT as ROOT
+from tests.release_check import copy_source
 
 
 def depends(requirements: list[str]) -> Iterator[str]:
@@ -43,11 +42,7 @@ def fresh_environment(work: Path) -> Path:
 
     It is made in a folder `work`, without a network: what slamcheck needs is linked.
     """
-    source, home = work / "source", work / "environment"
-    source.mkdir()
-    for name in BUILT:
-        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
-        copy(ROOT / name, source / name)
+    source, home = copy_source(work / "source"), work / "environment"
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
     build = ["wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "-w", str(work)]
     subprocess.run([*pip, *build, str(source)], check=True)

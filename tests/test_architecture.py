@@ -254,7 +254,7 @@ LAYERS = {
     "checks": 4,
     "pipeline": 5,
     "extensions": 6, "report": 6,
-    "baseline": 8, "pytest_plugin": 8,
+    "baseline": 8,
     "cli": 9, "experiments": 9,
     # Jobs that are made of an extension stand on it.
     "pipeline.dense_map": 7, "report.dense_map": 7, "report.figures.dense_map": 7,

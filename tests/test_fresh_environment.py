@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +12,15 @@ from pathlib import Path
 import pytest
 
 from tests.fresh_environment import ROOT, depends, done
+from tests.release_check import (
+    PACKAGES,
+    copy_source,
+    names_in,
+    packaged,
+    sdist_faults,
+    wheel_faults,
+)
+from tests.release_check import version as release
 
 STRICT = """
 [tool.pytest.ini_options]
@@ -95,3 +105,33 @@ def test_what_needs_the_extra_says_so_before_the_work(
     assert run.returncode == 2
     assert run.stderr == f"slamcheck: {needs}: pip install 'slamcheck[scans]'\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_wheel_has_the_packages_and_nothing_else(scripts: Path) -> None:
+    (wheel,) = scripts.parents[1].glob("slamcheck-*.whl")
+    names = names_in(wheel)
+    assert wheel_faults(names, packaged()) == []
+    data = {f"{name}/py.typed" for name in PACKAGES} | {"comparisons/report/html/page.css"}
+    assert data <= names
+    assert wheel_faults(names - data, packaged()) == [
+        f"the wheel lacks {name}" for name in sorted(data)
+    ]
+    more = names | {"tests/helpers.py"}
+    assert wheel_faults(more, packaged()) == ["the wheel has tests/helpers.py"]
+
+
+def test_the_source_distribution_has_what_a_build_needs(tmp_path: Path) -> None:
+    code = f"from setuptools.build_meta import build_sdist; build_sdist({str(tmp_path)!r})"
+    source = copy_source(tmp_path / "source")
+    (source / "tests").mkdir()
+    (source / "tests/test_stray.py").touch()  # setuptools takes such files unless told not to
+    subprocess.run([sys.executable, "-c", code], cwd=source, check=True, capture_output=True)
+    (sdist,) = tmp_path.glob("*.tar.gz")
+    names = names_in(sdist)
+    assert sdist_faults(names, packaged()) == []
+    top = f"slamcheck-{release()}"
+    more = names - {f"{top}/LICENSE"} | {f"{top}/tests/test_stray.py"}
+    assert sdist_faults(more, packaged()) == [
+        "the source distribution lacks LICENSE",
+        "the source distribution has tests/test_stray.py",
+    ]

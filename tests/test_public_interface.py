@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 import slamcheck
+from tests.release_check import ROOT, version
 
 SOURCE = Path(slamcheck.__file__)
 
@@ -341,3 +342,17 @@ def test_scan_jobs_show_themselves() -> None:
         shown = result._repr_html_()
         assert "<svg" in shown
         assert len(shown) < 300_000
+
+
+def test_one_version() -> None:
+    """That of pyproject.toml; an installation that is older than it has to be made again."""
+    assert slamcheck.__version__ == version()
+    (cited,) = re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited == version()
+    headings = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert headings[0] in (version(), "Unreleased")
+    assert version() in headings
+    shown = subprocess.run(
+        [sys.executable, "-m", "slamcheck", "--version"], capture_output=True, text=True, check=True
+    )
+    assert shown.stdout == f"slamcheck {version()}\n"

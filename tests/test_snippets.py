@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import pytest
 from pydantic import BaseModel, ValidationError
 
-import comparisons.pytest_plugin
+import slamcheck.pytest_plugin
 from comparisons.cli.app import build
 from comparisons.config import JOBS
 from comparisons.errors import InputError
@@ -307,7 +307,7 @@ def unknown(text: str) -> list[str]:
 
 
 FIXTURES = {"tmp_path", "capsys", "monkeypatch", "request"} | {
-    name for name, _ in inspect.getmembers(comparisons.pytest_plugin) if name.startswith("slam_")
+    name for name, _ in inspect.getmembers(slamcheck.pytest_plugin) if name.startswith("slam_")
 }
 
 

@@ -106,7 +106,7 @@ def project(folder: Path, log: Log, right: Estimate) -> None:
 def run_pytest(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:slamcheck", "-p", "no:cacheprovider",
-         "-p", "no:dash", "-p", "comparisons.pytest_plugin", *words],
+         "-p", "no:dash", "-p", "slamcheck.pytest_plugin", *words],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -204,7 +204,7 @@ def test_the_plugin_loads_nothing_before_a_test_asks(tmp_path: Path) -> None:
         "heavy = {{'numpy', 'gtsam', 'scipy', 'matplotlib', 'pydantic', 'rich'}}\n"
         "assert not heavy & set(sys.modules), sorted(heavy & set(sys.modules))\n"
     )
-    assert python(code.format("comparisons.pytest_plugin"), tmp_path).returncode == 0
+    assert python(code.format("slamcheck.pytest_plugin"), tmp_path).returncode == 0
     assert python(code.format("comparisons.baseline"), tmp_path).returncode == 1
 
 

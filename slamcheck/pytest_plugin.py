@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import pytest
 
+from slamcheck._packages import check_packages
+
 if TYPE_CHECKING:
     from comparisons.baseline import Found
     from comparisons.config import CheckConfig, RunConfig
@@ -377,6 +379,10 @@ def _plain(function: Callable[P, T]) -> Callable[P, T]:
     @wraps(function)
     def call(*args: P.args, **values: P.kwargs) -> T:
         __tracebackhide__ = True
+        try:
+            check_packages()
+        except ImportError as error:
+            pytest.fail(str(error), pytrace=False)
         from comparisons.errors import InputError
 
         with _quiet():
