@@ -6,7 +6,7 @@ CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: run test test-all test-golden lint settings docs pictures nightly release-check clean
+.PHONY: run test test-all test-golden lint settings docs pictures results results-speed nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -38,6 +38,15 @@ docs: $(VENV)/installed-dev
 # The tutorials' outputs and pictures, by running their commands; needs Chromium.
 pictures: $(VENV)/installed-dev
 	$(BIN)/python docs/pictures.py
+
+# Records what docs/results.md lacks or shows as stale; DATA is the folder of the public logs. Hours.
+DATA ?= ../shared/data
+results: $(VENV)/installed-dev
+	$(BIN)/python benchmarks/record.py --due --data $(DATA)
+
+# The tables of times, on a machine that does nothing else. Half an hour.
+results-speed: $(VENV)/installed-dev
+	$(BIN)/python benchmarks/record.py --due --idle --data $(DATA)
 
 # 20,000 damaged files, odd settings, kills and full disks, drawn anew each time; says how many of
 # each kind it has tried.

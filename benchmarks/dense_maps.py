@@ -7,7 +7,7 @@ layers: scans of 361 returns in a room, 40 regions in view, the map saturated by
 size: one patch of regions around the vehicle, all others out of reach; the same scans for all
 sizes. Times are of the processor, not of the wall: what else runs here is left out. drives:
 `occupancy-loop` (Nieto 2005, section 4.1.3), all seeds together. rules: the documents' settings
-beside those that runs use, and each of them alone, on the drives of the README's table.
+beside those that runs use, and each of them alone, on the drives of docs/results.md.
 """
 
 from __future__ import annotations
@@ -390,7 +390,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--scans", type=int, default=200, help="timed, after as many untimed ones")
     parser.add_argument("--sizes", type=int, nargs="+", default=[10, 30, 100, 300, 1000])
-    parser.add_argument("--seeds", type=int, help="5; of rules, those of the README")
+    parser.add_argument("--seeds", type=int, help="5; of rules, those of docs/results.md")
     parser.add_argument("--loops", type=int, default=3)
     choices = parser.parse_args()
     if "layers" in choices.only:
