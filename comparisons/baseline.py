@@ -23,6 +23,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.check import CheckResult, ExternalLandmarkResult
+from comparisons.report.model import current
 from comparisons.report.models import (
     CauseResult,
     ConsistencyResult,
@@ -126,7 +127,7 @@ class Baseline(_Model):
     words: of a check, as its grade.
     """
 
-    version: int = 3
+    version: int = 4
     log: str
     sha256: str
     config: dict[str, Any] = Field(default_factory=dict)
@@ -293,8 +294,11 @@ def read_baseline(path: Path) -> Baseline:
         kept = Baseline.model_validate_json(read_text(path))
     except ValidationError as error:
         raise InputError(f"{path}: not a baseline: {first_fault(error)}") from None
-    if kept.version not in (1, 2, 3):
-        raise InputError(f"{path}: version {kept.version}, expected 1, 2 or 3")
+    if kept.version not in (1, 2, 3, 4):
+        raise InputError(f"{path}: version {kept.version}, expected 1 to 4")
+    if kept.version < 4:
+        metrics = {current(name): metric for name, metric in kept.metrics.items()}
+        kept = kept.model_copy(update={"metrics": metrics})
     try:
         kept.config_at(kept.log)
     except InputError as error:

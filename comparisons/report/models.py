@@ -635,7 +635,7 @@ class CauseResult(Model):
     hint: str
 
 
-SCHEMA = 3
+SCHEMA = 4
 """Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -133,6 +134,7 @@ def test_results_of_older_runs_are_read(result: Result) -> None:
     for name in ("dynamic", "deactivated", "attributes"):
         del data["ekf"][name]
     del data["schema"], data["config"]
+    data["smoother"]["rejected_sightings"] = data["smoother"].pop("rejected_measurements")
     older = Result.model_validate(data | {"scan_slam": None, "dense": None})
     assert older.schema_version == 1
     assert older.ekf == result.ekf
@@ -163,8 +165,8 @@ def test_files_round_trip_and_damage_is_named(tmp_path: Path, kept: Baseline) ->
         path.write_text(damage)
         with pytest.raises(InputError, match="not a baseline"):
             read_baseline(path)
-    path.write_text(json.dumps({**data, "version": 4}))
-    with pytest.raises(InputError, match="version 4"):
+    path.write_text(json.dumps({**data, "version": 5}))
+    with pytest.raises(InputError, match="version 5"):
         read_baseline(path)
 
 
@@ -321,13 +323,19 @@ def test_files_of_version_2_are_read_and_updated(
 ) -> None:
     data = kept.model_dump()
     del data["words"]
-    data["metrics"] = {n: m for n, m in data["metrics"].items() if "consistency" not in n}
+    former = {"measurement": "sighting", "deactivated": "retired", "overconfident": "surer"}
+    data["metrics"] = {
+        re.sub("|".join(former), lambda found: former[found[0]], n): m
+        for n, m in data["metrics"].items()
+        if "consistency" not in n
+    }
+    assert {"smoother.rejected_sightings", "ekf.retired"} <= set(data["metrics"])
     path = tmp_path / "b.json"
     path.write_text(json.dumps({**data, "version": 2}))
     older = read_baseline(path)
     assert set(states(compare_with(older, result)).values()) == {"new"}
     write_baseline(updated(older, result, run_config()), path)
-    assert read_baseline(path).version == 3
+    assert read_baseline(path).version == 4
     assert states(compare_with(read_baseline(path), result)) == {}
 
 
