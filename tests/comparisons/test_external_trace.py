@@ -258,7 +258,7 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "nan": (put("update_innovation", 3, np.nan), "update_innovation holds a value that is no"),
     "fraction": (
         put("update_measurement", 3, 0.5),
-        "update_measurement holds a value that is no whole",
+        "update_measurement holds a value that is not a whole",
     ),
     "backwards": (put("step_time_s", 7, 0.0), "step_time_s must increase"),
     "order": (put("update_step", 0, 2000), "update_step must ascend"),

@@ -306,7 +306,7 @@ def test_the_guard_is_asked_about_the_world_whatever_the_scanners_mount() -> Non
 
 
 def test_what_cannot_be_used_is_said_in_a_line() -> None:
-    with pytest.raises(InputError, match="holds no planar scans"):
+    with pytest.raises(InputError, match="has no planar scans"):
         compared(simulated(), landmarks="scans")
     with pytest.raises(
         InputError, match="--landmarks is 'walls', expected points or scans or both"

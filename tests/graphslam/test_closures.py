@@ -143,7 +143,7 @@ def test_closures_must_lie_within_a_fixed_lag() -> None:
     held = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=12))
     assert held.optimality.distance_sigma is not None
     assert held.optimality.distance_sigma < 0.1
-    with pytest.raises(ValueError, match="lag is 11, expected 12 at least"):
+    with pytest.raises(ValueError, match="lag is 11, expected at least 12"):
         smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=11))
 
 
