@@ -17,7 +17,6 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
 from graphslam.arrays import Array, Index, Mask
-from graphslam.belief import Belief, wrapped
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -30,7 +29,8 @@ from graphslam.graph_builder import (
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
-from graphslam.relocalisation import PENDING, UNSEEN, Options, extent, recognise
+from graphslam.relocalisation import PENDING, UNSEEN, Options, extent, relocalise
+from graphslam.running_estimate import RunningEstimate, wrapped
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class _Draft:
     """What is decided so far.
 
     landmark_index: (M,). values, graph: the smoother's, up to pose `solved`, with the measurements
-    `included`. belief: at the last pose known. count: landmarks.
+    `included`. running_estimate: at the last pose known. count: landmarks.
     """
 
     problem: SlamProblem
@@ -59,7 +59,7 @@ class _Draft:
     order: Index
     landmark_index: Index
     values: gtsam.Values
-    belief: Belief
+    running_estimate: RunningEstimate
     included: Mask
     graph: gtsam.NonlinearFactorGraph = field(default_factory=gtsam.NonlinearFactorGraph)
     known: int = 1
@@ -84,7 +84,7 @@ def associate(problem: SlamProblem, options: Options | None = None) -> Associati
         order=np.argsort(problem.measurement_pose, kind="stable"),
         landmark_index=np.full(len(problem.z), UNSEEN, dtype=np.intp),
         values=values,
-        belief=Belief(problem.prior_pose, problem.prior_covariance),
+        running_estimate=RunningEstimate(problem.prior_pose, problem.prior_covariance),
         included=np.zeros(len(problem.z), dtype=bool),
     )
     _see(draft, 0)
@@ -92,9 +92,11 @@ def associate(problem: SlamProblem, options: Options | None = None) -> Associati
         length = options.piece if draft.solved else options.first_piece
         end = min(draft.known + length, problem.pose_count)
         for k in range(draft.known, end):
-            draft.belief.move(problem.increment[k - 1], problem.increment_covariance[k - 1])
+            draft.running_estimate.move(
+                problem.increment[k - 1], problem.increment_covariance[k - 1]
+            )
             _see(draft, k)
-            draft.values.insert(POSE_KEY + k, gtsam.Pose2(*draft.belief.pose))
+            draft.values.insert(POSE_KEY + k, gtsam.Pose2(*draft.running_estimate.pose))
         draft.known = end
         _promote(draft)
         _solve(draft)
@@ -110,22 +112,22 @@ def _rows(draft: _Draft, pose: int) -> Index:
 
 
 def _see(draft: _Draft, pose: int) -> None:
-    """Judge the measurements from a pose, and narrow the belief by what is recognised."""
+    """Judge the measurements from a pose, and narrow the running estimate by what is recognised."""
     rows = _rows(draft, pose)
     if len(rows):
         z, variance = draft.problem.z[rows], draft.problem.sigma[rows] ** 2
-        draft.landmark_index[rows] = recognise(draft.belief, z, variance, draft.options)
+        draft.landmark_index[rows] = relocalise(draft.running_estimate, z, variance, draft.options)
 
 
 def _solve(draft: _Draft) -> None:
-    """Optimise everything known, and take the belief from it."""
+    """Optimise everything known, and take the running estimate from it."""
     _extend_graph(draft)
     draft.values, *_ = levenberg_marquardt(draft.graph, draft.values, 1e-4, limit=5)
     poses, landmarks = draft.solution()
     keys = [POSE_KEY + draft.known - 1, *range(LANDMARK_KEY, LANDMARK_KEY + draft.count)]
     local = joint_marginal(draft.graph.linearize(draft.values), keys, 3 + 2 * draft.count)
     mean = np.concatenate((poses[-1], landmarks.ravel()))
-    draft.belief = Belief(mean, to_global(local.covariance, poses[-1, 2]))
+    draft.running_estimate = RunningEstimate(mean, to_global(local.covariance, poses[-1, 2]))
 
 
 def _extend_graph(draft: _Draft) -> None:
@@ -215,14 +217,16 @@ def _merge(draft: _Draft) -> None:
     """Join landmarks within the resolution of each other that are statistically the same."""
     if draft.count < 2:
         return
-    o, belief = draft.options, draft.belief
+    o, running_estimate = draft.options, draft.running_estimate
     group = np.arange(draft.count)
-    apart = np.linalg.norm(belief.landmarks[:, None] - belief.landmarks[None], axis=2)
+    apart = np.linalg.norm(
+        running_estimate.landmarks[:, None] - running_estimate.landmarks[None], axis=2
+    )
     for i, j in np.argwhere(np.triu(apart < o.resolution_m, k=1)).tolist():
         a, b = slice(3 + 2 * i, 5 + 2 * i), slice(3 + 2 * j, 5 + 2 * j)
-        p = belief.covariance
+        p = running_estimate.covariance
         s = p[a, a] + p[b, b] - p[a, b] - p[b, a] + (o.resolution_m**2 / 8.0) * np.eye(2)
-        d = belief.landmarks[i] - belief.landmarks[j]
+        d = running_estimate.landmarks[i] - running_estimate.landmarks[j]
         if float(d @ np.linalg.solve(s, d)) < o.gate:
             group[group == group[j]] = group[i]
     kept, renumber = np.unique(group, return_inverse=True)
@@ -233,7 +237,7 @@ def _merge(draft: _Draft) -> None:
     for landmark_index in range(draft.count):
         draft.values.erase(LANDMARK_KEY + landmark_index)
     for landmark_index, old in enumerate(kept.tolist()):
-        draft.values.insert(LANDMARK_KEY + landmark_index, belief.landmarks[old])
+        draft.values.insert(LANDMARK_KEY + landmark_index, running_estimate.landmarks[old])
     draft.count, draft.solved = len(kept), 0
     draft.graph, draft.included[:] = gtsam.NonlinearFactorGraph(), False
     _solve(draft)
@@ -250,7 +254,7 @@ def _judge_again(draft: _Draft) -> None:
     poses, landmarks = draft.solution()
     for pose in np.unique(p.measurement_pose).tolist():
         rows = _rows(draft, pose)
-        at = Belief(np.concatenate((poses[pose], landmarks.ravel())), np.zeros((0, 0)))
+        at = RunningEstimate(np.concatenate((poses[pose], landmarks.ravel())), np.zeros((0, 0)))
         near = at.near(float(p.z[rows, 0].max()) + 5.0)
         draft.landmark_index[rows] = UNSEEN
         if not len(near):

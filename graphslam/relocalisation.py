@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graphslam.arrays import Array, Index
-from graphslam.belief import Belief, wrapped
+from graphslam.running_estimate import RunningEstimate, wrapped
 
 UNSEEN, PENDING = -1, -2
 """Not used, for it could be of several landmarks; not explained by any landmark, so far."""
@@ -38,10 +38,11 @@ class Options:
     most_hypotheses: int = 60
 
 
-def recognise(belief: Belief, z: Array, variance: Array, o: Options) -> Index:
+def relocalise(running_estimate: RunningEstimate, z: Array, variance: Array, o: Options) -> Index:
     """Landmark index (m,) of each measurement (m, 2) with variances (m, 2), else UNSEEN or PENDING.
 
-    The belief is narrowed by what is recognised. Measurements within the resolution of each other
+    The running estimate is narrowed by what is recognised. Measurements within the resolution of
+    each other
     count as one, with the noise of one: what puts one of them wrong puts the next one wrong, too.
     """
     result = np.full(len(z), PENDING, dtype=np.intp)
@@ -49,13 +50,13 @@ def recognise(belief: Belief, z: Array, variance: Array, o: Options) -> Index:
     share = np.equal.outer(np.arange(len(z)), group) / np.bincount(group)[:, None]
     noise = share @ variance + extent(z, o)
     longest = float(z[:, 0].max())
-    p = belief.covariance.diagonal()
+    p = running_estimate.covariance.diagonal()
     reach = longest + 5.0 + 4.0 * (math.sqrt(p[0] + p[1]) + longest * math.sqrt(p[2]))
-    near = belief.near(reach)
+    near = running_estimate.near(reach)
     if not len(near):
         return result
-    expected = belief.expect(near)
-    spread = belief.spread(near, expected.jacobian)
+    expected = running_estimate.expect(near)
+    spread = running_estimate.spread(near, expected.jacobian)
     which = np.arange(len(near))
     blocks = spread.reshape(len(near), 2, len(near), 2)[which, :, which, :]
     nu = wrapped(z[:, None] - expected.z[None])
@@ -65,7 +66,7 @@ def recognise(belief: Belief, z: Array, variance: Array, o: Options) -> Index:
     result[((nis.min(axis=1) <= o.new_gate) & (chosen < 0))[group]] = UNSEEN
     found = np.flatnonzero(chosen >= 0)
     if len(found):
-        belief.learn(near[chosen[found]], z[found], noise[found])
+        running_estimate.learn(near[chosen[found]], z[found], noise[found])
         result = np.where(chosen[group] >= 0, near[chosen][group], result)
     return result
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.attributes import measured_attributes
 from comparisons.adapters.ekf_factory import build_ekf
-from comparisons.adapters.filter_loop import Beside, drive
+from comparisons.adapters.filter_loop import Beside, run_filter_loop
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.adapters.timeline import Timeline
@@ -115,16 +115,16 @@ def run_ekf(
     landmark_index = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
     reported = measured_attributes(log, config.attributes)
-    stops = drive(
+    epoch_states = run_filter_loop(
         ekf, log, timeline, positions, Beside(watching, beside.source, recorder, reported)
     )
-    for k, stop in enumerate(stops):
-        landmark_index[stop.rows], arrived[k] = stop.landmark_indices, stop.arrived
-        rejected_fixes += stop.rejected_fixes
+    for k, state in enumerate(epoch_states):
+        landmark_index[state.rows], arrived[k] = state.landmark_indices, state.arrived
+        rejected_fixes += state.rejected_fixes
         departed[k], _, read = ekf.read_pose()
         covariance[k] = read @ ekf.state.pose_covariance @ read.T
         away = float(np.abs(departed[k, :2] - log.prior.pose[:2]).max())
-        fault = stop.fault
+        fault = state.fault
         if fault is None and not away <= _FARTHEST_M:
             fault = f"its pose is {away:.2g} m from the start"
         if fault is not None:
@@ -134,7 +134,7 @@ def run_ekf(
         if k % 64 == 0:
             progress(k, epochs)
     progress(epochs, epochs)
-    watching.finished(ekf, float(timeline.epoch_time_s[epochs - 1]))
+    watching.on_end(ekf, float(timeline.epoch_time_s[epochs - 1]))
     joint = _joint_covariance(ekf)
     if not np.isfinite(ekf.state.mean).all():
         raise InputError(

@@ -24,76 +24,76 @@ from ekf_reference.core.state import FilterDivergedError
 
 
 @runtime_checkable
-class Watcher(Protocol):
-    """Someone who looks on while the filter runs, and reads only."""
+class FilterObserver(Protocol):
+    """An observer of the filter loop, which reads the filter and never changes it."""
 
-    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
-        """The filter, all that was seen until now fused, is about to predict from this time."""
+    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+        """The filter has fused all earlier measurements and is about to predict from `time_s`."""
         ...
 
-    def arrived(self, ekf: Ekf) -> None:
-        """It has predicted up to an epoch, and fused nothing there yet."""
+    def on_predict(self, ekf: Ekf) -> None:
+        """The filter has predicted to an epoch and has fused nothing there yet."""
         ...
 
-    def updated(self, ekf: Ekf) -> None:
-        """It has fused what was seen at the epoch."""
+    def on_update(self, ekf: Ekf) -> None:
+        """The filter has fused the measurements of the epoch."""
         ...
 
-    def finished(self, ekf: Ekf, time_s: float) -> None:
-        """It has come to its end, or as far as it could."""
+    def on_end(self, ekf: Ekf, time_s: float) -> None:
+        """The filter has reached the end of the log, or broken down."""
         ...
 
 
-class Watchers:
-    """Several, one after the other."""
+class FilterObservers:
+    """Several observers, called one after the other."""
 
-    def __init__(self, watching: Sequence[Watcher]) -> None:
-        """In the order in which they are told."""
+    def __init__(self, watching: Sequence[FilterObserver]) -> None:
+        """watching: the observers, in the order of the calls."""
         self._watching = watching
 
-    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
-        """Tell all."""
+    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+        """Call every observer."""
         for one in self._watching:
-            one.stepping(ekf, time_s, control, duration_s)
+            one.before_predict(ekf, time_s, control, duration_s)
 
-    def arrived(self, ekf: Ekf) -> None:
-        """Tell all."""
+    def on_predict(self, ekf: Ekf) -> None:
+        """Call every observer."""
         for one in self._watching:
-            one.arrived(ekf)
+            one.on_predict(ekf)
 
-    def updated(self, ekf: Ekf) -> None:
-        """Tell all."""
+    def on_update(self, ekf: Ekf) -> None:
+        """Call every observer."""
         for one in self._watching:
-            one.updated(ekf)
+            one.on_update(ekf)
 
-    def finished(self, ekf: Ekf, time_s: float) -> None:
-        """Tell all."""
+    def on_end(self, ekf: Ekf, time_s: float) -> None:
+        """Call every observer."""
         for one in self._watching:
-            one.finished(ekf, time_s)
+            one.on_end(ekf, time_s)
 
 
-class NoWatcher:
-    """Looks away."""
+class NoObserver:
+    """An observer that does nothing."""
 
-    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
-        """Nothing."""
+    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+        """Do nothing."""
 
-    def arrived(self, ekf: Ekf) -> None:
-        """Nothing."""
+    def on_predict(self, ekf: Ekf) -> None:
+        """Do nothing."""
 
-    def updated(self, ekf: Ekf) -> None:
-        """Nothing."""
+    def on_update(self, ekf: Ekf) -> None:
+        """Do nothing."""
 
-    def finished(self, ekf: Ekf, time_s: float) -> None:
-        """Nothing."""
+    def on_end(self, ekf: Ekf, time_s: float) -> None:
+        """Do nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stop:
-    """The filter at an epoch, all that was seen there fused.
+class FilterEpoch:
+    """The filter at an epoch, with all its measurements fused.
 
-    time_s: of it. rows: of the log's measurements, landmark_indices: (m,) what became of them;
-    `rejected` where the filter broke down first. arrived: (3,) the pose as predicted there.
+    time_s: of the epoch. rows: of the log's measurements, landmark_indices: (m,) what became of
+    them; `rejected` where the filter broke down first. arrived: (3,) the pose as predicted there.
     rejected_fixes: positions that the gate rejected. fault: what broke the filter down, which ends
     the drive.
     """
@@ -115,19 +115,19 @@ class Beside:
     says.
     """
 
-    watching: Watcher = field(default_factory=NoWatcher)
+    watching: FilterObserver = field(default_factory=NoObserver)
     source: PoseLandmarkSource = field(default_factory=NoPoseLandmarkSource)
     recorder: PoseLandmarkRecorder = field(default_factory=PoseLandmarkRecorder)
     reported: MeasuredAttributes | None = None
 
 
-def drive(
+def run_filter_loop(
     ekf: Ekf,
     log: Log,
     timeline: Timeline,
     positions: Positions | None = None,
     beside: Beside | None = None,
-) -> Iterator[Stop]:
+) -> Iterator[FilterEpoch]:
     """Predict, fuse the measurements, fuse the positions, stop; and so on to the end.
 
     positions: to be fused; the timeline is built with the same.
@@ -143,11 +143,11 @@ def drive(
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
             control, duration = timeline.control[i], float(timeline.step_duration_s[i])
-            watching.stepping(ekf, float(begins[i]), control, duration)
+            watching.before_predict(ekf, float(begins[i]), control, duration)
             ekf.predict(control, timeline.control_covariance[i], duration)
         done = int(steps[k])
         arrived = ekf.read_pose().pose
-        watching.arrived(ekf)
+        watching.on_predict(ekf)
         rows = slice(int(first[k]), int(first[k + 1]))
         landmark_indices = np.full(rows.stop - rows.start, REJECTED, dtype=np.intp)
         rejected, fault = 0, None
@@ -164,8 +164,8 @@ def drive(
             source.look(ekf, k, time_s, recorder)
         except FilterDivergedError as error:
             fault = str(error)
-        watching.updated(ekf)
-        yield Stop(
+        watching.on_update(ekf)
+        yield FilterEpoch(
             time_s=time_s,
             rows=rows,
             landmark_indices=landmark_indices,

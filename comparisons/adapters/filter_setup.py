@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
-from comparisons.adapters.filter_loop import Watcher, Watchers
+from comparisons.adapters.filter_loop import FilterObserver, FilterObservers
 from comparisons.adapters.pose_landmark_measurements import (
     GuardedSource,
     NoPoseLandmarkSource,
@@ -27,7 +27,7 @@ class FilterSetup:
     """Filled before a run of the filter, anew for each.
 
     modify: may replace parts of the filter before it starts. observers: read the filter, in their
-    order. source: of measurements of pose landmarks; one that is a Watcher observes,
+    order. source: of measurements of pose landmarks; one that is a FilterObserver observes,
     too, after the others. guard: knows where things move, so that the filter ignores these. layer:
     knows what is around landmarks, for attributes of that kind. kinds: of landmarks that maps are
     anchored to, by width. offers: what extensions offer to
@@ -35,7 +35,7 @@ class FilterSetup:
     """
 
     modify: list[Callable[[Ekf], None]] = field(default_factory=list)
-    observers: list[Watcher] = field(default_factory=list)
+    observers: list[FilterObserver] = field(default_factory=list)
     source: PoseLandmarkSource = field(default_factory=NoPoseLandmarkSource)
     guard: DynamicGuard | None = None
     layer: LayerValues | None = None
@@ -59,7 +59,7 @@ class FilterSetup:
                 self.source.keep_from(self.guard)
         return deactivated
 
-    def watcher(self) -> Watchers:
+    def watcher(self) -> FilterObservers:
         """All that observe, as one."""
         both: Sequence[object] = (*self.observers, self.source)
-        return Watchers([one for one in both if isinstance(one, Watcher)])
+        return FilterObservers([one for one in both if isinstance(one, FilterObserver)])

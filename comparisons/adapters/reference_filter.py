@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import build_ekf, motion_model
-from comparisons.adapters.filter_loop import Beside, drive
+from comparisons.adapters.filter_loop import Beside, run_filter_loop
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
@@ -95,7 +95,7 @@ class _Recorder:
         self.before: dict[int, tuple[Array, Array]] = {}
         self.map: tuple[float, Array, Array] | None = None
 
-    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """All that was seen until this time is fused."""
         self.time_s.append(time_s)
         self.pose.append(ekf.state.pose)
@@ -104,17 +104,17 @@ class _Recorder:
         if self.map is None or time_s <= ends_s < time_s + duration_s:
             self.map = time_s, ekf.state.landmarks, np.array(ekf.state.covariance)
 
-    def arrived(self, ekf: Ekf) -> None:
+    def on_predict(self, ekf: Ekf) -> None:
         """Nothing of this instant is."""
         self.before[len(self.pose)] = ekf.state.pose, ekf.state.pose_covariance
 
-    def updated(self, ekf: Ekf) -> None:
+    def on_update(self, ekf: Ekf) -> None:
         """The next step notes it."""
 
-    def finished(self, ekf: Ekf, time_s: float) -> None:
+    def on_end(self, ekf: Ekf, time_s: float) -> None:
         """Note the end."""
         self.map = None if time_s <= self.map_s + _SAME_S else self.map
-        self.stepping(ekf, time_s, np.zeros(0), 0.0)
+        self.before_predict(ekf, time_s, np.zeros(0), 0.0)
 
     def known_map(self, label: dict[int, int]) -> KnownMap:
         """Return the map; label: landmarks' ids by landmark index."""
@@ -148,19 +148,19 @@ def run_reference(
     ekf.insert_surveyed(*known)
     recorder, label = _Recorder(map_s), dict(zip(index_of.values(), index_of, strict=True))
     try:
-        for stop in drive(ekf, log, timeline, positions, Beside(recorder)):
-            if stop.fault is not None:
+        for state in run_filter_loop(ekf, log, timeline, positions, Beside(recorder)):
+            if state.fault is not None:
                 return None
             if config.association == "known":
-                names = log.measurements.landmark[stop.rows].tolist()
+                names = log.measurements.landmark[state.rows].tolist()
                 label |= {
                     s: n
-                    for s, n in zip(stop.landmark_indices.tolist(), names, strict=True)
+                    for s, n in zip(state.landmark_indices.tolist(), names, strict=True)
                     if s >= 0
                 }
     except (FilterDivergedError, np.linalg.LinAlgError):
         return None
-    recorder.finished(ekf, float(timeline.epoch_time_s[-1]))
+    recorder.on_end(ekf, float(timeline.epoch_time_s[-1]))
     pose, covariance = np.array(recorder.pose), np.array(recorder.covariance)
     before, before_covariance = pose.copy(), covariance.copy()
     for row, (at, spread) in recorder.before.items():

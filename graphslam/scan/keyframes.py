@@ -29,7 +29,7 @@ def choose_keyframes(
     return np.array(chosen, dtype=np.intp)
 
 
-class KeyframeBelief:
+class KeyframeEstimate:
     """Poses of keyframes with their joint covariance, of the additive global error."""
 
     def __init__(self, result: SmootherResult, keyframes: Index) -> None:

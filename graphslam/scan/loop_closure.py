@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from graphslam.arrays import Array
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.scan import planar
-from graphslam.scan.keyframes import KeyframeBelief, choose_keyframes
+from graphslam.scan.keyframes import KeyframeEstimate, choose_keyframes
 from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import placed
@@ -117,16 +117,16 @@ class RegistrationLoopCloser:
         for _ in range(self.options.rounds):
             before = len(found)
             result = smooth(replace(problem, loop_closures=self._loop_closures(found)), {})
-            belief = KeyframeBelief(result, keyframes)
+            running_estimate = KeyframeEstimate(result, keyframes)
             for later in range(len(keyframes)):
                 self._progress(later, len(keyframes))
-                for earlier in self._candidates(problem, belief, later):
+                for earlier in self._candidates(problem, running_estimate, later):
                     pair = (int(keyframes[earlier]), int(keyframes[later]))
-                    expected, spread = belief.relative(earlier, later)
+                    expected, spread = running_estimate.relative(earlier, later)
                     if pair in found or _as_before(tried.get(pair), expected):
                         continue
                     tried[pair] = expected
-                    outcome = self._try(belief, clouds, earlier, later, expected, spread)
+                    outcome = self._try(running_estimate, clouds, earlier, later, expected, spread)
                     if isinstance(outcome, str):
                         attempts[pair] = Attempt(*pair, outcome)
                     else:
@@ -146,17 +146,19 @@ class RegistrationLoopCloser:
             self.options.kernel,
         )
 
-    def _candidates(self, problem: SlamProblem, belief: KeyframeBelief, later: int) -> list[int]:
+    def _candidates(
+        self, problem: SlamProblem, running_estimate: KeyframeEstimate, later: int
+    ) -> list[int]:
         """Earlier keyframes that may lie within reach, the nearest first."""
         o = self.options
         way = np.concatenate(([0.0], np.cumsum(np.hypot(*problem.increment[:, :2].T))))
-        at = way[belief.keyframes]
+        at = way[running_estimate.keyframes]
         earlier = np.flatnonzero(at[later] - at >= o.apart_m)
         if not len(earlier):
             return []
-        offset = belief.pose[earlier, :2] - belief.pose[later, :2]
+        offset = running_estimate.pose[earlier, :2] - running_estimate.pose[later, :2]
         distance = np.hypot(*offset.T)
-        spread = belief.position_spread(earlier, later)
+        spread = running_estimate.position_spread(earlier, later)
         along = offset / np.maximum(distance, 1e-9)[:, None]
         variance = np.einsum("ni,nij,nj->n", along, spread, along)
         beyond = np.maximum(distance - o.reach_m, 0.0)
@@ -172,7 +174,7 @@ class RegistrationLoopCloser:
 
     def _try(
         self,
-        belief: KeyframeBelief,
+        running_estimate: KeyframeEstimate,
         clouds: Clouds,
         earlier: int,
         later: int,
@@ -182,14 +184,15 @@ class RegistrationLoopCloser:
         """A believable match of two keyframes, or the reason why there is none."""
         o = self.options
         around = range(
-            max(earlier - o.neighbours, 0), min(earlier + o.neighbours + 1, len(belief.keyframes))
+            max(earlier - o.neighbours, 0),
+            min(earlier + o.neighbours + 1, len(running_estimate.keyframes)),
         )
-        base = belief.pose[earlier]
+        base = running_estimate.pose[earlier]
         target = placed(
-            [clouds[int(belief.keyframes[k])] for k in around],
-            np.array([planar.between(base, belief.pose[k]) for k in around]),
+            [clouds[int(running_estimate.keyframes[k])] for k in around],
+            np.array([planar.between(base, running_estimate.pose[k]) for k in around]),
         )
-        source = clouds[int(belief.keyframes[later])]
+        source = clouds[int(running_estimate.keyframes[later])]
         reach = _COARSE_M + 2.0 * float(np.sqrt(np.trace(spread[:2, :2])))
         seen = planar.moved(expected, source)
         common = np.isfinite(cKDTree(target).query(seen, distance_upper_bound=reach)[0]).mean()
@@ -202,7 +205,7 @@ class RegistrationLoopCloser:
             except ScanError as error:
                 reason = reason or str(error)
                 continue
-            beside = belief.misplacement(earlier, around, match.motion)
+            beside = running_estimate.misplacement(earlier, around, match.motion)
             widened = replace(match, covariance=match.covariance + beside + self._placement())
             doubt = self._doubt(widened, expected, spread)
             if not doubt:

@@ -22,12 +22,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from graphslam.arrays import Array, Mask
-from graphslam.belief import Belief
 from graphslam.graph_builder import POSE_KEY, POSE_LANDMARK_KEY, build_graph, pose_landmarks_from
 from graphslam.initialisation import extension
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
+from graphslam.running_estimate import RunningEstimate
 from graphslam.scan import planar
 from graphslam.scan.loop_closure import starts
 from graphslam.scan.odometry import OdometryOptions
@@ -130,7 +130,7 @@ def measure_templates(
 
 
 class _Drive:
-    """What is known on the way. pose: the last one; belief: of it and the templates `_known`."""
+    """What is known so far. pose: the last; running_estimate: of it and of `_known` templates."""
 
     def __init__(
         self,
@@ -145,7 +145,7 @@ class _Drive:
         self._seen: list[PoseMeasurement] = []
         self._last: dict[int, int] = {}
         self._pose = 0
-        self._belief = Belief(problem.prior_pose, problem.prior_covariance)
+        self._running_estimate = RunningEstimate(problem.prior_pose, problem.prior_covariance)
         self._known = 0
         self._values = gtsam.Values()
         self._solved, self._since = 0, 0
@@ -175,7 +175,7 @@ class _Drive:
         """By the odometry."""
         p = self._problem
         for k in range(self._pose, pose):
-            self._belief.move(p.increment[k], p.increment_covariance[k])
+            self._running_estimate.move(p.increment[k], p.increment_covariance[k])
         self._pose = pose
 
     def begin(self, numbers: list[int], cloud: Array) -> None:
@@ -220,7 +220,7 @@ class _Drive:
         """(3,) the template's axis in the pose's frame, and its covariance (3, 3) in these axes."""
         at = 3 + 3 * number
         rows = np.concatenate((np.arange(3), np.arange(at, at + 3)))
-        mean, covariance = self._belief.mean, self._belief.covariance
+        mean, covariance = self._running_estimate.mean, self._running_estimate.covariance
         return planar.relative(mean[:3], mean[at : at + 3], covariance[np.ix_(rows, rows)])
 
     def _near(self, number: int, expected: Array, spread: Array, tree: cKDTree) -> Mask:
@@ -264,7 +264,7 @@ class _Drive:
         return best
 
     def _solve(self) -> None:
-        """Everything up to the last pose anew, and the belief from it."""
+        """Everything up to the last pose anew, and the running estimate from it."""
         known = len(self._last)
         part = replace(self._problem, pose_landmarks=self.factors()).prefix(self._pose + 1)
         graph = build_graph(part)
@@ -280,5 +280,5 @@ class _Drive:
         local = joint_marginal(graph.linearize(self._values), keys, 3 + 3 * known).covariance
         places = pose_landmarks_from(self._values, part)
         mean = np.concatenate(([here.x(), here.y(), here.theta()], places.ravel()))
-        self._belief = Belief(mean, to_global(local, here.theta(), places[:, 2]))
+        self._running_estimate = RunningEstimate(mean, to_global(local, here.theta(), places[:, 2]))
         self._known, self._solved, self._since = known, self._pose + 1, 0

@@ -102,9 +102,9 @@ def test_a_watcher_that_writes_would_be_noticed(log: Log) -> None:
     """What the test above rejects: a view that brings a compressed filter up to date."""
 
     class Meddler(DenseWatcher):
-        def updated(self, ekf) -> None:  # type: ignore[no-untyped-def]
+        def on_update(self, ekf) -> None:  # type: ignore[no-untyped-def]
             ekf.state.covariance.sum()
-            super().updated(ekf)
+            super().on_update(ekf)
 
     config = settle(EkfConfig(filter="compressed"), log)
     meddler = Meddler(log, DenseMapsConfig(layers=("points", "occupancy")))

@@ -6,7 +6,7 @@ import numpy as np
 
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.filter_loop import NoWatcher, drive
+from comparisons.adapters.filter_loop import NoObserver, run_filter_loop
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
@@ -16,10 +16,10 @@ from ekf_reference.core.trace import Trace
 from tests.helpers import simulated
 
 
-class Meddler(NoWatcher):
+class Meddler(NoObserver):
     """Reads the whole mean at every epoch, which brings passive landmarks up to date."""
 
-    def updated(self, ekf: Ekf) -> None:
+    def on_update(self, ekf: Ekf) -> None:
         """Read."""
         ekf.state.mean.sum()
 
@@ -39,14 +39,14 @@ def test_stops_tell_what_was_seen_and_a_fault_is_the_last() -> None:
     log = simulated(loop_s=20.0)
     timeline, choices = build_timeline(log), settle(EkfConfig(), log)
     run = run_ekf(log, timeline, choices)
-    stops = list(drive(build_ekf(log, choices, Trace()), log, timeline))
+    stops = list(run_filter_loop(build_ekf(log, choices, Trace()), log, timeline))
     assert np.array_equal(
         np.concatenate([stop.landmark_indices for stop in stops]), run.landmark_index
     )
     assert np.array_equal([stop.arrived for stop in stops], run.arrived)
     broken = build_ekf(log, choices, Trace())
     stops = []
-    for stop in drive(broken, log, timeline):
+    for stop in run_filter_loop(broken, log, timeline):
         stops.append(stop)
         if len(stops) == 5:
             broken.state._covariance[0, 0] = np.nan

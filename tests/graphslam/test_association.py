@@ -1,4 +1,4 @@
-"""The smoother's own association: the belief, the joint decision, and whole logs without labels."""
+"""The smoother's own association: running estimate, joint decision, and logs without labels."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from graphslam.association import associate
-from graphslam.belief import Belief, wrapped
 from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
-from graphslam.relocalisation import PENDING, UNSEEN, Options, recognise
+from graphslam.relocalisation import PENDING, UNSEEN, Options, relocalise
+from graphslam.running_estimate import RunningEstimate, wrapped
 from tests.graphslam import worlds
 from tests.graphslam.numerics import (
     Array,
@@ -31,9 +31,9 @@ def unlabelled(problem: SlamProblem) -> SlamProblem:
     return replace(problem, measurement_landmark=nobody, landmark_count=1)
 
 
-def belief(heading_sigma: float, posts: Array = POSTS) -> Belief:
+def running_estimate(heading_sigma: float, posts: Array = POSTS) -> RunningEstimate:
     covariance = np.diag([1e-4, 1e-4, heading_sigma**2, *np.full(posts.size, 1e-4)])
-    return Belief(np.concatenate((np.zeros(3), posts.ravel())), covariance)
+    return RunningEstimate(np.concatenate((np.zeros(3), posts.ravel())), covariance)
 
 
 def seen(*points: tuple[float, float], heading: float = 0.0) -> tuple[Array, Array]:
@@ -46,9 +46,9 @@ def test_expected_measurements_have_the_right_jacobian() -> None:
     state = np.concatenate((np.array([1.0, -2.0, 2.5]), POSTS.ravel()))
 
     def of(x: Array) -> Array:
-        return Belief(x, np.eye(9)).expect(np.arange(3)).z.ravel()
+        return RunningEstimate(x, np.eye(9)).expect(np.arange(3)).z.ravel()
 
-    jacobian = Belief(state, np.eye(9)).expect(np.arange(3)).jacobian
+    jacobian = RunningEstimate(state, np.eye(9)).expect(np.arange(3)).jacobian
     numeric = central_difference(of, state).reshape(3, 2, 9)
     for j in range(3):
         own = np.concatenate((numeric[j, :, :3], numeric[j, :, 3 + 2 * j : 5 + 2 * j]), axis=1)
@@ -69,7 +69,7 @@ def test_the_belief_is_moved_and_narrowed_as_a_gaussian() -> None:
         u, v, w = x[9:]
         return np.concatenate((arrived + (cos * u - sin * v, sin * u + cos * v, w), x[3:9]))
 
-    it = Belief(mean, prior)
+    it = RunningEstimate(mean, prior)
     it.move(step, own)
     jacobian = central_difference(moved, np.concatenate((mean, np.zeros(3))))
     joint = np.zeros((12, 12))
@@ -77,11 +77,11 @@ def test_the_belief_is_moved_and_narrowed_as_a_gaussian() -> None:
     assert np.allclose(it.mean, moved(np.concatenate((mean, np.zeros(3)))))
     assert relative_error(it.covariance, jacobian @ joint @ jacobian.T) < 1e-7
 
-    before, landmark_indices = Belief(it.mean, it.covariance), np.array([2, 0])
+    before, landmark_indices = RunningEstimate(it.mean, it.covariance), np.array([2, 0])
     z = before.expect(landmark_indices).z + rng.normal(0.0, 0.05, (2, 2))
     variance = np.array([[0.01, 1e-4], [0.02, 2e-4]])
     h = central_difference(
-        lambda x: Belief(x, np.eye(9)).expect(landmark_indices).z.ravel(), before.mean
+        lambda x: RunningEstimate(x, np.eye(9)).expect(landmark_indices).z.ravel(), before.mean
     )
     information = np.linalg.inv(before.covariance) + h.T @ np.diag(1.0 / variance.ravel()) @ h
     it.learn(landmark_indices, z, variance)
@@ -96,30 +96,34 @@ def test_the_belief_is_moved_and_narrowed_as_a_gaussian() -> None:
 def test_known_new_and_doubtful() -> None:
     o = Options()
     z, variance = seen((6.0, 2.0), (5.0, -8.0))
-    assert recognise(belief(0.01), z, variance, o).tolist() == [1, PENDING]
+    assert relocalise(running_estimate(0.01), z, variance, o).tolist() == [1, PENDING]
     z, variance = seen(
         (6.3, 0.0)
     )  # half way between two posts, with a heading that allows for both
-    assert recognise(belief(0.4), z, variance, o).tolist() == [UNSEEN]
-    assert recognise(belief(0.01), z, variance, o).tolist() == [PENDING]
+    assert relocalise(running_estimate(0.4), z, variance, o).tolist() == [UNSEEN]
+    assert relocalise(running_estimate(0.01), z, variance, o).tolist() == [PENDING]
 
 
 def test_two_together_decide_what_one_cannot() -> None:
-    lost = belief(0.4, np.array([(6.0 * np.cos(b), 6.0 * np.sin(b)) for b in (-0.6, -0.2, 0.6)]))
+    lost = running_estimate(
+        0.4, np.array([(6.0 * np.cos(b), 6.0 * np.sin(b)) for b in (-0.6, -0.2, 0.6)])
+    )
     ring = [(float(x), float(y)) for x, y in lost.landmarks]
     o = Options()
     z, variance = seen(ring[0], heading=-0.25)
-    assert recognise(Belief(lost.mean, lost.covariance), z, variance, o).tolist() == [UNSEEN]
+    assert relocalise(RunningEstimate(lost.mean, lost.covariance), z, variance, o).tolist() == [
+        UNSEEN
+    ]
     z, variance = seen(ring[0], ring[1], heading=-0.25)
-    assert recognise(lost, z, variance, o).tolist() == [0, 1]
+    assert relocalise(lost, z, variance, o).tolist() == [0, 1]
 
 
 def test_what_stands_together_is_one_piece_of_evidence() -> None:
-    """Three measurements of one clump narrow the belief as one does."""
+    """Three measurements of one clump narrow the running estimate as one does."""
     o = Options()
-    one, three = belief(0.2), belief(0.2)
-    recognise(one, *seen((6.0, 2.0)), o)
-    landmark_indices = recognise(three, *seen((6.0, 2.0), (6.1, 2.1), (5.9, 1.9)), o)
+    one, three = running_estimate(0.2), running_estimate(0.2)
+    relocalise(one, *seen((6.0, 2.0)), o)
+    landmark_indices = relocalise(three, *seen((6.0, 2.0), (6.1, 2.1), (5.9, 1.9)), o)
     assert landmark_indices.tolist() == [1, 1, 1]
     assert relative_error(three.covariance, one.covariance) < 0.02
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from comparisons.adapters.ekf_factory import build_ekf, fused_positions, settle
 from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.filter_loop import drive
+from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
@@ -161,14 +161,14 @@ def _epochs(
     """Time, the filter, and whether it has used a position; until AFTER_S have passed with them."""
     ekf, until = build_ekf(log, choices, trace), log.prior.time_s + ALONE_S + AFTER_S
     started, given, rejected = False, positions.time_s, 0
-    for stop in drive(ekf, log, build_timeline(log, positions), positions):
-        if stop.fault is not None:
-            raise InputError(f"{log.name}: {stop.fault}")
-        if stop.time_s > until:
+    for state in run_filter_loop(ekf, log, build_timeline(log, positions), positions):
+        if state.fault is not None:
+            raise InputError(f"{log.name}: {state.fault}")
+        if state.time_s > until:
             return
-        rejected += stop.rejected_fixes
-        started = int(np.searchsorted(given, stop.time_s + _CLOCK_S)) > rejected
-        yield stop.time_s, ekf, started
+        rejected += state.rejected_fixes
+        started = int(np.searchsorted(given, state.time_s + _CLOCK_S)) > rejected
+        yield state.time_s, ekf, started
 
 
 def covered(sources: Sources) -> Covered:

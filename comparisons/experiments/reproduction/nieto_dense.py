@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import build_ekf, settle
-from comparisons.adapters.filter_loop import Beside, drive
+from comparisons.adapters.filter_loop import Beside, run_filter_loop
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.choices import Layer, Preset
@@ -201,8 +201,8 @@ def _rounds(log: Log, preset: Preset) -> Rounds:
     watcher.feed(classic)
     ekf = build_ekf(log, settle(settings.ekf, log), Trace())
     loop_s, due, each = occupancy().drive.loop_s, list(ROUNDS), list[Round]()
-    for stop in drive(ekf, log, build_timeline(log), beside=Beside(watching=watcher)):
-        if due and stop.time_s >= due[0] * loop_s:
+    for state in run_filter_loop(ekf, log, build_timeline(log), beside=Beside(watching=watcher)):
+        if due and state.time_s >= due[0] * loop_s:
             each.append(_round(due.pop(0), watcher, classic, segment, true))
     return Rounds(f"occupancy-loop --loops {ROUNDS[-1]}, seed 0", tuple(each), segment)
 

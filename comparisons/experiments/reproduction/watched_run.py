@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from comparisons.adapters.ekf_factory import build_ekf, settle
-from comparisons.adapters.filter_loop import Beside, NoWatcher, drive
+from comparisons.adapters.filter_loop import Beside, NoObserver, run_filter_loop
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
@@ -30,11 +30,11 @@ def watched_run(
     """
     ekf = build_ekf(log, settle(choices or EkfConfig(), log), trace or Trace())
     beside = Beside(watching=_Shown(predicted))
-    for stop in drive(ekf, log, build_timeline(log, positions), positions, beside):
-        if stop.fault is not None:
-            raise FilterDivergedError(stop.fault)
-        if len(stop.landmark_indices):
-            yield stop.time_s, ekf
+    for state in run_filter_loop(ekf, log, build_timeline(log, positions), positions, beside):
+        if state.fault is not None:
+            raise FilterDivergedError(state.fault)
+        if len(state.landmark_indices):
+            yield state.time_s, ekf
 
 
 def truth_in_order(log: Log) -> tuple[Poses, Array]:
@@ -48,12 +48,12 @@ def truth_in_order(log: Log) -> tuple[Poses, Array]:
     return poses, true.places_of(log.measurements.labels_in_order)
 
 
-class _Shown(NoWatcher):
+class _Shown(NoObserver):
     """Shows the filter to someone before it fuses."""
 
     def __init__(self, predicted: Callable[[Ekf], None]) -> None:
         self._predicted = predicted
 
-    def arrived(self, ekf: Ekf) -> None:
+    def on_predict(self, ekf: Ekf) -> None:
         """Show it."""
         self._predicted(ekf)

@@ -215,7 +215,7 @@ class DenseWatcher:
         """The map as it is now."""
         return self._dense
 
-    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """Take in the scans of the interval that is about to be predicted."""
         while self._due(time_s + duration_s - CLOCK_S):
             view = FilterView.of(ekf, self._kinds)
@@ -227,12 +227,12 @@ class DenseWatcher:
             self._insert(view)
         self._epoch_s = time_s + duration_s
 
-    def arrived(self, ekf: Ekf) -> None:
+    def on_predict(self, ekf: Ekf) -> None:
         """What waits follows the vehicle."""
         with self._clock.stage("regions"):
             self._dense.predicted(FilterView.of(ekf, self._kinds))
 
-    def updated(self, ekf: Ekf) -> None:
+    def on_update(self, ekf: Ekf) -> None:
         """Make the regions that are now possible; keep the map as it was if it moved a lot."""
         with self._clock.stage("regions"):
             view = FilterView.of(ekf, self._kinds)
@@ -242,7 +242,7 @@ class DenseWatcher:
                 self._note_shift(old, self._dense.landmark[: len(old)])
             self._dense.updated(view)
 
-    def finished(self, ekf: Ekf, time_s: float) -> None:
+    def on_end(self, ekf: Ekf, time_s: float) -> None:
         """Take in what was scanned at the very end."""
         while self._due(time_s + CLOCK_S):
             self._insert(FilterView.of(ekf, self._kinds))

@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.filter_loop import NoWatcher, Watcher
+from comparisons.adapters.filter_loop import FilterObserver, NoObserver
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.arrays import Array
@@ -124,28 +124,28 @@ class HighLevelSource:
         self.options = options or HighLevelOptions()
         self.landmarks = HighLevelLandmarks()
         self._map = shared or DenseWatcher(log, self.options.kept)
-        self._watcher: Watcher = NoWatcher() if shared else self._map
+        self._watcher: FilterObserver = NoObserver() if shared else self._map
         self._scans = PlanarScans(log)
         self._view = _view(log)
         self._searches: list[Search] = []
         self._next_s = log.prior.time_s + self.options.every_s
         self._place, self._rectangle = np.empty((0, 3)), np.empty((0, 4, 2))
 
-    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """Take in the scans of the interval."""
-        self._watcher.stepping(ekf, time_s, control, duration_s)
+        self._watcher.before_predict(ekf, time_s, control, duration_s)
 
-    def arrived(self, ekf: Ekf) -> None:
+    def on_predict(self, ekf: Ekf) -> None:
         """What waits for a region follows the vehicle."""
-        self._watcher.arrived(ekf)
+        self._watcher.on_predict(ekf)
 
-    def updated(self, ekf: Ekf) -> None:
+    def on_update(self, ekf: Ekf) -> None:
         """The map follows its landmarks."""
-        self._watcher.updated(ekf)
+        self._watcher.on_update(ekf)
 
-    def finished(self, ekf: Ekf, time_s: float) -> None:
+    def on_end(self, ekf: Ekf, time_s: float) -> None:
         """Note where all are in the end."""
-        self._watcher.finished(ekf, time_s)
+        self._watcher.on_end(ekf, time_s)
         self._place, self._rectangle = self.landmarks.places(ekf), self.landmarks.rectangles(ekf)
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:

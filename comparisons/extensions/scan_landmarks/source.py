@@ -215,22 +215,22 @@ class ScanSlamSource:
         self.found.dynamic += int(np.count_nonzero(moves))
         return self._scans.shape_of(seen, moves)
 
-    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """The map, if there is one, takes in the scans of the interval."""
         if self.map_of is not None:
-            self.map_of.stepping(ekf, time_s, control, duration_s)
+            self.map_of.before_predict(ekf, time_s, control, duration_s)
 
-    def arrived(self, ekf: Ekf) -> None:
+    def on_predict(self, ekf: Ekf) -> None:
         """What waits there follows the vehicle."""
         if self.map_of is not None:
-            self.map_of.arrived(ekf)
+            self.map_of.on_predict(ekf)
 
-    def updated(self, ekf: Ekf) -> None:
+    def on_update(self, ekf: Ekf) -> None:
         """It follows its landmarks."""
         if self.map_of is not None:
-            self.map_of.updated(ekf)
+            self.map_of.on_update(ekf)
 
-    def finished(self, ekf: Ekf, time_s: float) -> None:
+    def on_end(self, ekf: Ekf, time_s: float) -> None:
         """No template is enriched any more."""
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:

@@ -11,7 +11,7 @@ import pytest
 from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
 from graphslam.scan import loop_closure, planar
-from graphslam.scan.keyframes import KeyframeBelief, choose_keyframes
+from graphslam.scan.keyframes import KeyframeEstimate, choose_keyframes
 from graphslam.scan.loop_closure import (
     Closed,
     LoopOptions,
@@ -216,14 +216,14 @@ def test_a_relative_pose_has_the_covariance_of_its_two_poses() -> None:
     spread = np.array([1e-4 * random_covariance(rng, 3) for _ in problem.increment])
     result = smooth(replace(problem, increment_covariance=spread), {})
     keyframes = np.array((31, 56, 92, 113))
-    belief = KeyframeBelief(result, keyframes)
+    running_estimate = KeyframeEstimate(result, keyframes)
     for first, second in ((0, 1), (1, 3), (3, 0)):
         i, j = int(keyframes[first]), int(keyframes[second])
 
         def relative(poses: Array) -> Array:
             return planar.between(poses[:3], poses[3:])
 
-        motion, covariance = belief.relative(first, second)
+        motion, covariance = running_estimate.relative(first, second)
         poses = np.concatenate((result.poses[i], result.poses[j]))
         jacobian = central_difference(relative, poses)
         expected = jacobian @ result.joint([i, j], []) @ jacobian.T
@@ -233,7 +233,7 @@ def test_a_relative_pose_has_the_covariance_of_its_two_poses() -> None:
         for block in (turned[:2, :2], turned[:2, 3:5]):
             block[:] = block.T.copy()
         assert relative_error(covariance, turned @ result.joint([i, j], []) @ turned.T) > 0.1
-        places = belief.position_spread(np.array([first]), second)[0]
+        places = running_estimate.position_spread(np.array([first]), second)[0]
         apart = np.hstack((-np.eye(2), np.zeros((2, 1)), np.eye(2), np.zeros((2, 1))))
         assert relative_error(places, apart @ result.joint([i, j], []) @ apart.T) < 1e-9
 
@@ -241,9 +241,9 @@ def test_a_relative_pose_has_the_covariance_of_its_two_poses() -> None:
 def test_a_match_is_as_unsure_as_what_it_was_matched_with() -> None:
     """A source that goes with a keyframe wherever that one is, against central differences."""
     problem = drive()[1]
-    belief = KeyframeBelief(smooth(problem, {}), np.array((29, 31, 33)))
+    running_estimate = KeyframeEstimate(smooth(problem, {}), np.array((29, 31, 33)))
     motion = np.array((1.5, -2.0, 0.8))
-    place, spread = belief.relative(1, 2)
+    place, spread = running_estimate.relative(1, 2)
     offset = planar.between(place, motion)
 
     def astray(place: Array) -> Array:
@@ -252,9 +252,9 @@ def test_a_match_is_as_unsure_as_what_it_was_matched_with() -> None:
     jacobian = central_difference(astray, place)
     # The base is where it is by definition, so that it counts half.
     expected = 0.5 * jacobian @ spread @ jacobian.T
-    assert relative_error(belief.misplacement(1, range(1, 3), motion), expected) < 1e-7
+    assert relative_error(running_estimate.misplacement(1, range(1, 3), motion), expected) < 1e-7
     assert relative_error(0.5 * spread, expected) > 0.1
-    assert np.abs(belief.misplacement(1, range(1, 2), motion)).max() < 1e-9 * spread.max()
+    assert np.abs(running_estimate.misplacement(1, range(1, 2), motion)).max() < 1e-9 * spread.max()
 
 
 def test_starts_are_where_the_expectation_is_vague() -> None:

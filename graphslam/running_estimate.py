@@ -20,7 +20,7 @@ class Expected(NamedTuple):
     jacobian: Array
 
 
-class Belief:
+class RunningEstimate:
     """Mean and covariance of pose (3) and landmarks (2 each), additive global error."""
 
     def __init__(self, mean: Array, covariance: Array) -> None:
