@@ -207,9 +207,10 @@ def map_summary(result: MapResult) -> Summary:
         for name, error in result.surface_errors.items()
         if error.median_m is not None
     ]
-    layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
+    layers = [f"{name} {layer.occupied:,} samples" for name, layer in result.layers.items()]
     return Summary(
-        headline=f"map: {fused:,} of {returns.returns:,} returns in {result.regions:,} regions",
+        headline=f"map: {fused:,} of {returns.returns:,} scan returns in "
+        f"{result.regions:,} regions",
         style="bold",
         remarks=result.remarks,
         lines=[
@@ -226,8 +227,8 @@ def _map_rows(result: MapResult) -> list[Row]:
     counts = {
         "scans": returns.scans,
         "returns": returns.returns,
-        "returns in regions at once": returns.fused,
-        "returns in regions after a wait": returns.late,
+        "returns fused into regions at once": returns.fused,
+        "returns fused into regions after a delay": returns.late,
         "returns outside all regions": returns.outside,
     }
     rows = [

@@ -149,10 +149,10 @@ def test_wrong_sigmas_of_a_sensor_are_named_with_their_direction(
     reported = [
         remark
         for remark in c.verdict.remarks
-        if remark.startswith("the mean NIS of measurements, range")
+        if remark.startswith("mean NIS of range (measurements)")
     ]
     assert len(reported) == 1
     assert words in reported[0]
     assert not any(
-        remark.startswith("the mean NIS of measurements, bearing") for remark in c.verdict.remarks
+        remark.startswith("mean NIS of bearing (measurements)") for remark in c.verdict.remarks
     )
