@@ -296,7 +296,7 @@ RUN_EXTENSIONS = (
 )
 FAIL_ON = Flag(
     option="--fail-on", panel=JOB, field="fail_on", metavar="WHAT,...",
-    help="Exit 1 also on: consistency (filter inconsistent), truth (smoother far from it), "
+    help="Exit 1 also on: consistency (filter inconsistent), truth (smoother far off), "
         "association (unchecked).",
 )
 REPORT = (
@@ -328,7 +328,7 @@ ESTIMATE = (
 )
 CLOUD = Flag(
     option="--cloud", field="cloud", choices=choices.CloudFormat, panel=JOB,
-    help="Write the map as a point cloud: pcd or ply (Open3D).",
+    help="Write the map as point cloud: pcd, ply (Open3D).",
 )
 FRONT_END = (
     Flag(

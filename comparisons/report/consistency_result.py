@@ -239,11 +239,12 @@ def _brief(figure: str) -> str:
     """Shorten what checks.qualifiers says of a figure: the value, then its band in brackets."""
     for long, short in (
         (" per degree of freedom", ""),
+        ("NEES of the landmarks", "NEES map"),
         ("NEES of the ", "NEES "),
         ("filter-smoother difference", "vs smoother"),
         ("filter more certain than the smoother", "more certain than smoother"),
         ("NIS of ", "NIS "),
-        (", limit ", " (at most "),
+        (", limit ", " (<= "),
         (", band ", " ("),
     ):
         figure = figure.replace(long, short)

@@ -207,15 +207,15 @@ def map_summary(result: MapResult) -> Summary:
         for name, error in result.surface_errors.items()
         if error.median_m is not None
     ]
-    layers = [f"{name} {layer.occupied:,} samples" for name, layer in result.layers.items()]
+    layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
     return Summary(
         headline=f"map: {fused:,} of {returns.returns:,} scan returns in "
         f"{result.regions:,} regions",
         style="bold",
         remarks=result.remarks,
         lines=[
-            ("occupied", ", ".join(layers)),
-            *([("surfaces", f"median error: {', '.join(errors)}")] * bool(errors)),
+            ("occupied", f"{', '.join(layers)} samples"),
+            *([("surfaces", f"median distance to true ones: {', '.join(errors)}")] * bool(errors)),
             *accuracy_line({"EKF": result.accuracy}),
         ],
         rows=_map_rows(result),

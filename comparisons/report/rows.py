@@ -18,6 +18,14 @@ from comparisons.report.models import (
     SmootherResult,
 )
 
+_STAGES = {
+    "read": "reading the log",
+    "ekf": "EKF",
+    "frozen": "fixed-linearisation smoothers",
+    "marginals": "marginal covariances",
+}
+"""Of the clock, where their names in a result are short."""
+
 
 def log_rows(log: LogResult) -> list[Row]:
     """Return what was read."""
@@ -221,7 +229,7 @@ def seconds_rows(seconds: Mapping[str, float], cpu_s: Mapping[str, float] | None
     """Return the time of each stage on the wall, which a busy machine stretches, and of the CPU."""
     spent = {"Wall time": seconds, "Processor time": cpu_s or {}}
     return [
-        Row(group, stage, f"{s:.2f} s")
+        Row(group, _STAGES.get(stage, stage), f"{s:.2f} s")
         for group, each in spent.items()
         for stage, s in each.items()
     ]

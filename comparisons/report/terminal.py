@@ -11,7 +11,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.text import Text
 
-from comparisons.checks.causes import GAPS
+from comparisons.checks.causes import cause_name
 from comparisons.errors import printable
 from comparisons.extensions.interface import Row
 from comparisons.report.ladder import Step
@@ -144,11 +144,7 @@ def fit(
 
 
 def _named(cause: CauseResult) -> str:
-    return (
-        f"{cause.gap} gap: {cause.evidence}"
-        if cause.gap in GAPS
-        else (f"{cause.gap}: {cause.evidence}")
-    )
+    return f"{cause_name(cause.gap)}: {cause.evidence}"
 
 
 def _reasons(summary: Summary, room: int) -> list[Line]:

@@ -208,6 +208,6 @@ def test_what_is_outside_stands_before_its_band_and_in_short() -> None:
     ((label, text),) = consistency_line(found, None, None)
     assert label == "consistency"
     assert text == (
-        "outside, per dof: NEES poses 12 (at most 5.4); vs smoother 26 (0.24 to 2.3); "
+        "outside, per dof: NEES poses 12 (<= 5.4); vs smoother 26 (0.24 to 2.3); "
         "more certain than smoother at 6185 of 6969 epochs"
     )

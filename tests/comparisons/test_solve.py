@@ -201,7 +201,7 @@ def test_what_a_wrong_association_costs() -> None:
     assert found.cost[0, 0] > 1e3 > 20.0 > found.cost[0, 1]
     reported = association_cause(found, replace(run, landmark_index=wrong)).evidence
     assert f"measurement {row} at " in reported
-    assert f"by {found.cost[0, 0] ** 0.5:.1f} sigma" in reported
+    assert f"is {found.cost[0, 0] ** 0.5:.1f} sigma with the filter's landmark" in reported
 
 
 @pytest.mark.slow

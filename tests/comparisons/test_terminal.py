@@ -224,3 +224,13 @@ def test_json_quiet_and_verbose(tmp_path: Path) -> None:
     both = command(tmp_path, "-q", "-v")
     assert (both.returncode, both.stdout) == (2, "")
     assert "--verbose and --quiet exclude each other" in both.stderr
+
+
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [("truth", "truth gap"), ("oracle", "optimum not verified"), ("dropout", "dropout")],
+)
+def test_a_cause_has_a_name_that_readers_know(key: str, name: str) -> None:
+    cause = CauseResult(gap=key, evidence="seen", hint="look there")
+    lines = brief(Summary(headline="verdict: unverified", causes=[cause]))
+    assert lines[1].text == f"  {name}: seen"
