@@ -150,7 +150,7 @@ def test_the_filters_are_those_that_there_are() -> None:
 def test_the_command_prints_settings_that_can_be_used(tmp_path: Path) -> None:
     printed = cli("config", "montecarlo", cwd=tmp_path)
     assert printed.returncode == 0, printed.stderr
-    assert "(ekf | fej | oc | riekf | ideal)" in printed.stdout
+    assert "# ekf | fej | oc | riekf | ideal\n" in printed.stdout
     assert MonteCarloConfig.of(**tomllib.loads(printed.stdout)) == MonteCarloConfig()
     schema = cli("config", "montecarlo", "--schema", cwd=tmp_path)
     assert json.loads(schema.stdout)["title"] == "MonteCarloConfig"
