@@ -23,6 +23,7 @@ from comparisons.report.models import (
     Result,
 )
 from comparisons.report.rows import (
+    AGREEING_RATIOS,
     accuracy_line,
     accuracy_rows,
     agreeing,
@@ -100,8 +101,8 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
             "difference of the landmarks (rms)",
             f"{gaps.landmark_difference_rms_m:.3f} m",
         ),
-        *block_rows("Last pose", "EKF", gaps.pose),
-        *block_rows("Last pose and map jointly", "EKF", gaps.map),
+        *block_rows("Last pose", "EKF", gaps.pose, AGREEING_RATIOS),
+        *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
         *consistency_rows(result.consistency),
         *figures,
         *association_rows(result.association, "the filter"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
 from comparisons.checks.verdict import rounded
 from comparisons.extensions.interface import Row
 from comparisons.report.ladder import Step
@@ -18,6 +19,10 @@ from comparisons.report.models import (
     SmootherResult,
 )
 
+AGREEING_RATIOS = f"{LEAST_VARIANCE_RATIO:g} to {1.0 / LEAST_VARIANCE_RATIO:g}"
+"""Variances of the EKF over the smoother's within which a block of a run agrees."""
+_DISTANCE = f"<= {LARGEST_DISTANCE:g} sigma"
+"""Largest difference of the means within which a block agrees."""
 _STAGES = {
     "read": "reading the log",
     "ekf": "EKF",
@@ -257,18 +262,22 @@ def gap_rows(steps: Sequence[Step]) -> list[Row]:
     return found
 
 
-def block_rows(part: str, whose: str, block: BlockResult) -> list[Row]:
-    """Return how an estimate agrees with the smoother's. part: of the state. whose: as `EKF`."""
+def block_rows(part: str, whose: str, block: BlockResult, limits: str = "") -> list[Row]:
+    """Return how an estimate agrees with the smoother's.
+
+    part: of the state. whose: as `EKF`. limits: of the variance ratios, empty where they depend on
+    the estimate.
+    """
     group, agrees = f"{part}, {whose} and smoother", "yes" if block.agrees else "no"
     rows = [
         Row(group, "agrees", agrees, "yes", block.agrees),
         Row(group, "difference of the positions", f"{block.difference_m:.3f} m"),
-        Row(group, "difference of the means", in_sigma(block.distance_sigma), "<= 1 sigma"),
+        Row(group, "difference of the means", in_sigma(block.distance_sigma), _DISTANCE),
     ]
     if block.variance_ratio_least is not None:
         ends = (block.variance_ratio_least, block.variance_ratio_largest)
         ratios = band(*(shown(one, ".3g") for one in ends))
-        rows.append(Row(group, f"variances, {whose} over smoother", ratios, "0.25 to 4"))
+        rows.append(Row(group, f"variances, {whose} over smoother", ratios, limits))
     return rows
 
 
