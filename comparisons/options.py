@@ -194,7 +194,8 @@ FRONT_END_GPS = Flag(
 EKF = (
     Flag(
         option="--filter", field="ekf.filter", choices=choices.Filter, panel=ESTIMATORS,
-        help="EKF variant: full, compressed, compressed-suboptimal, misono or misono-full. [full]",
+        help="EKF variant: full, compressed, compressed-suboptimal, misono (direction cosines) or "
+        "misono-full. [full]",
     ),
     Flag(
         option="--association", field="ekf.association", choices=choices.Association,
@@ -295,7 +296,8 @@ RUN_EXTENSIONS = (
 )
 FAIL_ON = Flag(
     option="--fail-on", panel=JOB, field="fail_on", metavar="WHAT,...",
-    help="Exit 1 also on: consistency, truth, association.",
+    help="Exit 1 also on: consistency (filter inconsistent), truth (smoother far off), "
+        "association (unchecked).",
 )
 REPORT = (
     Flag(
@@ -305,12 +307,12 @@ REPORT = (
 )
 REQUIRE = Flag(
     option="--require", field="require", choices=choices.RequiredGrade, panel=GRADE,
-    help="Lowest grade that exits with 0: equal, like or plausible. [like for an EKF, else "
-    "plausible]",
+    help="Lowest grade that exits with 0: equal, like (within 5 %) or plausible. [like for an "
+    "EKF, else plausible]",
 )
 MIN_COVERAGE = Flag(
     option="--min-coverage", field="min_coverage", kind=float, metavar="SHARE", panel=GRADE,
-    help="Least share of the log's time covered. [0.95]",
+    help="Least share of the log's duration that the estimate must cover. [0.95]",
 )
 ESTIMATE = (
     Flag(
@@ -326,16 +328,16 @@ ESTIMATE = (
 )
 CLOUD = Flag(
     option="--cloud", field="cloud", choices=choices.CloudFormat, panel=JOB,
-    help="Write a point cloud, pcd or ply; needs Open3D.",
+    help="Write the map as point cloud: pcd, ply (Open3D).",
 )
 FRONT_END = (
     Flag(
         option="--guess", field="front_end.guess", choices=choices.Guess, panel=FRONT_END_PANEL,
-        help="Initial guess of scan matching: wheels (odometry) or none. [wheels]",
+        help="Initial guess of scan matching: wheels (wheel odometry) or none. [wheels]",
     ),
     Flag(
         option="--loop-closure", field="front_end.loop_closure", kind=bool, off=True,
-        panel=FRONT_END_PANEL, help="Detect and close loops. [on]",
+        panel=FRONT_END_PANEL, help="Detect loop closures and add them to the pose graph. [on]",
     ),
     Flag(
         option="--matcher", field="front_end.matcher", choices=choices.LoopMatcher,

@@ -19,7 +19,7 @@ from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
-from comparisons.checks.verdict import Verdict
+from comparisons.checks.verdict import Verdict, rounded
 from comparisons.choices import FailOn
 from comparisons.logs.log import LandmarkMeasurements
 
@@ -168,8 +168,8 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
     for what, errors in far:
         if errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2:
             found.append(
-                f"NEES of the {what} {errors.mean / errors.dof:.2g} per degree of freedom, limit "
-                f"{limit(errors.dof) ** 2:.2g}"
+                f"NEES of the {what} {rounded(errors.mean / errors.dof)} per degree of freedom, "
+                f"limit {limit(errors.dof) ** 2:.2g}"
             )
     if smoothed is not None:
         found += _against_smoother(smoothed)
@@ -187,8 +187,8 @@ def _against_smoother(smoothed: FilterAgainstSmoother) -> list[str]:
     found, mean, band = [], smoothed.mean_per_dof, smoothed.band
     if mean is not None and band is not None and not band.holds(mean):
         found.append(
-            f"filter-smoother difference {mean:.2g} per degree of freedom, band {band.low:.2g} to "
-            f"{band.high:.2g}"
+            f"filter-smoother difference {rounded(mean)} per degree of freedom, "
+            f"band {band.low:.2g} to {band.high:.2g}"
         )
     if len(smoothed.overconfident) > _SURER * len(smoothed.time_s):
         found.append(

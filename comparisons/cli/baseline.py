@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from comparisons.logs.log import Log
 
 baseline = typer.Typer(
-    help="Keep the figures of a run; compare later runs with them.",
+    help="Save the figures of a run; compare later runs with them.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -41,11 +41,11 @@ _SHOWN = "--estimate --require --filter --association --seed"
 
 
 @baseline.command(
-    cls=Command, short_help="Keep the figures of a run or of a check, with tolerances."
+    cls=Command, short_help="Save the figures of a run or of a check, with tolerances."
 )
 @from_flags((*RUN, *ESTIMATE), _SHOWN, prints=False, file=(FileArgument,), runs=(RunsOption, None))
 def save(given: Given) -> None:
-    """Keep the figures of a run, or of a check of --estimate, with tolerances.
+    """Save the figures of a run, or of a check of --estimate, with tolerances.
 
     \b
     Examples:

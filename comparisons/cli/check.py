@@ -17,9 +17,9 @@ _SHOWN = "--estimate --require --min-coverage --association --gps --robust --see
 def check(given: Given) -> None:
     """Grade an external estimate against EKF and smoother.
 
-    Grades: equal to the reference EKF, like it (5 %), plausible (as near to the smoother's optimum
-    as that is certain), or wrong. Exit code 0: the grade that --require asks for; 1: a lower one;
-    3: the smoother's optimum is not verified.
+    Grades: equal to the reference EKF, like it (5 %), plausible (no farther from the
+    smoother's optimum than the optimum's own uncertainty), or wrong. Exit code 0: the grade that
+    --require asks for; 1: a lower one; 3: the smoother's optimum is not verified.
 
     \b
     Examples:

@@ -12,7 +12,7 @@ from comparisons.cli.support import AGREE, guarded
 
 def compare(
     folders: Annotated[
-        list[Path], typer.Argument(metavar="FOLDER...", help="Output folders to compare.")
+        list[Path], typer.Argument(metavar="FOLDER", help="Output folders to compare.")
     ],
     only: Annotated[
         list[str],

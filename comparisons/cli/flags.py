@@ -198,7 +198,7 @@ _COMMON = (
         [],
         "--set",
         metavar="KEY=VALUE",
-        help="Any setting, as listed by `slamcheck config`.",
+        help="Setting of `slamcheck config`, as ekf.nn_gate=9.2.",
     ),
     _common(
         "allow_changed_log",

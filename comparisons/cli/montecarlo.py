@@ -35,8 +35,8 @@ class _Given(NamedTuple):
         typer.Option(
             metavar="NAMES",
             help="EKF variants, with commas: ekf, fej (first-estimates Jacobian), oc "
-            "(observability constrained), riekf (right-invariant), ideal (true linearisation). "
-            "[all]",
+            "(observability constrained), riekf (right-invariant), ideal (Jacobians at the true "
+            "state). [all]",
         ),
     ] = None
     command: Annotated[

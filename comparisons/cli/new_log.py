@@ -21,15 +21,19 @@ _File = Path | None
 _OPTIONS: dict[str, tuple[Any, str, str]] = {
     "odometry": (Path, "FILE", "Velocities, poses, or relative poses."),
     "measurements": (Path, "FILE", "Ranges and bearings, with labels if known."),
-    "positions": (_File, "FILE", "GPS positions in the start frame."),
+    "positions": (_File, "FILE", "GPS positions, in the frame of the start pose."),
     "truth": (_File, "FILE", "True poses, CSV or TUM."),
     "truth_landmarks": (_File, "FILE", "True landmarks: id, x, y."),
-    "sigma_range": (_Number, "M", "Sigma of ranges without a column."),
-    "sigma_bearing": (_Number, "RAD", "Sigma of bearings without a column."),
+    "sigma_range": (_Number, "M", "Sigma of ranges, where the file has no such column."),
+    "sigma_bearing": (_Number, "RAD", "Sigma of bearings, where the file has no such column."),
     "sigma_speed": (_Number, "M/S", "Sigma of speeds."),
-    "sigma_turn": (_Number, "RAD", "Sigma of turn rates, steering, turns."),
-    "sigma_move": (_Number, "M", "Sigma of relative positions. [by distance]"),
-    "sigma_position": (_Number, "M", "Sigma of GPS positions without a column."),
+    "sigma_turn": (
+        _Number,
+        "RAD",
+        "Sigma of turn rates (rad/s), steering angles or relative turns (rad).",
+    ),
+    "sigma_move": (_Number, "M", "Sigma of relative positions. [grows with distance]"),
+    "sigma_position": (_Number, "M", "Sigma of GPS positions, where the file has no such column."),
     "wheelbase": (_Number, "M", "Wheelbase, for steering angles."),
     "prior_pose": (str | None, "X,Y,RAD", "Start pose. [truth, else 0,0,0]"),
     "kind": (
@@ -37,7 +41,7 @@ _OPTIONS: dict[str, tuple[Any, str, str]] = {
         "KIND",
         "Odometry: velocity, steering, poses or relative-poses. [by the columns]",
     ),
-    "degrees": (bool, "", "Angles without a unit are degrees."),
+    "degrees": (bool, "", "Angles whose header states no unit are degrees. [radians]"),
 }
 
 

@@ -13,7 +13,10 @@ from comparisons.cli.support import AGREE, DISAGREE, guarded, print_text, progre
 def reproduce(
     figures: Annotated[
         list[str] | None,
-        typer.Argument(metavar="FIGURE...|all", help="Figures to reproduce, as N3.5."),
+        typer.Argument(
+            metavar="FIGURE|all",
+            help="Figures to reproduce, as N3.5 (Nieto, Fig. 3.5); G Guivant, M Misono.",
+        ),
     ] = None,
     data: Annotated[
         Path | None,

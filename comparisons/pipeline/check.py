@@ -385,6 +385,9 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
     """How the verdict is narrowed by what was not handed in."""
     remarks = []
     if given.absent:
+        absent = given.absent
+        if "landmarks" in absent:
+            absent = [one for one in absent if one in ("landmarks", "pose covariances")]
         judged = ["the last pose"] if found.last is not None else []
         judged += ["landmarks"] if found.landmarks else []
         judged.append(
@@ -392,9 +395,7 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
             if given.pose_covariance is None
             else "the covariance of every pose"
         )
-        remarks.append(
-            f"the estimate has no {', no '.join(given.absent)}; compared are {', '.join(judged)}"
-        )
+        remarks.append(f"the estimate has no {', no '.join(absent)}; compared: {', '.join(judged)}")
     if len(found.time_s) < len(given.time_s):
         remarks.append(
             f"{len(given.time_s) - len(found.time_s)} poses lie outside the log's time and "

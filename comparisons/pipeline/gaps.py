@@ -93,7 +93,7 @@ def compute_gaps(
     own = run.timeline if timeline is None else timeline
     problem = build_problem(log, replace(run, timeline=own))
     with clock.stage("frozen"):
-        progress("frozen smoothers", 0, 0)
+        progress("fixed-linearisation smoothers", 0, 0)
         recorded, model = recorded_system_of(run), model_system_of(problem, run)
         first, second = solve_recorded(recorded, run), solve_model(model, run)
     with clock.stage("smoother"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -298,7 +299,7 @@ def _check_rows(result: CheckResult) -> list[Row]:
         *_estimate_rows(result),
         *_agreement_rows(result),
         *gap_rows(check_ladder(result) if result.trace else ()),
-        *nees_rows("Estimate's", truth),
+        *nees_rows("Estimate", truth),
         *smoothed_rows("estimate", f),
         *accuracy_rows("the estimate", result.accuracy),
         *accuracy_rows("the smoother", result.smoother_accuracy),
@@ -308,10 +309,11 @@ def _check_rows(result: CheckResult) -> list[Row]:
 def _estimate_rows(result: CheckResult) -> list[Row]:
     kind = "not stated" if result.information == NOT_STATED else result.information
     covered = f"{100.0 * result.coverage:.1f} %"
+    grade_in = None if result.verdict == "unverified" else result.verdict == "agree"
     rows = [
-        Row("Estimate", "grade", _grade_words(result), f"required: {result.required}"),
+        Row("Estimate", "grade", _grade_words(result), f">= {result.required}", grade_in),
         Row("Estimate", "poses", f"{result.poses:,}"),
-        Row("Estimate", "poses are filtered or smoothed", kind),
+        Row("Estimate", "kind of poses (filtered, smoothed)", kind),
         Row("Estimate", "coverage of the log's time", covered),
     ]
     if (nearest := result.nearest) is not None:
@@ -323,12 +325,13 @@ def _estimate_rows(result: CheckResult) -> list[Row]:
         if nearest.variance_ratio_least is not None:
             ends = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
             ratios = band(*(shown(value, ".4g") for value in ends))
-            rows.append(Row("Estimate", "variances over the nearest reference's", ratios))
+            rows.append(Row("Estimate", "variances, estimate over nearest reference", ratios))
     return rows
 
 
 def _agreement_rows(result: CheckResult) -> list[Row]:
-    heading, group = f"{result.rms_heading_rad:.4f} rad", "Path, estimate and smoother"
+    heading = f"{math.degrees(result.rms_heading_rad):.3g} deg"
+    group = "Path, estimate and smoother"
     rows = [
         Row(group, "difference of the positions (rms)", f"{result.rms_m:.3f} m"),
         Row(group, "difference of the headings (rms)", heading),
@@ -338,7 +341,7 @@ def _agreement_rows(result: CheckResult) -> list[Row]:
         rows.append(Row(group, far, f"{100.0 * result.outside:.1f} %"))
     if result.last_pose is not None:
         rows += block_rows("Last pose", "estimate", result.last_pose)
-    return [*rows, agreeing(result.landmarks, "estimate")] if result.landmarks else rows
+    return [*rows, *agreeing(result.landmarks, "estimate")]
 
 
 def _grade_words(result: CheckResult) -> str:

@@ -23,7 +23,11 @@ from comparisons.report.models import (
     TruthConsistencyResult,
     WhitenessResult,
 )
-from comparisons.report.rows import band, known_as
+from comparisons.report.rows import band
+
+_NEES_BANDS = "95 % bands; the verdict: pose and landmarks at 99.9 %"
+_NIS_BANDS = "95 % bands; the verdict: NIS alone, at 99.9 %"
+"""A consistent filter leaves one of twenty bands of 95 %; see checks.qualifiers.inconsistencies."""
 
 
 def consistency_result(c: Consistency) -> ConsistencyResult:
@@ -123,15 +127,15 @@ def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | 
 
 def consistency_rows(c: ConsistencyResult) -> list[Row]:
     """Return NEES of both estimators by truth, NIS by sensor, and the filter by the smoother."""
-    rows = [*nees_rows("EKF", c.ekf), *nees_rows("Smoother", c.smoother)]
+    rows = [*nees_rows("EKF", c.ekf, _NEES_BANDS), *nees_rows("Smoother", c.smoother)]
     for sensor in c.innovations:
-        group = f"Innovations of {known_as(sensor.sensor)}"
+        group = f"Innovations of {sensor.sensor} ({_NIS_BANDS})"
         rows += [
             Row(
                 group,
-                f"NIS of {known_as(n.name)}, mean (expected {n.dof})",
+                f"NIS of {n.name}, mean (expected {n.dof})",
                 f"{n.mean:.3g}",
-                f"{band(f'{n.band[0]:.3g}', f'{n.band[1]:.3g}')} (95 %)",
+                band(f"{n.band[0]:.3g}", f"{n.band[1]:.3g}"),
                 n.band[0] <= n.mean <= n.band[1],
             )
             for n in sensor.nis
@@ -139,9 +143,9 @@ def consistency_rows(c: ConsistencyResult) -> list[Row]:
         rows += [
             Row(
                 group,
-                f"autocorrelation of {w.component} by {w.order} (expected 0)",
+                f"lag-1 autocorrelation, {w.component} by {w.order}",
                 f"{w.autocorrelation[0]:.2g}",
-                f"{band(f'{-w.band[0]:.2g}', f'{w.band[0]:.2g}')} (95 %)",
+                band(f"{-w.band[0]:.2g}", f"{w.band[0]:.2g}"),
                 abs(w.autocorrelation[0]) <= w.band[0],
             )
             for w in sensor.whiteness
@@ -149,34 +153,34 @@ def consistency_rows(c: ConsistencyResult) -> list[Row]:
     return [*rows, *smoothed_rows("EKF", c.filter_against_smoother)]
 
 
-def nees_rows(name: str, t: TruthConsistencyResult | None) -> list[Row]:
-    """Return the NEES of an estimate by truth, none without. name: whose."""
+def nees_rows(name: str, t: TruthConsistencyResult | None, bands: str = "95 % bands") -> list[Row]:
+    """Return the NEES of an estimate by truth, none without. name: whose. bands: in words."""
     if t is None:
         return []
-    rows, group = [], f"{name} NEES"
+    rows, group = [], f"{name} NEES ({bands})"
     for what, single, n in (
-        ("pose", "epochs", t.pose),
-        ("heading", "epochs", t.heading),
+        ("pose", "pose: epochs", t.pose),
+        ("heading", "heading: epochs", t.heading),
         ("landmarks", "landmarks", t.landmarks),
-        ("distances of landmarks", "distances", t.distance),
+        ("landmark distance", "landmark distances", t.distance),
     ):
         if n is None:
             continue
         rows += [
-            Row(group, f"{what}: without NEES, {why}", f"{k}") for why, k in n.unusable.items()
+            Row(group, f"{what}: NEES not computed, {why}", f"{k}") for why, k in n.unusable.items()
         ]
         if n.mean is None or n.inside is None:
             continue
         low, high = n.single_band
-        shown_band = f"{band(f'{low:.2g}', f'{high:.3g}')} (95 %)"
+        shown_band = band(f"{low:.2g}", f"{high:.3g}")
         inside = low <= n.mean <= high
         rows.append(_expected(group, f"{what}, mean", n, shown_band, inside=inside))
-        share = f"{what}: {single} in the 95 % band"
+        share = f"{single} in the band"
         rows.append(Row(group, share, f"{100.0 * n.inside:.0f} % of {n.count}"))
-    for what, n in (("landmarks jointly", t.map), ("distances jointly", t.distances)):
+    for what, n in (("all landmarks jointly", t.map), ("all distances jointly", t.distances)):
         if n is not None and n.mean is not None:
             low, high = n.single_band
-            shown_band = f"{band(f'{low:.3g}', f'{high:.3g}')} (95 %)"
+            shown_band = band(f"{low:.3g}", f"{high:.3g}")
             rows.append(_expected(group, what, n, shown_band, inside=low <= n.mean <= high))
     return rows
 
@@ -189,18 +193,18 @@ def smoothed_rows(name: str, f: FilterAgainstSmootherResult | None) -> list[Row]
     """Return a filter compared with the smoother, where that can be judged. name: of the filter."""
     if f is None or f.squared_per_dof is None or f.least_ratio is None:
         return []
-    group, mean = f"Poses, {name} minus smoother over time", f.squared_per_dof
-    limits = "" if f.band is None else f"{band(f'{f.band[0]:.2g}', f'{f.band[1]:.3g}')} (95 %)"
+    group, mean = f"Poses over time, {name} minus smoother (95 % band)", f.squared_per_dof
+    limits = "" if f.band is None else band(f"{f.band[0]:.2g}", f"{f.band[1]:.3g}")
     return [
         Row(
             group,
-            f"squared difference by P_{name} - P_smoother, per degree of freedom (expected 1)",
+            f"d^T (P_{name} - P_smoother)^-1 d per degree of freedom (expected 1)",
             f"{mean:.3g}",
             limits,
             None if f.band is None else f.band[0] <= mean <= f.band[1],
         ),
-        Row(group, f"least variance, {name} over smoother", f"{f.least_ratio:.3g}"),
-        Row(group, "time of the least variance", f"{f.least_ratio_s:.1f} s"),
+        Row(group, f"smallest variance ratio, {name} over smoother", f"{f.least_ratio:.3g}"),
+        Row(group, "time of the smallest variance ratio", f"{f.least_ratio_s:.1f} s"),
         Row(
             group,
             "epochs where the filter is more certain than the smoother",
@@ -217,8 +221,7 @@ def consistency_line(
 ) -> list[tuple[str, str]]:
     """Return one line: what is outside its band, or else the figures per degree of freedom."""
     if inconsistent:
-        shown = "; ".join(inconsistent).replace(" per degree of freedom", " per dof")
-        return [("consistency", shown)]
+        return [("consistency", f"outside, per dof: {'; '.join(map(_brief, inconsistent))}")]
     found, nees = [], []
     if truth is not None:
         for name, n in (("pose", truth.pose), ("map", truth.landmarks)):
@@ -229,6 +232,21 @@ def consistency_line(
     for sensor in innovations[:1]:
         found += [f"NIS {n.mean / n.dof:.2g}" for n in sensor.nis[:1]]
     if smoothed is not None and smoothed.squared_per_dof is not None:
-        name = "to smoother" if found else "squared distance to the smoother, per dof,"
-        found.append(f"{name} {smoothed.squared_per_dof:.2g}")
-    return [("consistency", f"{'; '.join(found)} (expected 1)")] if found else []
+        found.append(f"vs smoother {smoothed.squared_per_dof:.2g}")
+    return [("consistency", f"per dof, expect 1: {'; '.join(found)}")] if found else []
+
+
+def _brief(figure: str) -> str:
+    """Shorten what checks.qualifiers says of a figure: the value, then its band in brackets."""
+    for long, short in (
+        (" per degree of freedom", ""),
+        ("NEES of the landmarks", "NEES map"),
+        ("NEES of the ", "NEES "),
+        ("filter-smoother difference", "vs smoother"),
+        ("filter more certain than the smoother", "more certain than smoother"),
+        ("NIS of ", "NIS "),
+        (", limit ", " (<= "),
+        (", band ", " ("),
+    ):
+        figure = figure.replace(long, short)
+    return f"{figure})" if "(" in figure else figure

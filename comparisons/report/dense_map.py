@@ -209,12 +209,13 @@ def map_summary(result: MapResult) -> Summary:
     ]
     layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
     return Summary(
-        headline=f"map: {fused:,} of {returns.returns:,} returns in {result.regions:,} regions",
+        headline=f"map: {fused:,} of {returns.returns:,} scan returns in "
+        f"{result.regions:,} regions",
         style="bold",
         remarks=result.remarks,
         lines=[
-            ("occupied", ", ".join(layers)),
-            *([("surfaces", f"median error: {', '.join(errors)}")] * bool(errors)),
+            ("occupied", f"{', '.join(layers)} samples"),
+            *([("surfaces", f"median distance to true ones: {', '.join(errors)}")] * bool(errors)),
             *accuracy_line({"EKF": result.accuracy}),
         ],
         rows=_map_rows(result),
@@ -226,8 +227,8 @@ def _map_rows(result: MapResult) -> list[Row]:
     counts = {
         "scans": returns.scans,
         "returns": returns.returns,
-        "returns in regions at once": returns.fused,
-        "returns in regions after a wait": returns.late,
+        "returns fused into regions at once": returns.fused,
+        "returns fused into regions after a delay": returns.late,
         "returns outside all regions": returns.outside,
     }
     rows = [

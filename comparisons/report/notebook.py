@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.checks.causes import Cause
+from comparisons.checks.causes import Cause, cause_name
 from comparisons.checks.grade import match_map
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
@@ -195,7 +195,7 @@ def view(title: str, outcome: str, reported: str, *parts: str) -> str:
 
 def _causes(causes: Iterable[Cause]) -> str:
     rows = "".join(
-        f'<li><b class="bad">{escape(c.gap)}</b>: {escape(c.evidence)}'
+        f'<li><b class="bad">{escape(cause_name(c.gap))}</b>: {escape(c.evidence)}'
         f'<div class="hint">{escape(c.hint)}</div></li>'
         for c in causes
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from comparisons.checks.agreement import block_agrees
 from comparisons.extensions.interface import Row
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
@@ -22,6 +23,7 @@ from comparisons.report.models import (
     Result,
 )
 from comparisons.report.rows import (
+    AGREEING_RATIOS,
     accuracy_line,
     accuracy_rows,
     agreeing,
@@ -93,14 +95,14 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
         *ekf_rows(result.ekf),
         *smoother_rows(result.smoother),
         *gap_rows(ladder(result)),
-        agreeing(gaps.landmarks, "EKF"),
+        *agreeing(gaps.landmarks, "EKF"),
         Row(
             "Map, EKF and smoother",
-            "difference of the positions (rms)",
+            "difference of the landmarks (rms)",
             f"{gaps.landmark_difference_rms_m:.3f} m",
         ),
-        *block_rows("Last pose", "EKF", gaps.pose),
-        *block_rows("Last pose and map jointly", "EKF", gaps.map),
+        *block_rows("Last pose", "EKF", gaps.pose, AGREEING_RATIOS),
+        *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
         *consistency_rows(result.consistency),
         *figures,
         *association_rows(result.association, "the filter"),
@@ -111,7 +113,9 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
 def run_summary(comparison: Comparison, result: Result) -> Summary:
     """Return what the command prints."""
     c, gaps = result.consistency, result.agreement
-    agree = sum(row.agrees for row in gaps.landmarks)
+    pose_landmarks = [block_agrees(block) for block in comparison.agreement.pose_landmarks]
+    agree = sum(row.agrees for row in gaps.landmarks) + sum(pose_landmarks)
+    landmarks = len(gaps.landmarks) + len(pose_landmarks)
     accuracy: dict[str, AccuracyResult | None] = {}
     if (a := result.accuracy) is not None:
         accuracy = {"EKF": a.ekf, "smoother": a.smoother, "odometry": a.dead_reckoning}
@@ -126,7 +130,7 @@ def run_summary(comparison: Comparison, result: Result) -> Summary:
         lines=[
             (
                 "agreement",
-                f"{agree} of {len(gaps.landmarks)} landmarks "
+                f"{agree} of {landmarks} landmarks "
                 f"({gaps.landmark_difference_rms_m:.3f} m rms); {pose_words(gaps.pose)}",
             ),
             *consistency_line(result.inconsistent, c.ekf, c.filter_against_smoother, c.innovations),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
 from comparisons.checks.verdict import rounded
 from comparisons.extensions.interface import Row
 from comparisons.report.ladder import Step
@@ -18,8 +19,17 @@ from comparisons.report.models import (
     SmootherResult,
 )
 
-_EXACT = ("algebra", "model")
-"""Gaps that only rounding may leave open."""
+AGREEING_RATIOS = f"{LEAST_VARIANCE_RATIO:g} to {1.0 / LEAST_VARIANCE_RATIO:g}"
+"""Variances of the EKF over the smoother's within which a block of a run agrees."""
+_DISTANCE = f"<= {LARGEST_DISTANCE:g} sigma"
+"""Largest difference of the means within which a block agrees."""
+_STAGES = {
+    "read": "reading the log",
+    "ekf": "EKF",
+    "frozen": "fixed-linearisation smoothers",
+    "marginals": "marginal covariances",
+}
+"""Of the clock, where their names in a result are short."""
 
 
 def log_rows(log: LogResult) -> list[Row]:
@@ -30,26 +40,26 @@ def log_rows(log: LogResult) -> list[Row]:
         Row("Log", "format", log.format),
         Row("Log", "duration", f"{log.duration_s:.0f} s"),
         *([Row("Log", "time stamps", times)] if times else ()),
-        *(Row("Log", f"{known_as(name)}, records", f"{n:,}") for name, n in log.records.items()),
+        *(Row("Log", name, f"{n:,}") for name, n in log.records.items()),
     ]
 
 
 def ekf_rows(ekf: EkfResult) -> list[Row]:
     """Return the filter, and which measurements it used."""
     used = {
-        "measurements rejected": ekf.rejected,
-        "ambiguous measurements": ekf.ambiguous,
-        "measurements of candidates": ekf.candidate,
+        "measurements rejected by the gate": ekf.rejected,
+        "ambiguous measurements, not used": ekf.ambiguous,
+        "measurements of landmark candidates": ekf.candidate,
     }
     found = [
         ("filter", ekf.filter),
         ("association", ekf.association),
-        ("landmarks", f"{ekf.landmarks:,}"),
+        ("point landmarks", f"{ekf.landmarks:,}"),
         *((name, f"{count:,}") for name, count in used.items()),
     ]
     if ekf.attributes != "off":
         kept = "of a dense layer" if ekf.attributes == "layer" else ekf.attributes
-        found.append(("attributes in the association", kept))
+        found.append(("landmark attributes in the association", kept))
     if ekf.dynamic or ekf.deactivated:
         found += [
             ("measurements of moving objects, left out", f"{ekf.dynamic:,}"),
@@ -65,15 +75,15 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
         ]
     if ekf.gps != "off":
         found += [
-            ("positions fused", f"{ekf.fixes_fused:,}"),
-            ("positions rejected", f"{ekf.fixes_rejected:,}"),
+            ("GPS positions fused", f"{ekf.fixes_fused:,}"),
+            ("GPS positions rejected", f"{ekf.fixes_rejected:,}"),
         ]
         if ekf.longest_streak:
             found += [
-                ("positions rejected five or more in a row", f"{ekf.fixes_in_streaks:,}"),
-                ("positions rejected in a row, most", f"{ekf.longest_streak:,}"),
+                ("GPS positions rejected five or more in a row", f"{ekf.fixes_in_streaks:,}"),
+                ("most GPS positions rejected in a row", f"{ekf.longest_streak:,}"),
                 (
-                    "positions rejected that the smoother's optimum rejects, too",
+                    "GPS positions rejected that the smoother's optimum rejects as well",
                     f"{ekf.fixes_rejected_by_smoother:,}",
                 ),
             ]
@@ -89,13 +99,13 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
         Row("Smoother", "error (half the chi-square)", f"{smoother.error:.2f}"),
         _chi_square(smoother),
         *(
-            Row("Smoother", f"error from the start {one.name}", shown(one.error, ".2f"))
+            Row("Smoother", f"error reached from the start {one.name}", shown(one.error, ".2f"))
             for one in smoother.starts
             if not one.name.startswith("random")
         ),
     ]
     if smoother.random_starts:
-        missed = "chance that the random starts miss a basin as wide as the lowest one"
+        missed = "chance that the random starts miss a basin as wide as the lowest"
         found += [
             Row("Smoother", "random starts", f"{smoother.random_starts:,}"),
             Row("Smoother", missed, f"{smoother.chance_missed:.1%}"),
@@ -224,58 +234,66 @@ def seconds_rows(seconds: Mapping[str, float], cpu_s: Mapping[str, float] | None
     """Return the time of each stage on the wall, which a busy machine stretches, and of the CPU."""
     spent = {"Wall time": seconds, "Processor time": cpu_s or {}}
     return [
-        Row(group, stage, f"{s:.2f} s")
+        Row(group, _STAGES.get(stage, stage), f"{s:.2f} s")
         for group, each in spent.items()
         for stage, s in each.items()
     ]
 
 
 def gap_rows(steps: Sequence[Step]) -> list[Row]:
-    """Return the gaps of the chain of estimates; those that must be rounding alone are marked."""
+    """Return the gaps of the chain of estimates; what exceeds its limit is marked.
+
+    A gap that fails although its means are within the limit fails by covariance or error.
+    """
     found = []
     for step in steps:
         group = f"{step.gap.capitalize()} gap: {step.above} to {step.below}"
-        judged = step.gap in _EXACT or step.fails
-        limit = "rounding" if step.gap in _EXACT else "small" if step.fails else ""
-        inside = not step.fails if judged else None
-        found.append(Row(group, "difference of the means", in_sigma(step.sigma), limit, inside))
+        limit = "" if step.limit is None else f"<= {step.limit:.2g} sigma"
+        within = step.sigma is not None and step.limit is not None and step.sigma <= step.limit
+        inside = None if not step.judged else True if within else False if step.fails else None
+        rest = False if step.fails and within else None
+        mean = "not judged" if step.sigma is None and not step.judged else in_sigma(step.sigma)
+        found.append(Row(group, "difference of the means (largest)", mean, limit, inside))
         if step.error_m is not None:
-            found.append(Row(group, "error (rms)", f"{step.error_m:.3g} m"))
-        else:
-            far = shown(step.covariance, ".2g")
-            found.append(Row(group, "difference of covariances, relative", far))
+            found.append(Row(group, "difference (rms)", f"{step.error_m:.3g} m", "", rest))
+        elif step.covariance is not None:
+            far = f"{step.covariance:.2g}"
+            found.append(Row(group, "relative difference of covariances", far, "", rest))
     return found
 
 
-def block_rows(part: str, whose: str, block: BlockResult) -> list[Row]:
-    """Return how an estimate agrees with the smoother's. part: of the state. whose: as `EKF`."""
-    ratios = (shown(v, ".3g") for v in (block.variance_ratio_least, block.variance_ratio_largest))
+def block_rows(part: str, whose: str, block: BlockResult, limits: str = "") -> list[Row]:
+    """Return how an estimate agrees with the smoother's.
+
+    part: of the state. whose: as `EKF`. limits: of the variance ratios, empty where they depend on
+    the estimate.
+    """
     group, agrees = f"{part}, {whose} and smoother", "yes" if block.agrees else "no"
-    return [
+    rows = [
         Row(group, "agrees", agrees, "yes", block.agrees),
         Row(group, "difference of the positions", f"{block.difference_m:.3f} m"),
-        Row(group, "difference of the means", in_sigma(block.distance_sigma)),
-        Row(group, f"variances, {whose} over smoother", band(*ratios)),
+        Row(group, "difference of the means", in_sigma(block.distance_sigma), _DISTANCE),
     ]
+    if block.variance_ratio_least is not None:
+        ends = (block.variance_ratio_least, block.variance_ratio_largest)
+        ratios = band(*(shown(one, ".3g") for one in ends))
+        rows.append(Row(group, f"variances, {whose} over smoother", ratios, limits))
+    return rows
 
 
-def agreeing(blocks: Sequence[BlockResult], whose: str) -> Row:
-    """Return how many landmarks agree. whose: with the smoother's, as `EKF`."""
+def agreeing(blocks: Sequence[BlockResult], whose: str) -> list[Row]:
+    """Return how many landmarks agree, if there are any. whose: as `EKF`."""
+    if not blocks:
+        return []
     count = sum(one.agrees for one in blocks)
     value = f"{count} of {len(blocks)}"
-    return Row(
-        f"Map, {whose} and smoother", "landmarks that agree", value, "all", count == len(blocks)
-    )
+    group, name = f"Map, {whose} and smoother", "landmarks that agree"
+    return [Row(group, name, value, "all", count == len(blocks))]
 
 
 def pose_words(pose: BlockResult) -> str:
     """Return in words how two estimates agree in the last pose."""
     return f"last pose {'agrees' if pose.agrees else 'disagrees'} ({in_sigma(pose.distance_sigma)})"
-
-
-def known_as(name: str) -> str:
-    """Return the name of a stream or of a reason as users know it."""
-    return name.replace("measurement", "measurement")
 
 
 def band(low: object, high: object) -> str:
@@ -289,5 +307,5 @@ def in_sigma(value: float | None) -> str:
 
 
 def shown(value: float | None, form: str) -> str:
-    """Return a number in a format; `none` where there is none."""
-    return "none" if value is None else format(value, form)
+    """Return a number in a format; `infinite` where the result keeps none."""
+    return "infinite" if value is None else format(value, form)

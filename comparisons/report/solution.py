@@ -81,7 +81,8 @@ def solution_summary(result: SolutionResult) -> Summary:
     measurements, smoother = result.log.records["measurements"], result.smoother
     tested = f"chi-square {rounded(smoother.chi2)}"
     if smoother.dof:
-        tested += f" for {smoother.dof:,} degrees of freedom"
+        low, high = smoother.chi2_band
+        tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
     accuracy = {"smoother": result.accuracy, "odometry": result.dead_reckoning}
     used = "measurements used for the map"
     return Summary(
@@ -93,7 +94,7 @@ def solution_summary(result: SolutionResult) -> Summary:
             (
                 "map",
                 f"{result.landmarks:,} landmarks from {result.measurements_used:,} of "
-                f"{measurements:,} measurements ({result.association_by})",
+                f"{measurements:,} measurements (association: {result.association_by})",
             ),
             ("optimum", f"{tested}, {smoother.poses:,} poses"),
             *accuracy_line(accuracy),
@@ -103,7 +104,7 @@ def solution_summary(result: SolutionResult) -> Summary:
             *settings_rows(result.settings),
             Row("Map", "landmarks", f"{result.landmarks:,}"),
             Row("Map", used, f"{result.measurements_used:,} of {measurements:,}"),
-            Row("Map", "association by", result.association_by),
+            Row("Map", "association", result.association_by),
             *_pose_graph_rows(result),
             *smoother_rows(smoother),
             *accuracy_rows("the smoother", result.accuracy),

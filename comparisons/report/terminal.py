@@ -11,7 +11,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.text import Text
 
-from comparisons.checks.causes import GAPS
+from comparisons.checks.causes import cause_name
 from comparisons.errors import printable
 from comparisons.extensions.interface import Row
 from comparisons.report.ladder import Step
@@ -69,11 +69,20 @@ def print_summary(
 
 
 def brief(summary: Summary, report: str = "") -> list[Line]:
-    """Return at most HEIGHT lines of WIDTH columns; only a long path makes the last one longer."""
+    """Return at most HEIGHT lines of WIDTH columns; only a long path makes the last one longer.
+
+    The text of a label takes a second line where two causes and the count of notes leave room.
+    """
     head = [Line(text, summary.style) for text in fit(summary.headline, most=2, after="  ")]
     tail = _ladder(summary.steps)
+    least = len(head) + len(tail) + len(summary.lines) + bool(report)
+    kept = 2 * min(len(summary.causes), 2) + bool(summary.reasons or summary.remarks)
+    spare = HEIGHT - least - kept
     for label, text in summary.lines:
-        tail += [Line(one) for one in fit(text, first=f"{label + ':':<{_LABEL}}")]
+        first, after = f"{label + ':':<{_LABEL}}", " " * _LABEL
+        found = fit(text, most=2 if spare > 0 else 1, first=first, after=after)
+        spare -= len(found) - 1
+        tail += [Line(one) for one in found]
     if report:
         tail.append(Line(f"{'report:':<{_LABEL}}{printable(report)}"))
     return [*head, *_reasons(summary, HEIGHT - len(head) - len(tail)), *tail]
@@ -90,7 +99,7 @@ def every_cause(summary: Summary) -> Iterator[Line]:
 
 def table(rows: Sequence[Row], width: int = WIDTH) -> Iterator[Line]:
     """Return figures by group: quantity, value, band, and whether the value lies in the band."""
-    quantity = _column((row.quantity for row in rows), int(0.42 * width))
+    quantity = _column((row.quantity for row in rows), int(0.46 * width))
     band = _column((row.band for row in rows), int(0.26 * width))
     room = width - quantity - band - 9 - len(MARKS[False])
     value = min(room, _column((row.value for row in rows if row.band), room))
@@ -135,11 +144,7 @@ def fit(
 
 
 def _named(cause: CauseResult) -> str:
-    return (
-        f"{cause.gap} gap: {cause.evidence}"
-        if cause.gap in GAPS
-        else (f"{cause.gap}: {cause.evidence}")
-    )
+    return f"{cause_name(cause.gap)}: {cause.evidence}"
 
 
 def _reasons(summary: Summary, room: int) -> list[Line]:
@@ -169,19 +174,19 @@ def _ladder(steps: Sequence[Step]) -> list[Line]:
     """Return a line for each gap, from estimate to estimate, below a heading."""
     if not steps:
         return []
-    lines = [Line(_step("gap", steps[0].above, "mean", "covariance"), "bold")]
+    heading = f"{'gap':<14}{'from ' + steps[0].above:<31}{'means, in sigma':>15}"
+    lines = [Line(f"{heading}{'limit':>7}{'cov., rel.':>13}", "bold")]
     for step in steps:
-        mean = "infinite" if step.sigma is None else f"{step.sigma:.2g} sigma"
-        far = "none" if step.covariance is None else f"{step.covariance:.2g}"
+        mean = "infinite" if step.judged else "-"
+        if step.sigma is not None:
+            mean = f"{step.sigma:.2g}"
+        most = "-" if step.limit is None else f"{step.limit:.2g}"
+        far = "-" if step.covariance is None else f"{step.covariance:.2g}"
         if step.error_m is not None:
             far = f"{step.error_m:.3g} m rms"
-        text = _step(step.gap, f"-> {step.below}", mean, far)
+        text = f"{step.gap:<14}{f'-> {step.below}':<37}{mean:>9}{most:>7}{far:>13}"
         lines.append(Line(text, "red" if step.fails else ""))
     return lines
-
-
-def _step(gap: str, to: str, mean: str, covariance: str) -> str:
-    return f"{gap:<15}{to:<37}{mean:>14}{covariance:>13}"
 
 
 def _column(texts: Iterator[str], most: int) -> int:

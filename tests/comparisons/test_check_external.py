@@ -79,7 +79,7 @@ def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: Externa
     found = check(log, bare(whole))
     assert found.outcome == "agree"
     assert "the estimate has no landmarks, no pose covariances" in found.remarks[0]
-    assert "compared are the last pose" in found.remarks[0]
+    assert "compared: the last pose" in found.remarks[0]
 
 
 def mirrored(given: ExternalEstimate) -> ExternalEstimate:

@@ -134,7 +134,10 @@ def test_filter_against_smoother_over_all_seeds() -> None:
 
 @pytest.mark.parametrize(
     ("scale", "reading", "words"),
-    [(0.5, "too low", "smaller than the filter expects"), (2.0, "too high", "larger than")],
+    [
+        (0.5, "too low", "is too low: a sigma is too large"),
+        (2.0, "too high", "is too high: a sigma is too small"),
+    ],
 )
 def test_wrong_sigmas_of_a_sensor_are_named_with_their_direction(
     scale: float, reading: str, words: str
@@ -149,10 +152,10 @@ def test_wrong_sigmas_of_a_sensor_are_named_with_their_direction(
     reported = [
         remark
         for remark in c.verdict.remarks
-        if remark.startswith("the mean NIS of measurements, range")
+        if remark.startswith("mean NIS of range (measurements)")
     ]
     assert len(reported) == 1
     assert words in reported[0]
     assert not any(
-        remark.startswith("the mean NIS of measurements, bearing") for remark in c.verdict.remarks
+        remark.startswith("mean NIS of bearing (measurements)") for remark in c.verdict.remarks
     )

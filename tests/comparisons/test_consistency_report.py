@@ -20,7 +20,7 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.report.consistency_figure import consistency_figure
-from comparisons.report.consistency_result import nees_rows
+from comparisons.report.consistency_result import consistency_line, nees_rows
 from comparisons.report.models import NeesResult, TruthConsistencyResult
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
@@ -131,11 +131,13 @@ def test_result_and_rows(comparison: Comparison) -> None:
     assert found["ekf"]["distances"]["dof"] == 60
     assert [one["sensor"] for one in found["innovations"]] == ["measurements", "positions"]
     assert found["filter_against_smoother"]["epochs"] == len(comparison.ekf.timeline.epoch_time_s)
-    groups = {row.group for row in run_rows(comparison, result)}
+    groups = {row.group.partition(" (")[0] for row in run_rows(comparison, result)}
     assert {"EKF NEES", "Innovations of measurements", "EKF", "Smoother"} < groups
     (line,) = (text for label, text in run_summary(comparison, result).lines if label[0] == "c")
     if not result.inconsistent:
-        assert re.fullmatch(r"NEES pose \S+, map \S+; NIS \S+; to .*\(expected 1\)", line)
+        assert re.fullmatch(
+            r"per dof, expect 1: NEES pose \S+, map \S+; NIS \S+; vs smoother \S+", line
+        )
 
 
 def test_a_broken_covariance_gives_no_nan() -> None:
@@ -188,9 +190,24 @@ def test_a_nees_has_its_band_and_what_has_none(unusable: dict[str, int], mean: f
     )
     others = dict.fromkeys(set(TruthConsistencyResult.model_fields) - {"pose", "too_short"})
     *rest, found, share = nees_rows("My", TruthConsistencyResult(pose=pose, too_short=0, **others))
-    assert found[:2] == ("My NEES", "pose, mean (expected 3)")
-    assert found[2:] == (f"{mean:.3g}", "0.22 to 9.35 (95 %)", mean == 2.0)
-    assert share[1:3] == ("pose: epochs in the 95 % band", "50 % of 23")
+    assert found[:2] == ("My NEES (95 % bands)", "pose, mean (expected 3)")
+    assert found[2:] == (f"{mean:.3g}", "0.22 to 9.35", mean == 2.0)
+    assert share[1:3] == ("pose: epochs in the band", "50 % of 23")
     assert [(row.quantity, row.value) for row in rest] == [
-        (f"pose: without NEES, {why}", str(count)) for why, count in unusable.items()
+        (f"pose: NEES not computed, {why}", str(count)) for why, count in unusable.items()
     ]
+
+
+def test_what_is_outside_stands_before_its_band_and_in_short() -> None:
+    """The value that matters is in the first line, which long words would push out of it."""
+    found = (
+        "NEES of the poses 12 per degree of freedom, limit 5.4",
+        "filter-smoother difference 26 per degree of freedom, band 0.24 to 2.3",
+        "filter more certain than the smoother at 6185 of 6969 epochs",
+    )
+    ((label, text),) = consistency_line(found, None, None)
+    assert label == "consistency"
+    assert text == (
+        "outside, per dof: NEES poses 12 (<= 5.4); vs smoother 26 (0.24 to 2.3); "
+        "more certain than smoother at 6185 of 6969 epochs"
+    )

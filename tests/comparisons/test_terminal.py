@@ -24,7 +24,7 @@ from comparisons.report.check import build_check_result, check_summary
 from comparisons.report.ladder import Step
 from comparisons.report.models import CauseResult
 from comparisons.report.result import build_result, run_summary
-from comparisons.report.rows import accuracy_line
+from comparisons.report.rows import accuracy_line, gap_rows
 from comparisons.report.solution import build_solution_result, solution_summary
 from comparisons.report.terminal import (
     HEIGHT,
@@ -144,6 +144,40 @@ def test_real_outcomes_keep_the_bound() -> None:
     assert faults(brief(solved, "out"), "verdict: verified") == []
 
 
+def test_a_label_takes_a_second_line_where_there_is_room() -> None:
+    value = "word " * 12 + "26 (0.24 to 2.3)"
+    lines = [("consistency", value)]
+    roomy = brief(replace(few(1, 1), lines=lines), "out")
+    assert any(line.text.endswith("(0.24 to 2.3)") for line in roomy)
+    full = brief(replace(FULL, lines=[*lines, *FULL.lines[1:]]), "out")
+    assert not any("(0.24 to 2.3)" in line.text for line in full)
+
+
+def test_the_ladder_has_a_limit_for_each_gap() -> None:
+    step = Step(gap="linearisation", above="EKF", below="smoother", sigma=6.2, limit=1.0)
+    open_end = replace(step, sigma=None, limit=None, judged=False)
+    heading, passed, absent = (
+        line.text.split() for line in brief(Summary(headline="", steps=[step, open_end]))[1:]
+    )
+    assert heading[-3:] == ["limit", "cov.,", "rel."]
+    assert passed[-3:] == ["6.2", "1", "-"]
+    assert absent[-3:] == ["-", "-", "-"]
+
+
+def test_a_gap_is_marked_where_it_exceeds_its_limit() -> None:
+    step = Step(gap="linearisation", above="a", below="b", sigma=6.2, covariance=2.0, limit=1.0)
+    for changed, marks in (
+        (replace(step, fails=True), [False, None]),
+        (replace(step, sigma=0.5), [True, None]),
+        (replace(step, sigma=0.5, fails=True), [True, False]),
+        (step, [None, None]),
+        (replace(step, judged=False), [None, None]),
+    ):
+        rows = gap_rows([changed])
+        assert rows[0].band == "<= 1 sigma"
+        assert [row.inside for row in rows] == marks
+
+
 def test_accuracy_takes_the_reference_that_there_is() -> None:
     assert accuracy_line({"EKF": None}) == []
 
@@ -190,3 +224,13 @@ def test_json_quiet_and_verbose(tmp_path: Path) -> None:
     both = command(tmp_path, "-q", "-v")
     assert (both.returncode, both.stdout) == (2, "")
     assert "--verbose and --quiet exclude each other" in both.stderr
+
+
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [("truth", "truth gap"), ("oracle", "optimum not verified"), ("dropout", "dropout")],
+)
+def test_a_cause_has_a_name_that_readers_know(key: str, name: str) -> None:
+    cause = CauseResult(gap=key, evidence="seen", hint="look there")
+    lines = brief(Summary(headline="verdict: unverified", causes=[cause]))
+    assert lines[1].text == f"  {name}: seen"

@@ -85,18 +85,17 @@ class Consistency:
         return [self._remark(sensor.sensor, *one) for one in off]
 
     def _remark(self, sensor: str, nis: Nis, reading: str, band: Band) -> str:
-        of = nis.name if nis.name == sensor else f"{sensor}, {nis.name}"
+        of = nis.name if nis.name == sensor else f"{nis.name} ({sensor})"
         meaning = {
-            "too high": "larger than the filter expects, so a sigma is too small or the filter is "
-            "overconfident",
-            "too low": "smaller than the filter expects, so a sigma is too large",
+            "too high": "too high: a sigma is too small or the filter is overconfident",
+            "too low": "too low: a sigma is too large",
         }[reading]
         if self.gated and reading == "too low" and sensor == "measurements":
             meaning += " or the association rejects the large ones"
         return (
-            f"the mean NIS of {of} is {nis.mean:.3g}, expected {nis.dof} (band {band.low:.3g} to "
-            f"{band.high:.3g}, 99.9 % for the run's {self.bands} bands together; {nis.count:,} "
-            f"innovations): the innovations are {meaning}"
+            f"mean NIS of {of} {nis.mean:.3g}, expected {nis.dof}, band {band.low:.3g} to "
+            f"{band.high:.3g}, is {meaning} (of {nis.count:,} innovations; the band is that of "
+            f"99.9 % for the run's {self.bands} bands together)"
         )
 
 

@@ -141,20 +141,21 @@ def _filter_line(figures: FilterFigures) -> str:
 def _rows(outcome: Outcome) -> list[Row]:
     rows = []
     for name, figures in outcome.figures.items():
+        group = f"Filter {name} ({100 * LEVEL:.0f} % bands)"
         for block, one in figures.consistency.items():
             known = one.place != "not given"
             rows.append(
                 Row(
-                    f"Filter {name}",
+                    group,
                     f"mean NEES of {block} (expected {DOF[block]})",
                     f"{one.mean:.2f}" if known else "no covariances",
-                    f"{_interval(one.band)} ({100 * LEVEL:.0f} %)" if known else "",
+                    _interval(one.band) if known else "",
                     one.place == "inside" if known else None,
                 )
             )
         for what, value in figures.rmse.items():
             unit = "rad" if what == "heading" else "m"
-            rows.append(Row(f"Filter {name}", f"error of {what} (RMSE)", f"{value:.4f} {unit}"))
+            rows.append(Row(group, f"error of {what} (RMSE)", f"{value:.4f} {unit}"))
     return rows
 
 

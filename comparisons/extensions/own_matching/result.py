@@ -9,7 +9,7 @@ from comparisons.extensions.interface import Row
 from comparisons.extensions.own_matching.check import LandmarkMatching, OwnMatchingCheck
 from comparisons.report.model import Model, finite
 from comparisons.report.models import AccuracyResult, MapPairResult
-from comparisons.report.rows import accuracy_rows, in_sigma, known_as
+from comparisons.report.rows import accuracy_rows, in_sigma
 from comparisons.report.sections import accuracy_result, map_pair_result
 
 MATCHER = "Open3D, generalised ICP"
@@ -58,7 +58,7 @@ def own_matching_rows(result: OwnMatchingResult) -> list[Row]:
         Row(group, "common turn of the alignments", turn),
         Row(group, "common shift and turn of the alignments", in_sigma(result.shift_sigma)),
         *(
-            Row(group, f"alignments by its own matcher: {known_as(reason)}", f"{count:,}")
+            Row(group, f"alignments by its own matcher: {reason}", f"{count:,}")
             for reason, count in result.reasons.items()
             if count
         ),

@@ -9,11 +9,12 @@ from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_sl
 from comparisons.pipeline.gaps import Gaps
 from comparisons.report.model import Model
 from comparisons.report.models import LandmarkResult
-from comparisons.report.rows import known_as
 from comparisons.report.sections import block_fields
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 
+_EXTRACTION = {"joined": "whole-scan", "single": "per-segment"}
+"""Choices of the setting template_extraction by what results keep."""
 _PLACE = "Nieto 2005, sections 5.5 and 5.7"
 
 
@@ -85,12 +86,12 @@ def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
     return [
         Row(group, "landmarks that agree", agreeing, "all", count == len(result.landmarks)),
         Row(group, "scans", f"{result.scans:,}"),
-        Row(group, "template extraction", result.pieces),
-        Row(group, "segments that failed their trial", f"{result.rejected:,}"),
+        Row(group, "template extraction", _EXTRACTION[result.pieces]),
+        Row(group, "segments that failed their trial alignment", f"{result.rejected:,}"),
         *(Row(group, name, f"{n:,}") for name, n in further.items() if n),
         *([Row(group, "rule of the templates", rule_text(result.rule))] if result.rule else ()),
         *(
-            Row(group, f"measurements: {known_as(reason)}", f"{n:,}")
+            Row(group, f"measurements {reason}", f"{n:,}")
             for reason, n in result.measurements.items()
             if n
         ),

@@ -69,6 +69,16 @@ READERS: dict[str, Reader] = {
 }
 
 
+def _nearest_name(typed: str) -> str:
+    """Return the question whether a bundled log was meant, empty where none has such a name."""
+    from difflib import get_close_matches
+
+    from comparisons.logs.bundled import NAMED
+
+    close = get_close_matches(typed, NAMED, n=1, cutoff=0.7)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
 def read_log(
     path: Path, format_name: str | None = None, robot: int = 1, topics: tuple[str, ...] = ()
 ) -> Log:
@@ -81,7 +91,10 @@ def read_log(
         from comparisons.logs.table import shorten
 
         shown = shorten(str(path), 200)
-        raise InputError(f"{shown}: no such file or folder (slamcheck logs lists bundled names)")
+        near = _nearest_name(path.name)
+        raise InputError(
+            f"{shown}: no such file or folder{near} (slamcheck logs lists bundled names)"
+        )
     if format_name is None:
         names = [name for name, reader in READERS.items() if reader.recognises(path)]
         if not names:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from comparisons.checks.causes import EXPLANATIONS, GAPS
+from comparisons.checks.causes import EXPLANATIONS, cause_name
 from comparisons.extensions.interface import Row
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.ladder import ladder_picture
@@ -111,7 +111,7 @@ def page(content: PageContent) -> str:
 
 def _cause(cause: CauseResult) -> str:
     """What was found, what to look at, and what such a cause means."""
-    kind = f"{cause.gap} gap" if cause.gap in GAPS else cause.gap
+    kind = cause_name(cause.gap)
     title, more = f"<b>{escape(kind)}</b>", ""
     if (known := EXPLANATIONS.get(cause.gap)) is not None:
         title = f"<b>{escape(known.title)}</b> <span>{escape(kind)}</span>"
