@@ -6,6 +6,7 @@ import csv
 import html
 import io
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -283,7 +284,8 @@ def _html(titles: Sequence[str], rows: Sequence[Row]) -> str:
 
     def row(kind: str, name: str, cells: Sequence[str]) -> str:
         columns = (f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells)
-        return f'<tr><th scope="row">{html.escape(name)}</th>{"".join(columns)}</tr>'
+        broken = re.sub(r"[._](?=.)", r"\g<0><wbr>", html.escape(name))
+        return f'<tr><th scope="row">{broken}</th>{"".join(columns)}</tr>'
 
     body = "".join(row("td", name, [_short(cell) for cell in cells]) for name, cells in rows)
     return document(
