@@ -70,8 +70,12 @@ def test_a_log_is_run_checked_and_solved(tmp_path: Path) -> None:
     run = slamcheck.compare(log, filter="compressed")
     assert run.verdict.outcome == "agree"
     estimate = run.ekf.estimate
-    slamcheck.write_estimate(estimate, tmp_path)
-    for handed_in in (estimate, slamcheck.ExternalEstimate.of(estimate), tmp_path, str(tmp_path)):
+    folder = tmp_path / "new" / "folder"
+    slamcheck.write_estimate(estimate, folder)
+    (tmp_path / "file").touch()
+    with pytest.raises(slamcheck.InputError, match="cannot be made"):
+        slamcheck.write_estimate(estimate, tmp_path / "file")
+    for handed_in in (estimate, slamcheck.ExternalEstimate.of(estimate), folder, str(folder)):
         assert slamcheck.check(log, handed_in).outcome == "agree"
     solution = slamcheck.solve(log)
     assert np.isfinite(solution.estimate.pose).all()

@@ -37,13 +37,21 @@ class Meta(BaseModel):
     provenance: dict[str, str] = {}
 
 
-def write_estimate(estimate: Estimate, folder: Path) -> None:
+def write_estimate(estimate: Estimate, folder: str | Path) -> None:
     """Write an estimate folder: trajectory, landmarks, covariances and what they are of.
 
     Args:
         estimate: What to write; numbers come back to the bit, headings up to rounding.
-        folder: Exists, and is empty.
+        folder: New or empty; made where it does not exist.
+
+    Raises:
+        InputError: The folder cannot be made.
     """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
     (folder / "trajectory.tum").write_text(
         tum_text(estimate.time_s, estimate.pose), encoding="utf-8"
     )

@@ -46,7 +46,7 @@ from comparisons.report.models import (
     LogResult,
     SmootherResult,
 )
-from comparisons.report.panels import REFERENCE_COLOUR, external_panels, filters_compared
+from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import (
     accuracy_line,
     accuracy_rows,
@@ -180,7 +180,7 @@ def check_page(check: ExternalCheck, result: CheckResult) -> PageContent:
         colour=result.verdict,
         words=_verdict_words(result),
         facts=_facts(result),
-        about=f"estimate {source} of {result.log.format}, {result.log.duration_s:,.0f} s",
+        about=f"estimate: {source}; log: {result.log.format}, {result.log.duration_s:,.0f} s",
         notes=(),
         causes=result.causes,
         remarks=result.remarks,
@@ -220,18 +220,18 @@ def _landmark_table(
         for row, i in zip(result.landmarks, ours.tolist(), strict=True)
         if row.id in shown_ids
     ]
-    note = landmarks_note(len(rows), len(ours), "check.json", "the given estimate's")
+    note = landmarks_note(len(rows), len(ours), "check.json", "the estimate's")
     if given.landmark_covariance is None:
         note += " The estimate has none, so there are no ratios."
     return rows, note
 
 
 def _both_names(own: int, given: int) -> str:
-    return str(own) if own == given else f"{own} (given as {given})"
+    return str(own) if own == given else f"{own} ({given} in the estimate)"
 
 
 def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapContent, Index]:
-    """The smoother's, the given estimate, and filters it was compared with.
+    """The smoother's, the external estimate, and filters it was compared with.
 
     ours, theirs: rows of the landmarks that both have. The smoother's that are marked come second.
     """
@@ -255,7 +255,9 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
         ),
         *all_landmarks("all landmarks", smoothed.landmark, marked),
     ]
-    own = Track(name="given", colour=EKF_COLOUR, dashes="5 3", time_s=given.time_s, pose=given.pose)
+    own = Track(
+        name="estimate", colour=EKF_COLOUR, dashes="5 3", time_s=given.time_s, pose=given.pose
+    )
     if given.landmark is not None:
         place, spread = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         place[theirs] = given.landmark[ours]
@@ -264,7 +266,7 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
             spread[theirs] = given.landmark_covariance[ours]
             own = replace(own, landmark_covariance=spread[marked])
         others = np.delete(given.landmark, ours, axis=0)
-        beneath += all_landmarks("given landmarks without a counterpart", others, ours[:0])
+        beneath += all_landmarks("estimate landmarks without a counterpart", others, ours[:0])
     return MapContent(
         log=solution.log,
         tracks=[
@@ -273,12 +275,12 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
             *(
                 Track(
                     name=one.name.removeprefix("the ").removeprefix("an "),
-                    colour=REFERENCE_COLOUR,
+                    colour=colour,
                     dashes="2 2",
                     time_s=one.time_s,
                     pose=one.pose,
                 )
-                for one in filters_compared(check)
+                for one, colour in filters_compared(check)
             ),
         ],
         keys=ids.tolist(),

@@ -48,6 +48,13 @@ class Step:
     limit: float | None = None
 
     @property
+    def mean(self) -> str:
+        """The difference of the means in words."""
+        if self.sigma is not None:
+            return f"{self.sigma:.2g} sigma"
+        return "infinite" if self.judged or self.fails or self.gap != "algebra" else "unknown"
+
+    @property
     def state(self) -> str:
         """`fails`, `passes`, or `not judged`."""
         if self.fails:

@@ -50,7 +50,8 @@ _STYLE = (
     ".slamcheck-view b.disagree,.slamcheck-view .bad{color:#e0533d}"
     ".slamcheck-view b.unverified{color:#c98a1b}.slamcheck-view .swatch{display:inline-block;"
     "width:.8em;height:.8em;border-radius:50%;margin:0 .3em 0 .9em}"
-    ".slamcheck-view .hint{opacity:.8}.slamcheck-view table{margin:.4em 0}</style>"
+    ".slamcheck-view .hint{opacity:.8}.slamcheck-view table{margin:.4em 0}"
+    ".slamcheck-view th,.slamcheck-view td{padding:.15em .6em;text-align:left}</style>"
 )
 
 
@@ -94,8 +95,8 @@ def solution_html(s: Solution) -> str:
     lacks = "" if s.verified else f": {optimality.lacks or 'its association is not confirmed'}"
     test = optimality.chi_square
     rows = [
-        ("error", f"{result.error:,.2f}"),
-        ("chi-square", f"{test.chi2:,.1f} of {test.dof:,} degrees of freedom, {test.reading}"),
+        ("error (half the chi-square)", f"{result.error:,.2f}"),
+        ("chi-square", f"{test.chi2:,.1f} for {test.dof:,} degrees of freedom, {test.reading}"),
         ("starts", f"{len(result.starts)}; the best took {result.iterations} iterations"),
         ("map", f"{len(s.estimate.landmark):,} landmarks, {len(s.estimate.time_s):,} poses"),
     ]
@@ -169,14 +170,14 @@ def ladder_html(steps: Sequence[Step]) -> str:
         (
             f"{step.above} → {step.below}",
             step.gap,
-            number(step.sigma) if step.sigma is not None else "infinite",
+            number(step.sigma) if step.sigma is not None else step.mean,
             "" if step.covariance is None else number(step.covariance),
             "" if step.error_m is None else f"{step.error_m:.3g}",
-            "a cause" if step.fails else "",
+            step.state,
         )
         for step in steps
     ]
-    head = ("between", "gap", "means [sigma]", "covariances", "error [m]", "")
+    head = ("between", "gap", "means [sigma]", "covariances", "error [m]", "outcome")
     bad = [k for k, step in enumerate(steps) if step.fails]
     return table(head, rows, bad) if rows else ""
 

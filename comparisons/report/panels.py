@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from comparisons.pipeline.check import ExternalCheck
 
 REFERENCE_COLOUR = "#5c6f2b"
+REFERENCE_COLOURS = (REFERENCE_COLOUR, "#b05f9e", "#8f5d2b")
+"""Of the filters that an external estimate is compared with, in turn."""
 _FURTHER = (SCANS_COLOUR, "#6a3d9a", REFERENCE_COLOUR)
 _COMPONENTS = (("east [m]", 1.0), ("north [m]", 1.0), ("heading [deg]", 180.0 / np.pi))
 _COLOURS = (EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, REFERENCE_COLOUR)
@@ -149,8 +152,8 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
             "The log has no true poses in the estimate's time: no errors against truth."
         )
     else:
-        panels += _errors(by_truth.time_s, by_truth.error, by_truth.sigma, "given - truth")
-        curves = [("given", EKF_COLOUR, by_truth)]
+        panels += _errors(by_truth.time_s, by_truth.error, by_truth.sigma, "estimate - truth")
+        curves = [("estimate", EKF_COLOUR, by_truth)]
         if c.smoother is not None and c.smoother.poses is not None:
             curves.append(("smoother", SMOOTHER_COLOUR, c.smoother.poses))
         if len(by_truth.pose.squared):
@@ -160,32 +163,32 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
         reported.append("The estimate has no pose covariances: no bands, and no NEES.")
     if c.smoothed is None:
         unknown = np.full_like(c.difference, np.nan)
-        panels += _errors(c.time_s, c.difference, unknown, "given - smoother")
+        panels += _errors(c.time_s, c.difference, unknown, "estimate - smoother")
         if check.given.pose_covariance is not None:
             reported.append(f"Against the smoother there is no band: {c.unjudged}.")
     else:
-        panels += _against_smoother(c.smoothed, "given")
+        panels += _against_smoother(c.smoothed, "estimate")
         overconfident = (
-            ", but where the given covariance is the smaller one"
+            ", but where the estimate's covariance is the smaller one"
             if len(c.smoothed.overconfident)
             else ""
         )
         reported.append(
-            "Against the smoother: 3 sigma of P_given - P_smoother, the covariance of what a "
+            "Against the smoother: 3 sigma of P_estimate - P_smoother, the covariance of what a "
             f"filter differs by from what knows the future{overconfident}."
         )
-    paths = [(r.name, REFERENCE_COLOUR, r.time_s, r.pose) for r in filters_compared(check)]
+    paths = [(r.name, colour, r.time_s, r.pose) for r, colour in filters_compared(check)]
     if paths:
-        paths.append(("given", EKF_COLOUR, c.time_s, check.optimum.pose + c.difference))
+        paths.append(("estimate", EKF_COLOUR, c.time_s, check.optimum.pose + c.difference))
         panels.append(distance_panel(paths, check.optimum.time_s, check.optimum.pose))
     return " ".join(reported), tuple(panels)
 
 
-def filters_compared(check: ExternalCheck) -> list[Reference]:
-    """Reference filters that the estimate was compared with: the EKF, and a nearer variant."""
+def filters_compared(check: ExternalCheck) -> list[tuple[Reference, str]]:
+    """Reference filters that the estimate was compared with, and colours: EKF, nearer variant."""
     nearest = [] if check.grade.by is None else [check.grade.by.reference]
     found = {one.name: one for one in (*check.peers, *nearest) if not one.smoothed}
-    return list(found.values())
+    return list(zip(found.values(), cycle(REFERENCE_COLOURS)))
 
 
 def _poses(comparison: Comparison) -> tuple[str, tuple[Panel, ...], Panel | None]:

@@ -25,7 +25,7 @@ from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.shell import number
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import ladder
-from comparisons.report.models import Result
+from comparisons.report.models import BlockResult, Result
 from comparisons.report.panels import (
     ConsistencyPanels,
     consistency_panels,
@@ -97,7 +97,7 @@ def run_page(
         headline=result.headline,
         colour="unverified" if qualified else result.verdict,
         words=_WORDS[result.verdict],
-        facts=_facts(result),
+        facts=_facts(result, [*a, *scan]),
         about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
         notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
         causes=result.causes,
@@ -119,10 +119,10 @@ def run_page(
     )
 
 
-def _facts(result: Result) -> list[tuple[str, str]]:
-    """What the verdict rests on, in a few lines."""
+def _facts(result: Result, landmarks: Sequence[BlockResult]) -> list[tuple[str, str]]:
+    """What the verdict rests on, in a few lines. landmarks: all that both estimators have."""
     gaps, smoother, accuracy = result.agreement, result.smoother, result.accuracy
-    agreeing = sum(row.agrees for row in gaps.landmarks)
+    agreeing = sum(row.agrees for row in landmarks)
     optimum = "verified" if smoother.verified else f"not verified: {smoother.lacks}"
     if smoother.dof:
         optimum += f"; chi-square {smoother.chi2:,.0f} for {smoother.dof:,} degrees of freedom"
@@ -134,14 +134,16 @@ def _facts(result: Result) -> list[tuple[str, str]]:
         ),
         (
             "Landmarks",
-            f"{agreeing:,} of {len(gaps.landmarks):,} agree; "
-            f"{gaps.landmark_difference_rms_m:.3f} m apart (RMS)",
+            f"{agreeing:,} of {len(landmarks):,} agree; "
+            f"{gaps.landmark_difference_rms_m:.3f} m apart (RMS)"
+            if landmarks
+            else "none",
         ),
     ]
     if not result.inconsistent:
         facts.append(("Filter", "not judged" if result.inconsistent is None else "consistent"))
     if accuracy is not None and accuracy.ekf.ate_m is not None:
-        errors = f"EKF {accuracy.ekf.ate_m:.3f} m, smoother {number(accuracy.smoother.ate_m)} m"
+        errors = f"EKF {number(accuracy.ekf.ate_m)} m, smoother {number(accuracy.smoother.ate_m)} m"
         facts.append(("Error of the path", f"{errors} (RMS)"))
     return facts
 

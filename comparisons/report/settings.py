@@ -126,12 +126,16 @@ def _in_json(value: Any) -> Any:
     return "Infinity" if value == math.inf else value
 
 
+SETTINGS = "Settings"
+"""The group of the rows below; a page has its own table of settings."""
+
+
 def settings_rows(settings: SettingsResult) -> list[Row]:
     """Return the preset, and each setting that a document states at another value."""
     return [
-        Row("Settings", "preset", settings.preset),
+        Row(SETTINGS, "preset", settings.preset),
         *(
-            Row("Settings", one.setting, shown(one.value), f"{shown(one.document)} in {one.place}")
+            Row(SETTINGS, one.setting, shown(one.value), f"{shown(one.document)} in {one.place}")
             for one in settings.differing
         ),
     ]

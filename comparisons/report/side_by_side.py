@@ -6,6 +6,7 @@ import csv
 import html
 import io
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -279,21 +280,21 @@ def _latex_figure(figure: str) -> str:
 
 
 def _html(titles: Sequence[str], rows: Sequence[Row]) -> str:
+    from comparisons.report.html.shell import document
+
     def row(kind: str, name: str, cells: Sequence[str]) -> str:
         columns = (f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells)
-        return f'<tr><th scope="row">{html.escape(name)}</th>{"".join(columns)}</tr>'
+        broken = re.sub(r"[._](?=.)", r"\g<0><wbr>", html.escape(name))
+        return f'<tr><th scope="row">{broken}</th>{"".join(columns)}</tr>'
 
-    body = [row("td", name, [_short(cell) for cell in cells]) for name, cells in rows]
-    style = "td { text-align: right; padding-left: 2em } th[scope=row] { text-align: left }"
-    return "\n".join(
+    body = "".join(row("td", name, [_short(cell) for cell in cells]) for name, cells in rows)
+    return document(
+        "Results side by side",
         (
-            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
-            f"<title>Results side by side</title>\n<style>{style}</style>\n</head>\n<body>",
-            f"<table>\n<thead>\n{row('th', '', titles)}\n</thead>",
-            "<tbody>",
-            *body,
-            "</tbody>\n</table>\n</body>\n</html>\n",
-        )
+            "<header><h1>Results side by side</h1></header>",
+            f'<div class="held"><table class="beside"><thead>{row("th", "", titles)}</thead>',
+            f"<tbody>{body}</tbody></table></div>",
+        ),
     )
 
 

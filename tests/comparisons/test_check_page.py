@@ -78,16 +78,16 @@ def test_everything_that_was_handed_in_is_on_the_page(
     text = html(check(run.log, filtered))
     shown = layers(text)
     for name in ("truth", "true landmarks", "smoother trajectory", "smoother landmarks",
-                 "given trajectory", "given landmarks", "given landmarks, 3 sigma",
+                 "estimate trajectory", "estimate landmarks", "estimate landmarks, 3 sigma",
                  "reference EKF trajectory", "differences", "variance ratio, least"):  # fmt: skip
         assert name in shown, name
-    assert shown.index("reference EKF trajectory") < shown.index("given trajectory")
+    assert shown.index("reference EKF trajectory") < shown.index("estimate trajectory")
     order = [text.index(part) for part in ('class="verdict agree"', 'id="map"', "<table", "RPE")]
     assert order == sorted(order)
     assert text.count("<tr data-key=") == len(run.smoothed.landmark)
     assert "off truth [m]" in text
     data = data_of(text)
-    assert set(data["tracks"]) == {"smoother", "given", "reference EKF"}
+    assert set(data["tracks"]) == {"smoother", "estimate", "reference EKF"}
     titles = [panel["title"] for panel in data["panels"]]
     assert len(titles) == 9
     assert {"NEES of the pose (3 dof)", "pose's difference, squared"} < set(titles)
@@ -143,7 +143,7 @@ def test_consistency_is_judged_as_the_run_judges_its_own_filter(
 
 def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: ExternalEstimate) -> None:
     found = check(run.log, filtered)
-    east = named(external_panels(found)[1], "given - smoother")[0]
+    east = named(external_panels(found)[1], "estimate - smoother")[0]
     gap = run.ekf.estimate.pose_covariance - run.smoothed.pose_covariance
     sure = np.isfinite(east.bands[0].high)
     assert np.count_nonzero(sure) > 90
@@ -172,12 +172,12 @@ def test_no_band_is_drawn_where_none_is_justified(
     )
     found = check(run.log, moved)
     reported, panels = external_panels(found)
-    bands = [panel.bands for panel in named(panels, "given - smoother")]
+    bands = [panel.bands for panel in named(panels, "estimate - smoother")]
     assert len(bands) == (3 if reason else 4)
     assert not any(bands) if reason else all(bands)
     assert reason in reported
     assert reason in found.consistency.unjudged
-    assert all(panel.bands for panel in named(panels, "given - truth"))
+    assert all(panel.bands for panel in named(panels, "estimate - truth"))
 
 
 def test_no_band_is_drawn_where_the_filter_is_surer(
@@ -186,12 +186,12 @@ def test_no_band_is_drawn_where_the_filter_is_surer(
     found = check(run.log, overconfident(filtered))
     assert found.consistency.smoothed is not None
     reported, panels = external_panels(found)
-    high = named(panels, "given - smoother")[0].bands[0].high
+    high = named(panels, "estimate - smoother")[0].bands[0].high
     half = len(high) // 2
     assert np.isfinite(high[:half]).all()
     assert np.isnan(high[half + 2 : -2]).all()
-    assert "but where the given covariance is the smaller one" in reported
-    squared = named(panels, "given - smoother")[3]
+    assert "but where the estimate's covariance is the smaller one" in reported
+    squared = named(panels, "estimate - smoother")[3]
     clear = found.consistency.smoothed.dof > 0
     assert not clear.all()
     assert (np.isfinite(squared.curves[0].y) == clear).all()
@@ -202,7 +202,7 @@ def test_without_labels_there_is_no_band(run: Comparison, filtered: ExternalEsti
     found = check(run.log, filtered, CheckConfig(association="own"))
     assert "different associations" in found.consistency.unjudged
     text = html(found)
-    assert "(given as " in text
+    assert " in the estimate)" in text
     assert "different associations" in text
 
 
@@ -219,7 +219,7 @@ def test_what_was_not_handed_in_is_left_out_with_a_word(
     read(tmp_path / "out" / "report.html")
     assert "The estimate has no pose covariances: no bands, and no NEES." in text
     assert "The estimate has no landmarks" in text
-    assert "given landmarks" not in layers(text)
+    assert "estimate landmarks" not in layers(text)
     assert "variance ratio, least" not in layers(text)
     panels = data_of(text)["panels"]
     assert len(panels) == 7
@@ -255,8 +255,8 @@ def test_landmarks_without_covariances_or_counterparts_are_drawn(
     assert found.accuracy.landmarks_found == 5
     assert found.accuracy.landmark_rmse_m is not None
     assert "The estimate has none, so there are no ratios." in text
-    assert "given landmarks without a counterpart" in layers(text)
-    assert "given landmarks, 3 sigma" not in layers(text)
+    assert "estimate landmarks without a counterpart" in layers(text)
+    assert "estimate landmarks, 3 sigma" not in layers(text)
     assert "not in the estimate" in text
 
 
@@ -267,7 +267,7 @@ def test_one_far_away_does_not_hide_the_map(run: Comparison, filtered: ExternalE
     assert metres[0] is not None
     assert metres[1] is not None
     assert float(metres[1][1]) == pytest.approx(float(metres[0][1]), rel=0.1)
-    assert "The given trajectory leaves the map." in html(far)
+    assert "The estimate trajectory leaves the map." in html(far)
     assert "leaves the map" not in html(found)
 
 

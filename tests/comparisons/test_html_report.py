@@ -15,7 +15,7 @@ import pytest
 
 from comparisons.checks.causes import EXPLANATIONS
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Finding
+from comparisons.extensions.interface import Finding, Row
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html import map as map_page
@@ -24,11 +24,12 @@ from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.look import DARK, policy, script, style, themed
 from comparisons.report.html.page import page
 from comparisons.report.html.shell import prose
+from comparisons.report.html.tables import figures, settings
 from comparisons.report.models import CauseResult, Result
 from comparisons.report.panels import Panel, consistency_panels
 from comparisons.report.result import build_result, run_rows
 from comparisons.report.run import run_folder, run_page
-from comparisons.report.settings import setting_lines, settings_result
+from comparisons.report.settings import SETTINGS, SettingLine, setting_lines, settings_result
 from tests.helpers import compared, simulated
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
@@ -221,7 +222,8 @@ def test_figures_are_those_of_the_terminal(comparison: Comparison, report: Path)
     for row in rows:
         mark = {True: "in", False: "out", None: ""}[row.inside]
         cells = (escape(cell) for cell in (row.quantity, row.value, row.band, mark))
-        assert f"<td>{'</td><td>'.join(cells)}</td></tr>" in text
+        shown = f"<td>{'</td><td>'.join(cells)}</td></tr>" in text
+        assert shown == (row.group != SETTINGS)  # the page has a table of these
 
 
 def test_every_landmark_is_in_the_table_and_on_the_map(
@@ -398,3 +400,20 @@ def test_data_cannot_end_its_block() -> None:
 
 def test_the_script_takes_no_text_for_markup() -> None:
     assert not re.search(r"innerHTML|outerHTML|insertAdjacent|document\.write|\beval\b", script())
+
+
+def test_bands_of_single_figures_are_explained() -> None:
+    inside = Row("EKF NEES", "pose, mean (expected 3)", "2.4", "0.22 to 9.35 (95 %)", inside=True)
+    plain = Row("Log", "coverage", "95 %")
+    assert "One value in twenty" in figures([inside, plain])
+    assert '<tr class="good">' in figures([inside])
+    assert "One value in twenty" not in figures([plain])
+    assert "good" not in figures([plain])
+
+
+def test_documents_of_settings_are_named() -> None:
+    line = SettingLine(
+        setting="x.y", value="1", default="1", document="2 (N 5.7)", meaning="z", changed=False
+    )
+    assert "N: Nieto 2005" in settings([line])
+    assert "N: Nieto 2005" not in settings([line._replace(document="")])

@@ -123,3 +123,20 @@ def test_a_grade_does_not_need_the_linearisation(result: Result) -> None:
     ]  # fmt: skip
     found.causes = (CauseResult(gap="linearisation", evidence="x", hint="y"),)
     assert check_ladder(found)[-1].state == "fails"  # type: ignore[arg-type]
+
+
+def test_an_infinite_gap_lies_on_the_scale_and_an_unknown_one_does_not() -> None:
+    step = Step(gap="algebra", above=EXTERNAL, below=LINEAR, sigma=None, fails=True)
+    text = ladder_picture([step])
+    assert "infinite" in text
+    assert places(text, "mean") == [348.0]
+    text = ladder_picture([replace(step, fails=False, judged=False)])
+    assert "unknown: needs the joint covariance" in text
+    assert places(text, "mean") == []
+
+
+def test_a_long_name_stays_in_its_box() -> None:
+    name = "EKF that updates by one landmark after the other"
+    step = Step(gap="reference", above=EXTERNAL, below=name, sigma=1.0)
+    assert re.search(rf'textLength="\d+"[^>]*>{name}<', ladder_picture([step]))
+    assert "textLength" not in ladder_picture([replace(step, below="reference EKF")])

@@ -67,7 +67,7 @@ def test_as_published_a_map_follows_the_thesis_rule_and_says_so(tmp_path: Path) 
     written = (tmp_path / "map" / "map.json").read_text()
     result = MapResult.model_validate_json(written)
     first = result.first_condition
-    assert first.rule == "pairs with correlation >= 0.9 (N 3.5)"
+    assert first.rule == "pairs with correlation >= 0.9 (Nieto 2005, 3.5)"
     assert first.by_correlation == first.regions == result.regions > 5
     assert first.by_relative_sigma == 0
     assert result.returns.late == result.returns.waiting == 0 < result.returns.fused
@@ -86,7 +86,8 @@ def test_one_setting_off_the_thesis_is_no_longer_its_rule(tmp_path: Path) -> Non
     assert done.returncode == 0, done.stderr
     result = MapResult.model_validate_json((tmp_path / "map" / "map.json").read_text())
     assert result.first_condition.rule == (
-        "pairs with correlation >= 0.9 or relative sigma <= 0.5 m (N 3.5: correlation alone)"
+        "pairs with correlation >= 0.9 or relative sigma <= 0.5 m "
+        "(Nieto 2005, 3.5: correlation alone)"
     )
     assert result.first_condition.by_relative_sigma > result.first_condition.by_correlation
 

@@ -158,6 +158,7 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     page = (tmp_path / "out" / "report.html").read_text()
     assert "EKF scan landmarks, 3 sigma" in page
     assert 'data-key="s0"' in page
+    assert f"{len(slam.landmarks)} of {len(slam.landmarks)} agree" in page
     assert (tmp_path / "out" / "ekf" / "scan_landmarks.csv").exists()
 
 

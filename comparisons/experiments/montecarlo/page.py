@@ -93,7 +93,7 @@ def _consistency(outcome: Outcome) -> str:
             bad.append(len(rows))
         rows.append((name, *cells, last, _PLACES[place]))
     head = ("filter", *(f"{block} ({dof} dof)" for block, dof in DOF.items()))
-    return _wide(table((*head, "last poses inside", "pose"), rows, bad))
+    return _wide(table((*head, "last poses inside", "pose NEES"), rows, bad))
 
 
 _PLACES = {

@@ -171,7 +171,7 @@ def montecarlo(
     Args:
         scenario: A bundled name, or the path of a scenario's TOML file.
         runs: How many; a run's number is its seed, from 0.
-        filters: Variants of the EKF, by the names of `slamcheck montecarlo --filter`.
+        filters: Variants of the EKF, by the names of `slamcheck montecarlo --filters`.
         estimators: Your own filters by name. Each is a function that takes a `Log` without truth
             and returns an `Estimate` or a `ExternalEstimate`. An exception counts as a failure of
             that run.

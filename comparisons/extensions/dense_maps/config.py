@@ -136,8 +136,10 @@ class DenseMapsConfig(ExtensionConfig):
         correlated = f"pairs with correlation >= {self.least_correlation:g}"
         apart_m = self.bounds.known_apart_m
         if apart_m <= 0.0:
-            return f"{correlated} (N 3.5)"
-        return f"{correlated} or relative sigma <= {apart_m:g} m (N 3.5: correlation alone)"
+            return f"{correlated} (Nieto 2005, 3.5)"
+        return (
+            f"{correlated} or relative sigma <= {apart_m:g} m (Nieto 2005, 3.5: correlation alone)"
+        )
 
     @property
     def bounds(self) -> Bounds:

@@ -22,12 +22,12 @@ def check_figure(check: ExternalCheck) -> Figure:
     estimates = {"smoother": solution.estimate}
     figure = estimates_figure(solution.log, solution.dead_reckoned, estimates, title)
     axis = figure.axes[0]
-    draw_trajectory(axis, given.pose[:, :2], EKF_COLOUR, "given trajectory", "--")
+    draw_trajectory(axis, given.pose[:, :2], EKF_COLOUR, "estimate trajectory", "--")
     if given.landmark is not None:
         spread = given.landmark_covariance
         if spread is None:
             spread = np.zeros((len(given.landmark), 2, 2))
         outline = ellipses(given.landmark, spread, 3.0)
-        draw_landmarks(axis, given.landmark, outline, EKF_COLOUR, "o", "given landmarks")
+        draw_landmarks(axis, given.landmark, outline, EKF_COLOUR, "o", "estimate landmarks")
     axis.legend(loc="best", fontsize=8)
     return figure

@@ -18,6 +18,8 @@ _LEFT, _RIGHT = 36.0, 348.0
 _LOW, _HIGH = -15.0, 3.0
 """Decades of the scale; what is beyond lies on its end."""
 _TICKS = {-12: "10⁻¹²", -9: "10⁻⁹", -6: "10⁻⁶", -3: "10⁻³", 0: "1", 3: "10³"}
+_LONG = 40
+"""Characters of a name from which on it is squeezed into its box."""
 _NAMES = {"reference": "Difference from the reference", "optimum": "Distance from the optimum"}
 _MARK = {"passes": "M-4,0l3,3.2l5.4,-6.2", "fails": "M-3.4,-3.4l6.8,6.8m0,-6.8l-6.8,6.8",
          "not judged": "M-3.6,0h7.2"}  # fmt: skip
@@ -47,9 +49,11 @@ def ladder_picture(steps: Sequence[Step]) -> str:
 
 def _box(name: str, y: int, aside: int = 0) -> str:
     shown = name[0].upper() + name[1:]
+    room = _WIDTH - aside - 24
+    squeezed = f' textLength="{room}" lengthAdjust="spacingAndGlyphs"' if len(shown) > _LONG else ""
     return (
         f'<rect class="box" x="{aside + 0.5}" y="{y + 0.5}" width="{_WIDTH - aside - 1}" '
-        f'height="{_BOX - 1}" rx="5"/><text class="rung" x="{aside + 12}" y="{y + 17.5}">'
+        f'height="{_BOX - 1}" rx="5"/><text class="rung" x="{aside + 12}" y="{y + 17.5}"{squeezed}>'
         f"{escape(shown)}</text>"
     )
 
@@ -73,8 +77,8 @@ def _gap(step: Step, y: int, aside: int) -> str:
     if step.covariance is not None:
         x = _place(step.covariance)
         marks.append(f'<circle class="spread {kind}" cx="{x:.1f}" cy="{track}" r="3.6"/>')
-    if step.sigma is not None:
-        x = _place(step.sigma)
+    if step.mean != "unknown":
+        x = _RIGHT if step.sigma is None else _place(step.sigma)
         marks.append(f'<circle class="mean {kind}" cx="{x:.1f}" cy="{track}" r="4.2"/>')
     return (
         f'<g transform="translate({_RAIL + aside},{y + 17})"><circle class="badge {kind}" r="8.5"/>'
@@ -114,13 +118,7 @@ def _name(step: Step) -> str:
 
 
 def _sizes(step: Step) -> str:
-    parts = []
-    if step.sigma is not None:
-        parts.append(f"{step.sigma:.2g} sigma")
-    elif step.error_m is None:
-        parts.append(
-            "not finite" if step.judged or step.gap != "algebra" else "needs the joint covariance"
-        )
+    parts = [step.mean if step.mean != "unknown" else "unknown: needs the joint covariance"]
     if step.covariance is not None:
         parts.append(f"{step.covariance:.2g} in covariance")
     if step.error_m is not None:

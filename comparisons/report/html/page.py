@@ -18,7 +18,7 @@ from comparisons.report.html.tables import LandmarkRow, figures, landmarks, sett
 from comparisons.report.ladder import Step
 from comparisons.report.models import CauseResult
 from comparisons.report.panels import Panel
-from comparisons.report.settings import SettingLine
+from comparisons.report.settings import SETTINGS, SettingLine
 
 _HINT = {
     "map": "Wheel to zoom, drag to move, double click for all; click a landmark to find its row.",
@@ -97,7 +97,7 @@ def page(content: PageContent) -> str:
         f'<p class="note">{escape(c.reported)}</p>',
         f'<div id="curves"></div><p class="note hand">{_HINT["curves"]}</p></section></main>',
         "<h2>Figures</h2>",
-        figures(c.rows),
+        figures([row for row in c.rows if row.group != SETTINGS]),
         *_embedded(c.pictures),
         *c.sections,
         landmarks(c.landmarks, c.landmarks_note),

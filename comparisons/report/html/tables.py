@@ -25,6 +25,9 @@ class LandmarkRow(NamedTuple):
 
 def figures(rows: Sequence[Row]) -> str:
     """A table of quantity, value, band and whether the value lies in it, by group."""
+    note = ""
+    if any(_SINGLE in f"{row.group} {row.band}" for row in rows):
+        note = f'<p class="note">{_BANDS}</p>'
     head = "".join(f"<th>{name}</th>" for name in ("quantity", "value", "band", "in or out"))
     parts = []
     for group, found in groupby(rows, key=lambda row: row.group):
@@ -32,11 +35,19 @@ def figures(rows: Sequence[Row]) -> str:
         for row in found:
             cells = (row.quantity, row.value, row.band, _MARKS[row.inside])
             body = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-            parts.append(f'<tr class="{"bad" if row.inside is False else ""}">{body}</tr>')
+            parts.append(f'<tr class="{_KINDS[row.inside]}">{body}</tr>')
         parts.append("</tbody>")
-    return f'<table class="figures"><thead><tr>{head}</tr></thead>{"".join(parts)}</table>'
+    return f'{note}<table class="figures"><thead><tr>{head}</tr></thead>{"".join(parts)}</table>'
 
 
+_SINGLE = "95 %"
+_BANDS = (
+    "One value in twenty is outside its 95 % band by chance, so a single one outside is no "
+    "failure: the verdict on the filter's consistency allows more. A mean NEES over the epochs of "
+    "one run has the band of a single epoch, for its errors are correlated; so has one over "
+    "landmarks."
+)
+_KINDS = {True: "good", False: "bad", None: ""}
 _MARKS = {True: "in", False: "out", None: ""}
 
 
@@ -86,10 +97,18 @@ def settings(lines: Sequence[SettingLine]) -> str:
     parts = [f'<p class="note">{words if count else "All are at their defaults."}</p>']
     if shown:
         documents = any(line.document for line in shown)
+        if documents:
+            parts.append(f'<p class="note">{_DOCUMENTS}</p>')
         parts.append(_setting_table(shown, 4 if documents else 3))
     title = f"{'The other ' if shown else ''}{len(others)} settings, inputs or at their defaults"
     parts.append(f"<details><summary>{title}</summary>{_setting_table(others, 2)}</details>")
     return f'<section id="settings"><h2>Settings that ran</h2>{"".join(parts)}</section>'
+
+
+_DOCUMENTS = (
+    "Source documents, with section, figure or table: G: Guivant, Masson, Nebot 2002; M: Misono "
+    "et al. 2007; N: Nieto 2005."
+)
 
 
 def _setting_table(lines: Sequence[SettingLine], columns: int) -> str:
