@@ -13,7 +13,7 @@ from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import ROUNDING, Agreement
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
-from comparisons.checks.diagnosis.data_usage import data_faults
+from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
 from comparisons.checks.qualifiers import TruthGap, measurement_scale, qualified, truth_gap
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig
@@ -205,6 +205,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             causes=[cause for found in findings.values() for cause in found.causes],
             conservative=prepared.ekf.conservative,
         )
+        verdict = replace(verdict, remarks=(*odometry_remarks(log), *verdict.remarks))
         remarks = [remark for found in findings.values() for remark in found.remarks]
         reckoned = dead_reckoned(gaps.problem.prior_pose, gaps.problem.increment)
         assessment = _assess(prepared, run, smoothed, reckoned)
@@ -220,7 +221,9 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             assessment=replace(assessment, truth_gap=gap),
             findings=findings,
             verdict=qualified(
-                replace(verdict, remarks=(*verdict.remarks, *consistency.remarks, *remarks)),
+                replace(
+                    verdict, remarks=(*verdict.remarks, *consistency.remarks, *remarks)
+                ),
                 gap,
                 unchecked=unchecked,
                 consistency=consistency,

@@ -255,7 +255,7 @@ def gap_rows(steps: Sequence[Step]) -> list[Row]:
         mean = "not judged" if step.sigma is None and not step.judged else in_sigma(step.sigma)
         found.append(Row(group, "difference of the means (largest)", mean, limit, inside))
         if step.error_m is not None:
-            found.append(Row(group, "difference (rms)", f"{step.error_m:.3g} m", "", rest))
+            found.append(Row(group, "distance", f"{step.error_m:.3g} m", "", rest))
         elif step.covariance is not None:
             far = f"{step.covariance:.2g}"
             found.append(Row(group, "relative difference of covariances", far, "", rest))

@@ -183,8 +183,9 @@ def _ladder(steps: Sequence[Step]) -> list[Line]:
         most = "-" if step.limit is None else f"{step.limit:.2g}"
         far = "-" if step.covariance is None else f"{step.covariance:.2g}"
         if step.error_m is not None:
-            far = f"{step.error_m:.3g} m rms"
-        text = f"{step.gap:<14}{f'-> {step.below}':<37}{mean:>9}{most:>7}{far:>13}"
+            far = f"{step.error_m:.3g} m"
+        below = textwrap.shorten(f"-> {step.below}", 37, placeholder=" ...")
+        text = f"{step.gap:<14}{below:<37}{mean:>9}{most:>7}{far:>13}"
         lines.append(Line(text, "red" if step.fails else ""))
     return lines
 

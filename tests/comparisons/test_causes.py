@@ -11,10 +11,12 @@ import pytest
 from comparisons.adapters.smoother_input import build_problem, model_system_at, model_system_of
 from comparisons.checks import causes
 from comparisons.checks.causes import GAPS
+from comparisons.checks.diagnosis.data_usage import odometry_remarks
 from comparisons.checks.diagnosis.dropouts import find_dropouts
 from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.compare import Comparison
 from ekf_reference.core.landmark_types import POSE
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
@@ -202,3 +204,17 @@ def test_an_understated_sigma_is_named() -> None:
     factor = float(named.hint.split("about ")[1].split()[0])
     assert abs(factor - 3.0) < 0.6
     assert "bearing" not in named.hint
+
+
+def test_odometry_that_ends_early_is_remarked() -> None:
+    """As of a file that was cut off; the whole log has no such remark."""
+    log = simulated(loop_s=20.0)
+    o = log.odometry
+    assert isinstance(o, SteeringOdometry)
+    kept = o.time_s < 5.0
+    columns = (o.time_s[kept], o.speed_mps[kept], o.steering_rad[kept])
+    cut = replace(log, odometry=SteeringOdometry(*columns, o.vehicle, o.noise))
+    assert odometry_remarks(log) == []
+    (remark,) = odometry_remarks(cut)
+    assert "15.0 s before the last measurement" in remark
+    assert compared(cut).verdict.remarks[0] == remark

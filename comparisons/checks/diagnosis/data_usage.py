@@ -26,6 +26,8 @@ _FITS = float(chi2.ppf(0.99, 2))
 _ALLOWED = 0.01
 """Share of fitting measurements that a gate may cost; the usual gates cost 0.1 %."""
 _SURE = 1e-6
+_SILENT_S, _SILENT_SAMPLES = 2.0, 20.0
+"""Odometry that ends earlier than the measurements by more than both ends too early."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,20 @@ class DataFault:
 
     evidence: str
     hint: str
+
+
+def odometry_remarks(log: Log) -> list[str]:
+    """Return a sentence where the odometry ends long before the measurements; none elsewhere."""
+    moved, seen = log.odometry.time_s, log.measurements.time_s
+    if len(moved) < 2 or not len(seen):
+        return []
+    silent = float(seen[-1] - moved[-1])
+    if silent <= max(_SILENT_S, _SILENT_SAMPLES * float(np.median(np.diff(moved)))):
+        return []
+    return [
+        f"the odometry ends at {moved[-1]:.1f} s, {silent:.1f} s before the last measurement, and "
+        "both estimators hold its last sample from there on; check that its file is complete"
+    ]
 
 
 def data_faults(
