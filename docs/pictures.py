@@ -10,6 +10,8 @@ and compares. Screenshots need Chromium.
 
 from __future__ import annotations
 
+import functools
+import http.server
 import io
 import os
 import re
@@ -17,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 from PIL import Image, ImageChops
@@ -25,7 +28,7 @@ DOCS = Path(__file__).resolve().parent
 PICTURES = {
     "first-run": {
         "report-top.png": "first/report.html",
-        "report-curves.png": "first/report.html#time=60&layer=variance%20ratio%2C%20least",
+        "report-curves.png": "first/report.html#time=60&layer=variance%20ratio%2C%20least@where",
         "first-run-map.png": "first/map.png",
         "first-run-consistency.png": "first/consistency.png",
         "first-run-disagree.png": "second/report.html",
@@ -38,7 +41,10 @@ PICTURES = {
     "scans": {"scans-map.png": "scans/map.png", "scans-motion.png": "motion/map.png"},
     "monte-carlo": {"monte-carlo-curves.png": "study/curves.png"},
 }
-"""Pages, their pictures, and what each shows: an image or a page of the commands' folders."""
+"""Pages, their pictures, and what each shows: an image or a page of the commands' folders.
+
+Behind `@` stands the id of the element that the picture of a page begins with.
+"""
 SHOWN = 18
 """Lines of an output that a page shows whole; of a longer one the first four and the last ten."""
 WIDTH = 1100
@@ -98,19 +104,44 @@ def rewritten(page: str, folder: Path) -> str:
     return _BLOCK.sub(block, page)
 
 
-def shot(url: str, width: int = 1200, height: int = 900) -> Image.Image:
-    """Return the picture of a page in a headless browser. Raises SystemExit without one."""
+class _Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None:
+        """Log nothing."""
+
+
+FRAME = """<!doctype html><body style="margin:0"><iframe src="{page}" onload="setTimeout(() => {{
+const one = '{element}' && this.contentDocument.getElementById('{element}');
+if (one) one.scrollIntoView(); }}, 500)" style="border:0;width:100vw;height:100vh"></iframe>"""
+
+
+def shot(folder: Path, page: str, width: int = 1200, height: int = 900) -> Image.Image:
+    """Return the picture of a page of a folder, from a headless browser.
+
+    The page comes from a local server: opened as a file, a report shows the path of its folder.
+    Raises SystemExit without a browser.
+    """
     browser = next(filter(None, map(shutil.which, CHROMIUM)), None)
     if browser is None:
         raise SystemExit("pictures of pages need Chromium")
-    with tempfile.TemporaryDirectory() as work:
+    address, _, element = page.partition("@")
+    (folder / "shot.html").write_text(FRAME.format(page=address, element=element), encoding="utf-8")
+    handler = functools.partial(_Quiet, directory=str(folder))
+    with (
+        tempfile.TemporaryDirectory() as work,
+        http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server,
+    ):
+        threading.Thread(target=server.serve_forever).start()
         target = Path(work) / "shot.png"
-        subprocess.run(  # noqa: S603
-            [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-             f"--user-data-dir={work}/profile", "--virtual-time-budget=4000",
-             f"--window-size={width},{height}", f"--screenshot={target}", url],
-            capture_output=True, check=True, timeout=120,
-        )  # fmt: skip
+        try:
+            subprocess.run(  # noqa: S603
+                [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+                 f"--user-data-dir={work}/profile", "--virtual-time-budget=6000",
+                 f"--window-size={width},{height}", f"--screenshot={target}",
+                 f"http://127.0.0.1:{server.server_port}/shot.html"],
+                capture_output=True, check=True, timeout=120,
+            )  # fmt: skip
+        finally:
+            server.shutdown()
         return Image.open(io.BytesIO(target.read_bytes())).convert("RGB")
 
 
@@ -139,9 +170,7 @@ def main(names: list[str]) -> None:
             page.write_text(rewritten(page.read_text(encoding="utf-8"), folder), encoding="utf-8")
             for target, source in PICTURES[name].items():
                 is_page = ".html" in source
-                image = (
-                    shot(f"{folder.as_uri()}/{source}") if is_page else Image.open(folder / source)
-                )
+                image = shot(folder, source) if is_page else Image.open(folder / source)
                 write_picture(image, DOCS / target)
         print(f"{name}: {', '.join(PICTURES[name]) or 'no pictures'}")
 

@@ -52,6 +52,7 @@ from comparisons.report.odometry import FrontEndResult
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
 _FLAGS = {(flag.option, flag.help): flag for flag in FLAGS}
+_NUMBER = re.compile(r"<td>(?=[-+\d.,e %]+</td>)")
 _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 
 RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
@@ -255,8 +256,10 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     def link(found: re.Match[str]) -> str:
         words, target = found[1], found[2]
-        if files.get_file_from_path(target) is not None:
-            return found[0]
+        if (file := files.get_file_from_path(target)) is not None:
+            if words != target or file.page is None:
+                return found[0]
+            return f"[{file.page.title}]({target}{found[3] or ''})"  # not a file's name
         if not (ROOT / "docs" / target).exists() and not (ROOT / target).exists():
             return found[0]  # a dead link, which the build reports
         return words if words.startswith("`") else f"{words} (`{target.removeprefix('../')}`)"
@@ -265,5 +268,6 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Set formulas."""
+    """Set formulas; keep numbers in tables unbroken."""
+    content = _NUMBER.sub('<td class="number">', content)
     return _FORMULA.sub(lambda found: convert(html.unescape(found[1])), content)

@@ -20,8 +20,10 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from pydantic import BaseModel
 
 import slamcheck
+from tests.test_docs import script
 
 ROOT = Path(__file__).resolve().parents[1]
 COVERED = (
@@ -317,3 +319,33 @@ def not_imperative(value: float) -> None:
 )
 def test_a_broken_docstring_is_found(broken: Callable[..., Any], reported: list[str]) -> None:
     assert faults(broken) == reported
+
+
+def unexplained(site: ModuleType, *kinds: type) -> list[str]:
+    """Fields of result models, and of those in them, without a meaning for the result schema."""
+    return [
+        f"{kind.__name__}.{name}"
+        for kind in site._nested(*kinds)
+        for name in kind.model_fields
+        if name not in site.meanings(kind)
+    ]
+
+
+def test_every_field_of_a_result_has_a_meaning() -> None:
+    """Otherwise the site does not build."""
+    pytest.importorskip("mkdocs")
+    site = script("site")
+    assert [one for kinds in site.RESULTS.values() for one in unexplained(site, *kinds)] == []
+
+
+def test_a_field_without_a_meaning_is_found() -> None:
+    pytest.importorskip("mkdocs")
+
+    class Renamed(BaseModel):
+        """Attributes:
+        wrong source: a name that lost its underscore.
+        """
+
+        wrong_source: str
+
+    assert unexplained(script("site"), Renamed) == ["Renamed.wrong_source"]

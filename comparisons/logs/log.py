@@ -256,8 +256,7 @@ class Log:
         prior: Where the vehicle starts.
         odometry: Wheels, or relative poses; may be empty only where there are scans.
         measurements: Range-bearing measurements of landmarks; may be empty only where there are
-        scans
-            or closures.
+            scans or closures.
         positions: Absolute positions, such as GPS.
         loop_closures: Measured motions between poses that do not follow each other.
         known_landmarks: Landmarks surveyed beforehand.

@@ -45,7 +45,7 @@ class Solution:
     Attributes:
         prepared: The log as the smoother read it, and the configuration.
         landmark_index: (M,) landmark index of each of the log's measurements, negative where
-        unused.
+            unused.
         result: The optimum with the evidence for it.
         estimate: Smoothed poses and landmarks.
         dead_reckoned: (K, 3) poses where the odometry alone leads.

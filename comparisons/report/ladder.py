@@ -150,7 +150,7 @@ def gap_steps(
                 gaps.linearisation_gap_sigma,
                 gaps.linearisation_gap_covariance,
                 right,
-                LARGEST_DISTANCE,
+                None,  # judged by blocks, not by its largest coordinate
             ),
         )
     ]

@@ -185,8 +185,7 @@ class Ekf:
         Args:
             seen: The measurements of this instant.
             landmark_indices: (m,) landmark indices as `associate` returns them; those of new
-            landmarks are
-                passed over.
+                landmarks are passed over.
 
         Raises:
             FilterDivergedError: The innovation covariance is not positive definite.

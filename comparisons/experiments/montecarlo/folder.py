@@ -97,6 +97,17 @@ def _cell(value: float) -> str:
     return "" if math.isnan(value) else repr(value)
 
 
+def _places(figures: FilterFigures) -> str:
+    """Where a filter's average NEES lie: what is not inside its band, else that all are."""
+    by: dict[str, list[str]] = {}
+    for quantity, one in figures.consistency.items():
+        by.setdefault(one.place, []).append(quantity)
+    if len(by) == 1:
+        return _PLACES[next(iter(by))]
+    by.pop("inside", None)
+    return ", ".join(f"{_PLACES[place]}: {' and '.join(names)}" for place, names in by.items())
+
+
 def montecarlo_summary(outcome: Outcome) -> Summary:
     """Return what the command prints: consistent filters, then NEES and errors of each filter."""
     study = outcome.study
@@ -105,16 +116,16 @@ def montecarlo_summary(outcome: Outcome) -> Summary:
         repeated.append(f"results of commands that were used again: {outcome.reused}")
     if outcome.damaged:
         repeated.append(f"damaged chunk files, computed again: {outcome.damaged}")
-    places: dict[str, list[str]] = {}
+    alike: dict[str, list[str]] = {}
     for name, figures in outcome.figures.items():
-        places.setdefault(figures.consistency["pose"].place, []).append(name)
-    found = [f"{', '.join(names)} {_PLACES[place]}" for place, names in places.items()]
+        alike.setdefault(_places(figures), []).append(name)
+    found = [f"{', '.join(names)} {words}" for words, names in alike.items()]
     shown = list(outcome.figures.items())[:_MOST_FILTERS]
     lines = [(name, _filter_line(figures)) for name, figures in shown]
     if more := len(outcome.figures) - len(shown):
         lines.append(("more", f"{more} filters in the report"))
     return Summary(
-        headline=f"NEES of the pose (expected {DOF['pose']}): {'; '.join(found)}",
+        headline=f"NEES: {'; '.join(found)}",
         style="bold",
         remarks=[*remarks(outcome), *repeated],
         lines=[

@@ -138,9 +138,8 @@ class ThreeWayResult(Model):
         chi2: chi-square on scans, with closures under their robust kernel, which only lowers it.
         dof: its degrees of freedom.
         accuracy: errors of the smoother on scans.
-        inconsistent source: the motion that is wrong, `wheels` or `scans`; neither where the maps
-        agree or
-            nothing can tell.
+        inconsistent_source: the motion that is wrong, `wheels` or `scans`; empty where the maps
+            agree, or nothing shows which one is wrong.
         evidence: what shows it.
     """
 

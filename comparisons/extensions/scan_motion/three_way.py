@@ -25,8 +25,9 @@ class ThreeWay:
     """The smoother on scans beside the two estimates on wheels.
 
     estimate, optimality, accuracy: of the smoother on scans. chi_square: see readable. ekf,
-    smoother: each of the two on wheels against it. loops: closures in its graph. inconsistent
-    source: `wheels`, `scans`, or neither where nothing tells or all agree; evidence: why.
+    smoother: each of the two on wheels against it. loops: closures in its graph.
+    inconsistent_source: `wheels`, `scans`, or empty where all agree, or nothing shows which one is
+    wrong. evidence: why.
     """
 
     estimate: Estimate
