@@ -63,7 +63,7 @@ def test_settings_that_are_given_hold_between_scan_landmarks_too() -> None:
     options = DenseMapsConfig.of(**dict(zip(names, given, strict=True)))
     assert options.settled(points=False).bounds == options.bounds == given
     literal = DenseMapsConfig(known_apart_m=0.0, longest_edge_m=np.inf).settled(points=False)
-    assert literal.first_condition == "pairs with correlation >= 0.9 (N 3.5)"
+    assert literal.first_condition == "pairs with correlation >= 0.9 (Nieto 2005, 3.5)"
     assert literal.bounds.longest_edge_m == np.inf
 
 

@@ -141,4 +141,4 @@ def test_the_report_says_what_was_rejected_in_streaks() -> None:
     assert result.ekf.longest_streak == result.ekf.fixes_in_streaks == result.ekf.fixes_rejected
     assert any("in series of 5 or more" in remark for remark in result.remarks)
     rows = {row.quantity: row.value for row in run_rows(c, result) if row.group == "EKF"}
-    assert rows["positions rejected in a row, most"] == str(result.ekf.longest_streak)
+    assert rows["most GPS positions rejected in a row"] == str(result.ekf.longest_streak)

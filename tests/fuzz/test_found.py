@@ -80,7 +80,7 @@ REPLACED = {
         "log.robot",
     ),
     "number in a baseline of version 1": (
-        *("baseline", "kept.json", '"version": 3', '"version": 1, "settings": {"robot": "abc"}'),
+        *("baseline", "kept.json", '"version": 4', '"version": 1, "settings": {"robot": "abc"}'),
         "log.robot",
     ),
     "baseline's section": (
