@@ -171,7 +171,7 @@ DEFECTS = (
     Defect(
         "F transposed",
         "F^T P F in the prediction",
-        ("algebra", _PREDICT, "F transposed"),
+        ("algebra", _PREDICT, "F is transposed"),
         with_state(TransposedAtPrediction),
     ),
     Defect(
