@@ -221,9 +221,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             assessment=replace(assessment, truth_gap=gap),
             findings=findings,
             verdict=qualified(
-                replace(
-                    verdict, remarks=(*verdict.remarks, *consistency.remarks, *remarks)
-                ),
+                replace(verdict, remarks=(*verdict.remarks, *consistency.remarks, *remarks)),
                 gap,
                 unchecked=unchecked,
                 consistency=consistency,
