@@ -1,4 +1,4 @@
-"""Faults a user can mend, each told in one line."""
+"""Faults a user can mend, each reported in one line."""
 
 from __future__ import annotations
 

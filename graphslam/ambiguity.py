@@ -40,7 +40,7 @@ class Alternative(NamedTuple):
 
 
 def alternatives(problem: SlamProblem, poses: Array, landmarks: Array) -> list[Alternative]:
-    """All that are worth trying from an estimate: poses (K, 3) unwrapped, landmarks (L, 2).
+    """All alternatives to try from an estimate: poses (K, 3) unwrapped, landmarks (L, 2).
 
     The least excess comes first. Where several landmarks would be better off elsewhere, moving all
     of them at once comes before any of them.

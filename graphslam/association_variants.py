@@ -1,6 +1,6 @@
 """Own associations of one problem by other ways: backwards, other borders, other settings.
 
-An association that is right does not hang on how it was found. These ways share the measurements
+An association that is right does not depend on how it was found. These ways share the measurements
 and the rule, but not the order of decisions, nor the thresholds near which a decision tips.
 """
 

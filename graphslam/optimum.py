@@ -38,7 +38,7 @@ class ChiSquareTest:
 
     @property
     def reading(self) -> str:
-        """`plausible`, `too high` or `too low`; without degrees of freedom nothing can be told."""
+        """`plausible`, `too high` or `too low`; without degrees of freedom there is no test."""
         if self.dof <= 0:
             return "plausible"
         if self.chi2 > self.upper:

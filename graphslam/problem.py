@@ -1,4 +1,4 @@
-"""The SLAM problem as arrays: what a smoother is told, before any graph is made of it."""
+"""The SLAM problem as arrays: the smoother's input, before any graph is made of it."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class LoopClosures:
 
 @dataclass(frozen=True, kw_only=True)
 class SlamProblem:
-    """Everything the smoother is told, for K poses, L landmarks and M measurements.
+    """The smoother's input, for K poses, L landmarks and M measurements.
 
     prior_pose: (3,), prior_covariance: (3, 3) of the additive global error of pose 0.
     increment: (K-1, 3) from pose k to k+1 in the frame of k; increment_covariance: (K-1, 3, 3)

@@ -84,7 +84,7 @@ def relax(problem: SlamProblem) -> RelaxedStart:
     landmarks = problem.seen_landmarks
     free = headings.solve(2 * nodes + len(landmarks))[:nodes]
     length = np.abs(free)
-    # A heading that no measurement tells keeps the odometry's.
+    # A heading that no measurement observes keeps the odometry's.
     fallback = np.concatenate((np.exp(1j * unit), np.ones(q)))
     turned = np.where(length > 1e-9, free / np.maximum(length, 1e-300), fallback)
     places = _Equations()

@@ -1,7 +1,7 @@
-"""Measurements and positions that may be wild: robust kernels, and graduated non-convexity.
+"""Measurements and positions with outliers: robust kernels, and graduated non-convexity.
 
 A kernel stays in the graph and lowers the weight of what fits badly, so that marginals, too, are
-those of the weighted problem. Graduated non-convexity decides which observations are wild; they
+those of the weighted problem. Graduated non-convexity decides which observations are outliers; they
 are left out, and what remains is an ordinary problem.
 """
 
@@ -16,7 +16,7 @@ from graphslam.arrays import Index
 from graphslam.problem import SlamProblem
 
 INLIER_PROBABILITY = 0.999
-"""Observations beyond this quantile of chi-square count as wild."""
+"""Observations beyond this quantile of chi-square are outliers."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ NOTHING_REJECTED = Rejected(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.int
 def reject_outliers(
     problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> tuple[SlamProblem, Rejected]:
-    """The problem without wild observations (Yang et al. 2020, by gtsam).
+    """The problem without outliers (Yang et al. 2020, by gtsam).
 
     graph: build_graph(problem). values: a start. The prior, the increments and what was surveyed
     are taken to be sound; every landmark keeps at least its best measurement.

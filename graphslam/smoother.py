@@ -89,7 +89,7 @@ class SmootherResult:
     """The estimate asked for, and the evidence from the lowest of all attempts.
 
     poses: (K, 3), headings unwrapped. landmarks: (L, 2). error: half the squared norm of the
-    whitened residuals at the optimum. problem: what was solved, without `rejected`, the wild
+    whitened residuals at the optimum. problem: what was solved, without `rejected`, the outlier
     observations that were left out; those are numbered as in the problem given. values, graph:
     the gtsam objects of the optimum, for marginals. lagged: what a fixed-lag smoother said; its
     poses and landmarks are then the result's.

@@ -58,7 +58,7 @@ class Judgement:
 
     title: log and estimate. result: as `result.json` or `check.json` has it. summary: what the
     command prints. content: what a report holds; folder: where it goes if the test fails; shown:
-    the same, as a reader is told.
+    the same, in words.
     """
 
     title: str

@@ -27,7 +27,7 @@ the spread within the reflectors of the ACFR car park."""
 LEAST_SHARE = 0.05
 """Of the median of what is around measurements: least sigma of one."""
 REPEATS = 12.0
-"""Measurements that are worth one independent one: the sum of the autocorrelation of what is left
+"""Measurements that equal one independent one: the sum of the autocorrelation of what is left
 of diameters on Victoria Park, measurement by measurement."""
 
 

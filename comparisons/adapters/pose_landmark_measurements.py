@@ -1,7 +1,7 @@
 """Measurements of pose landmarks, made while the filter runs: fused, and kept.
 
 Unlike a log's measurements they depend on the filter, as what a scan is matched with does. Whoever
-makes them hands them to the filter by way of a recorder, from which the smoother is told the same.
+makes them hands them to the filter through a recorder, from which the smoother reads the same.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class PoseLandmarkRecorder:
-    """What a filter was told of pose landmarks, in the order of its telling."""
+    """The measurements of pose landmarks that a filter used, in their order."""
 
     def __init__(self) -> None:
         """Start empty."""

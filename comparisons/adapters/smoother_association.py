@@ -80,7 +80,7 @@ class OwnAssociator:
         """Decide in other ways, and optimise with each.
 
         result: the smoother's with the association `own`. What a robust method left out there as
-        wild is left out here, too.
+        an outlier is left out here, too.
         """
         from graphslam.association_variants import associate_by, variants
 
@@ -104,7 +104,7 @@ class OwnAssociator:
     def _optimised(
         self, name: str, own: OwnAssociation, wild: Index, result: SmootherResult
     ) -> Alternative:
-        """The optimum with an association. wild: rows of measurements that are left out."""
+        """The optimum with an association. outliers: rows of measurements that are left out."""
         from graphslam.graph_builder import build_graph, from_values, to_values
         from graphslam.optimisers import levenberg_marquardt
 

@@ -1,4 +1,4 @@
-"""Errors against truth or GPS, with the coverage that tells what they were computed on."""
+"""Errors against truth or GPS, with the coverage on which they were computed."""
 
 from __future__ import annotations
 

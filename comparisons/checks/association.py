@@ -14,7 +14,7 @@ Ids = NDArray[np.int64]
 LandmarkIndices = NDArray[np.intp]
 
 CLUSTER_M = 0.35
-"""True landmarks nearer than this to each other are told apart by no sensor of ours."""
+"""True landmarks nearer than this to each other are resolved by no sensor of ours."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ _SHARE = 0.999
 """Of the sound runs that stay within the limit. The errors of one run depend on each other, hence
 the limit of one value, not of an average of independent ones."""
 _SURER = 0.05
-"""Of the epochs: so many in which the filter is surer than the smoother make it inconsistent."""
+"""Of the epochs: so many with a filter more certain than the smoother make it inconsistent."""
 _NONE_FOUND = 3
 """With so many landmarks, of which none is near a true one, the map is wrong as a whole."""
 
@@ -154,8 +154,8 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
     An association that leaves out large innovations makes the NIS too low, which does not count.
     The bands of NIS are those of the notes: all of them hold in 99.9 % of sound runs. The band of
     filter against smoother is the figure's: 5 of 520 sound runs leave it, since its independent
-    epochs are counted low. A filter surer than the smoother counts from one epoch in twenty on,
-    the NEES from the limit of the truth gap.
+    epochs are counted low. A filter more certain than the smoother counts from one epoch in twenty
+    on, the NEES from the limit of the truth gap.
     """
     against, smoothed = consistency.ekf, consistency.smoothed
     if against is None and smoothed is None and not consistency.sensors:

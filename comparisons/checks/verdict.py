@@ -36,8 +36,8 @@ class Verdict:
     """The outcome, its causes (worst kind first), and remarks that change nothing.
 
     qualifiers: what a reader of the outcome must know as well. inconsistent: what of the filter's
-    consistency is outside its band, None where nothing tells. failed_on: those of `--fail-on` that
-    the run fails on, whatever the outcome. See checks.qualifiers.
+    consistency is outside its band, None where nothing shows it. failed_on: those of `--fail-on`
+    that the run fails on, whatever the outcome. See checks.qualifiers.
     """
 
     outcome: Outcome

@@ -280,7 +280,7 @@ def _read_covariances(path: Path, poses: int, landmarks: int) -> _Covariances:
             _check_covariance(f"{archive}: {name}", array, shapes[name])
     joint = found.get("last_pose_and_landmarks")
     if joint is not None:
-        joint = joint[:points, :points]  # what is told of scan landmarks has nothing to be held by
+        joint = joint[:points, :points]  # scan landmarks have nothing to be compared with
     own = found.get("landmarks")
     if own is None and joint is not None and landmarks:
         own = landmark_blocks(joint)

@@ -43,7 +43,7 @@ class Trajectory(NamedTuple):
 
 
 def read_trajectory_file(path: Path, times: Path | None = None) -> Trajectory:
-    """A file in any of the formats, told apart by its first record.
+    """A file in any of the formats, recognised by its first record.
 
     times: of a KITTI file; `times.txt` beside it by default. Raises InputError.
     """

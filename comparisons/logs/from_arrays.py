@@ -128,7 +128,7 @@ def log_from_arrays(
 
 
 def default_prior(start_s: float, truth: Poses | None) -> Prior:
-    """Where the truth is at the start, the origin where that is not told; exact to 1 mm, 1 mrad."""
+    """Where the truth is at the start, the origin where that is unknown; exact to 1 mm, 1 mrad."""
     pose = np.zeros(3)
     if truth is not None and truth.time_s[0] <= start_s <= truth.time_s[-1]:
         pose = truth.at(np.array([start_s]))[0]
@@ -178,7 +178,7 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
 
 
 def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Motion:
-    """Motions between the instants wanted, and in half seconds without, between the poses told."""
+    """Motions between the instants wanted, and in half seconds without, between the poses given."""
     time_s = poses.time_s
     if len(time_s) < 2:
         raise InputError(f"odometry: {len(time_s)} poses, expected at least two")

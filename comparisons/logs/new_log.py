@@ -204,7 +204,7 @@ class _Reading:
         return InputError(f"{place}: {error.fault}{mend}")
 
     def check_instants(self, log: Log) -> None:
-        """Measurements must be at the times of motions told one by one, for nothing is between."""
+        """Measurements must be at the times of single motions, for nothing is between."""
         if self.kind == "relative-poses":
             times = (log.prior.time_s, *log.odometry.time_s.tolist())
             stray = np.flatnonzero(~np.isin(log.measurements.time_s, times))

@@ -231,7 +231,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
 
 
 def _second_association(compared: Compared, findings: dict[str, Finding]) -> str:
-    """Ask the smoother's own where nothing else tells; return why nobody did, if so."""
+    """Ask the smoother's own where no other check is possible; return why none was made."""
     log, name = compared.prepared.log, "own_association"
     reported = (
         log.measurements.labelled or log.truth.poses is not None or log.truth.landmarks is not None

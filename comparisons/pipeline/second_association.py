@@ -1,4 +1,4 @@
-"""What tells of an association that both estimators share: another one, or the log's labels.
+"""Checks of an association that both estimators share: another one, or the log's labels.
 
 The other one is the smoother's own. A run asks for it by itself where nothing else could tell, and
 where it costs less than the run. Both costs are estimated by counts, so that a run repeats.
@@ -143,7 +143,7 @@ def _tracked_optimum(
 ) -> tuple[Array, Array, ChiSquareTest] | None:
     """Return poses, landmarks and chi-square where tracking leads, no other minimum searched.
 
-    Chi-square tells nothing with a kernel. None where the problem has no solution.
+    Chi-square is not tested with a kernel. None where the problem has no solution.
     """
     graph = build_graph(problem, kernel)
     try:

@@ -225,7 +225,8 @@ def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:
 def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
     """Differences, and their squares where a direction is clear.
 
-    No band where the filter is clearly surer than the smoother: P_filter - P_smoother is none.
+    No band where the filter is clearly more certain than the smoother: P_filter - P_smoother is
+    none.
     """
     justified = np.where(f.ratio >= LEAST_RATIO, 1.0, np.nan)[:, None]
     name = f"{name} - smoother"

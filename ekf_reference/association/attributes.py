@@ -1,4 +1,4 @@
-"""What tells landmarks apart besides where they are (Nieto 2005, section 6.4).
+"""What distinguishes landmarks besides their positions (Nieto 2005, section 6.4).
 
 A trunk's diameter or a reflector's brightness is constant (Guivant 2002, eq. 16): every landmark
 keeps an estimate of each. The density of a pairing is the product of the position's Gaussian and
@@ -45,7 +45,7 @@ class Attributes(Protocol):
 
 
 class NoAttributes:
-    """Landmarks are told apart by position alone."""
+    """Landmarks are distinguished by position alone."""
 
     def distances(self, landmark_index: Index, seen: Measurements) -> AttributeDistances:
         """Add nothing."""

@@ -34,7 +34,7 @@ class MeasurementRecord(NamedTuple):
 
     A measurement says innovation = H_v (x - pose) + H_l (l - landmark) + v, an initialisation
     l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise). jacobian_pose is H_v or G_x,
-    jacobian_other H_l or G_z. The width w of the landmarks tells what was measured: 2 points, 3
+    jacobian_other H_l or G_z. The width w of the landmarks gives the kind: 2 points, 3
     poses, and 0 none, as by an absolute position.
 
     number: (m,) in the order of arrival of the measurements of this kind, from 0; parts of an

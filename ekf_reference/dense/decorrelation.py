@@ -89,7 +89,7 @@ def displacements(
     """Example 3.2: how far estimates have moved since, in the world and in their triangle.
 
     triangle_then, triangle_now: (..., 3, 2) [m]. point_then, point_now: (..., 2) [m]. The change of
-    alpha and beta is told in metres along the axes as they were then. Raises
+    alpha and beta is given in metres along the axes as they were then. Raises
     DegenerateTriangleError.
     """
     change = to_local(triangle_now, point_now) - to_local(triangle_then, point_then)

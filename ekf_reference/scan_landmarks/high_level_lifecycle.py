@@ -122,7 +122,7 @@ class HighLevelLandmarks:
         self.landmark.append(kept)
 
     def places(self, ekf: Ekf) -> Array:
-        """(K, 3) of all axes in the world now; NaN where what they hang on has left the map."""
+        """(K, 3) of all axes in the world now; NaN where their anchor has left the map."""
         point, pose_landmarks = FilterView.of(ekf).landmark, ekf.state.places(POSE)
         rows = [
             pose_landmarks[one.landmark_index]
@@ -167,7 +167,7 @@ class HighLevelLandmarks:
         return number in self.moving
 
     def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
-        """Its pose in the vehicle's frame; None where the covariance of what it hangs on is old."""
+        """Its pose in the vehicle's frame; None where the covariance of its anchor is old."""
         if one.landmark_index == NEW:
             return self._passive(view, one)
         z, covariance = predicted_frames(ekf, np.array([one.landmark_index]))

@@ -20,7 +20,7 @@ class LocalContext:
 
     margin_m: from the template's points to the sides of the rectangle (Fig. 6.8 b) whose Gaussians
     are taken. occupied: least occupancy of the cell that one lies in. least: fewer than so many
-    are not worth it.
+    do not pay.
     """
 
     dense: DenseMap

@@ -75,7 +75,7 @@ class SumOfGaussians:
 
     @cached_property
     def lever_m(self) -> float:
-        """Root mean square distance of the means from the centroid: a heading's worth [m/rad]."""
+        """Root mean square distance of the means from the centroid, per heading [m/rad]."""
         if not len(self):
             return 0.0
         return float(np.sqrt(np.square(self.mean - self.centroid).sum(axis=1).mean()))

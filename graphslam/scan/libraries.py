@@ -47,7 +47,7 @@ def open3d() -> ModuleType:
     """Open3D, which says nothing and keeps to one thread. Raises MissingLibraryError.
 
     More threads add up in the order in which they finish, so results would differ from run to
-    run. Versions before 0.20 cannot be told and obey OMP_NUM_THREADS only.
+    run. Versions before 0.20 have no such setting and obey OMP_NUM_THREADS only.
     """
     return _loaded("open3d", "this matcher or file of points")
 

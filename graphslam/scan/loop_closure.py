@@ -103,7 +103,7 @@ class RegistrationLoopCloser:
         options: LoopOptions | None = None,
         progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> None:
-        """progress: told of keyframes done, of all."""
+        """progress: called with the keyframes done, of all."""
         self._matcher, self._progress = matcher, progress
         self.options = options or LoopOptions()
 

@@ -87,7 +87,7 @@ class TemplateMatchers:
 
 
 def lever_m(points: Array) -> float:
-    """Root mean square distance of points (M, 3) from the axis, a heading's worth [m/rad]."""
+    """Root mean square distance of points (M, 3) from the axis, per heading [m/rad]."""
     return max(float(np.sqrt(np.mean(np.sum(points[:, :2] ** 2, axis=1)))), _LEAST_LEVER_M)
 
 

@@ -107,7 +107,8 @@ def measure_templates(
     """Look for all templates in all scans, in the order of the drive.
 
     problem: whose pose landmarks are not read. templates: by number, all from 0 on.
-    clouds: (M, 3) by the pose that they were seen from. progress: told of poses done, of all.
+    clouds: (M, 3) by the pose that they were seen from. progress: called with the poses done, of
+    all.
     Raises graphslam.marginals.SingularProblemError.
     """
     drive = _Drive(
@@ -151,7 +152,7 @@ class _Drive:
         self._solved, self._since = 0, 0
 
     def factors(self) -> PoseLandmarkMeasurements:
-        """All measurements so far, as they are told to the smoother."""
+        """All measurements so far, as the smoother's input."""
         seen = self.alignments()
         levers = {n: lever_m(self._templates[n].points) for n in np.unique(seen.landmark).tolist()}
         wider = np.array([levers[n] for n in seen.landmark.tolist()])

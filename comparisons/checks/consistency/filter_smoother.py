@@ -1,8 +1,8 @@
 """The filter's poses against the smoother's, which needs no truth.
 
 For a linear Gaussian problem and the same data, the smoothed pose is what the filtered one becomes
-when the rest of the log is told, so Cov(filtered - smoothed) = P_filtered - P_smoothed. That
-difference is positive semidefinite; where it is not, the filter is surer of a pose than the
+when the rest of the log is added, so Cov(filtered - smoothed) = P_filtered - P_smoothed. That
+difference is positive semidefinite; where it is not, the filter is more certain of a pose than the
 smoother that knows the future as well.
 """
 
@@ -32,7 +32,7 @@ class FilterAgainstSmoother:
     time_s: (n,). error: (n, 3) e. sigma: (n, 3) of the diagonal of P_E - P_S, zero where that is
     negative. squared: (n,) e^T (P_E - P_S)^-1 e over the dof (n,) directions in which the
     difference is clearly positive, e = x_E - x_S, additive, heading wrapped. ratio: (n,) least
-    P_E over P_S of all directions; below 1 the filter is surer than the smoother. Epochs share
+    P_E over P_S of all directions; below 1 the filter is overconfident. Epochs share
     their future: averages have no plain band.
     """
 
@@ -51,7 +51,7 @@ class FilterAgainstSmoother:
 
     @property
     def band(self) -> Band | None:
-        """95 % of mean_per_dof, by as many independent epochs as these, correlated, are worth."""
+        """95 % of mean_per_dof, by the effective number of independent epochs."""
         clear = self.dof > 0
         if not clear.any():
             return None
@@ -70,7 +70,7 @@ class FilterAgainstSmoother:
 
     @property
     def overconfident(self) -> Index:
-        """Epochs at which the filter is clearly surer than the smoother."""
+        """Epochs at which the filter is clearly more certain than the smoother."""
         return np.flatnonzero(self.ratio < LEAST_RATIO)
 
 

@@ -66,7 +66,7 @@ class Whiteness:
     order: `time`, one number per instant, the sum of its n numbers over root n: correlated when
     something lasts, a bias of the sensor, coloured noise of the motion, a wrong heading.
     `landmark`, from one measurement of a landmark to the next, with all landmarks pooled:
-    correlated when the filter is surer of landmarks than it may be, for each then has a lasting
+    correlated when the filter is overconfident of landmarks, for each then has a lasting
     error.
     coefficient, band: (k,), the band being two standard deviations of a white series, root of
     n / (m (n + 2)) with m products of n numbers. p_value: of the Ljung-Box statistic over the k

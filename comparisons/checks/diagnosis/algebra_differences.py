@@ -20,7 +20,7 @@ class AlgebraDifference:
     """One block that one operation gets wrong.
 
     count: of operations in which it differs, of `total`. largest: difference, in sigma or products
-    of sigmas. note: what kind of mistake leads there, if it could be told.
+    of sigmas. note: the kind of mistake that leads there, if it was found.
     """
 
     operation: str

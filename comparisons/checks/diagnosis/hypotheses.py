@@ -23,9 +23,9 @@ _ITERATIONS = 8
 _SPARE = 2
 """More records than figures, so many at least, for a fit to be evidence."""
 _LEAST_SPLIT = 3
-"""So many records at least on either side of a bound that tells those that deviate."""
+"""So many records at least on either side of a bound that separates those that deviate."""
 _DETERMINED = 1e-6
-"""Smallest singular value, relative to the largest, of figures that are told apart."""
+"""Smallest singular value, relative to the largest, of figures that can be separated."""
 
 Predict = Callable[..., Array]
 """Of rows (R,) and a mistake's figures: what would have been recorded, (R, ...)."""
@@ -46,7 +46,7 @@ class Quantity:
 
     have, meant: (M, ...). tolerance: what rounding explains, of a shape that broadcasts to theirs.
     records: what they are of. angle: which entries differ the short way round. features: (M,)
-    each, by which records that deviate may be told from the others; of whole numbers, if they are
+    each, by which records that deviate may differ from the others; of whole numbers, if they are
     names.
     """
 
@@ -101,7 +101,7 @@ def best(
 
 
 def counted(quantity: Quantity) -> str:
-    """Return in how many records, and in which, if a bound or a name tells."""
+    """Return in how many records, and in which, if a bound or a name separates them."""
     off = quantity.off()
     count = int(np.count_nonzero(off))
     where = f"in {count} of {len(off)} {quantity.records}"

@@ -222,7 +222,7 @@ class Foreign:
     keep: Callable[[Foreign, Array, int], Array] = lambda f, p, n: p
 
     def __post_init__(self) -> None:
-        """Start from the log's prior where none was told."""
+        """Start from the log's prior where none was given."""
         prior = self.log.prior
         if not len(self.prior_pose):
             self.prior_pose = prior.pose

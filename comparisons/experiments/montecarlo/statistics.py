@@ -243,7 +243,7 @@ def inside_at_end(kept: Tally) -> tuple[int, int, tuple[int, int]]:
 
 
 def _mean(values: Array, axis: int | None = None) -> Array:
-    """Over what is told; landmarks are not before the first is mapped."""
+    """Over what is known; there are no landmarks before the first is mapped."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # nothing reported: NaN is the answer
         return np.asarray(np.nanmean(values, axis=axis))

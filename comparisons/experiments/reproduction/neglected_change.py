@@ -1,7 +1,7 @@
 """How much a dense map loses by keeping local coordinates for good (Nieto 2005, section 3.6).
 
 One dense point per region stands for its data: seen once, near the middle of the region, with the
-scanner's noise. What later scans would have done to it is told in four ways: by eq. 3.16 summed
+scanner's noise. What later scans would have done to it is computed in four ways: by eq. 3.16 summed
 up beside the filter, by a filter that has the points in its state, by the truth, and by the error
 layer, which has to say it beforehand.
 """

@@ -273,7 +273,7 @@ def _range(count: list[int]) -> str:
 
 
 def claims_6_6(found: HighLevelDrives) -> list[Claim]:
-    """Where the templates lie, and what they are worth."""
+    """Where the templates lie, and what they contribute."""
     off = [
         float(np.median(distance_to_segments(rigid_motion(d.landmark, d.true)(points), d.segment)))
         for d in found.each

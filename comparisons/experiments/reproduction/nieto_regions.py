@@ -51,7 +51,7 @@ def examples(sources: Sources) -> Examples:
 
 
 def claims_3_5(found: Examples) -> list[Claim]:
-    """In its region a point hangs together with nothing else."""
+    """In its region a point is correlated with nothing else."""
     before = [e.time_s < t - 1e-6 for e, t in zip(found.each, found.closing_s, strict=True)]
 
     def until(values: list[Array]) -> Array:

@@ -48,7 +48,7 @@ _FURNITURE = 7
 _FREE_M = 2.0
 """Around the places where the scans are taken nothing stands."""
 _SPREAD = np.diag((OFF_M, OFF_M, OFF_RAD)) ** 2 / 3.0
-"""Covariance of even displacements, which the correlation is told."""
+"""Covariance of even displacements, which the correlation is given."""
 _SHOWN = 2
 
 

@@ -174,7 +174,7 @@ def _sensor(scenario: Scenario) -> Sensor:
 
 
 def _sigma(scenario: Scenario, distance: Array) -> Array:
-    """(K, L, 2) sigmas of measurements; a sensor tells its own noise, so they are known exactly."""
+    """(K, L, 2) sigmas of measurements; a sensor states its noise, so they are known exactly."""
     sensor = scenario.sensor
     if isinstance(sensor, RelativePositionSensor):
         along = sensor.sigma_m + sensor.sigma_share * distance

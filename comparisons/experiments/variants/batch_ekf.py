@@ -18,7 +18,7 @@ from comparisons.experiments.variants.linearisation import Linearisation
 
 @dataclass(frozen=True)
 class Robot:
-    """What a filter is told of the robot. sigma_odometry: of speed and yaw rate, per step."""
+    """What a filter knows of the robot. sigma_odometry: of speed and yaw rate, per step."""
 
     pose: Array
     covariance: Array

@@ -31,7 +31,7 @@ class MeasuredPoints(NamedTuple):
 
 
 class Linearisation(Protocol):
-    """Contract: each method is told of its event before the state changes."""
+    """Interface: each method is called before its event changes the state."""
 
     def start(self, state: BatchState) -> None:
         """The state before the first step."""

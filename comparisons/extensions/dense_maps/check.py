@@ -1,6 +1,6 @@
 """The filter's dense map against the same scans placed by the smoother's trajectory.
 
-The two maps share nothing but the log: one hangs on the filter's landmarks, the other on the
+The two maps share nothing but the log: one is anchored to the filter's landmarks, the other to the
 smoother's poses.
 """
 

@@ -39,7 +39,7 @@ from ekf_reference.dense.view import FilterView, by_number
 
 MARGINS = {"joint": flip_margin, "ellipses": ellipse_margin}
 _TELLING_M = 0.05
-"""Least shift of the regions by one update that is worth a picture (root mean square)."""
+"""Least shift of the regions by one update that is drawn as a picture (root mean square)."""
 _MARGIN_M = 0.5
 """So near to a dynamic cell a measurement or a landmark counts as dynamic: both may be off."""
 _CLEARLY = 1.2
@@ -300,7 +300,7 @@ class DenseWatcher:
 
     def _note_shift(self, old: Array, new: Array) -> None:
         corner = np.unique(self._dense.regions.base)
-        corner = corner[corner >= 0]  # virtual ones hang on these
+        corner = corner[corner >= 0]  # virtual ones are anchored to these
         if not len(corner):
             return
         squared = np.square(new[corner] - old[corner]).sum(axis=1)

@@ -116,7 +116,7 @@ class HighLevelSource:
         shared: DenseWatcher | None = None,
         searched: Callable[[float, Around, Search], None] = lambda time_s, around, search: None,
     ) -> None:
-        """shared: who keeps such a map already, and is told before this one; None for an own one.
+        """shared: observer that keeps such a map already, called before this one; or None.
 
         searched: shown every search. Raises InputError for a log without scans.
         """

@@ -59,7 +59,7 @@ def check_own_association(
     estimate: Estimate,
     optimality: Optimality,
 ) -> OwnAssociationCheck:
-    """Compare. seen, epoch: the measurements, of which the first M are told, and their epochs.
+    """Compare. seen, epoch: the measurements, of which the first M are compared, and their epochs.
 
     landmark_indices: (M,) landmarks of each by the filter, and by the smoother. smoothed: S.
     estimate,

@@ -32,7 +32,7 @@ LEAST_SEEN = 3
 """Alignments of a landmark, or landmarks, fewer than which say nothing of what they share."""
 _NOTHING = np.eye(3) / 2.0**2
 """Information that no difference is expected, to 2 m and rad: along what a shape leaves open both
-alignments stay where they were initialised, and their difference there is not told."""
+alignments stay where they were initialised, and their difference there is not known."""
 _SHIFTED = 0.999
 """Certainty at which all alignments are shifted."""
 
@@ -45,7 +45,7 @@ class LandmarkMatching:
     distance by the sum of both covariances, 3 if they were independent. shift: (3,) the weighted
     mean difference, in the vehicle's frame. worst_epoch: of the scan where they are farthest apart;
     worst: the difference (3,) there, and worst_squared its squared distance. Of differences only
-    what the shape fixes is told.
+    what the shape fixes is compared.
     """
 
     landmark_index: int

@@ -38,7 +38,7 @@ def scan_odometry_result(motion: ScanMotion, *, guess: bool, seconds: float) -> 
 
 
 def increment_result(check: IncrementCheck | None) -> IncrementResult | None:
-    """How honest the increments are, where something tells."""
+    """The consistency of the increments, where something shows it."""
     return None if check is None else IncrementResult(**vars(check))
 
 

@@ -2,7 +2,7 @@
 
 The smoother on scans shares the measurements with the other two, but not what the vehicle's motion
 rests on. A difference that the stated sigmas do not cover says that one of the two kinds of
-motion is not what it says of itself; which one, its own chi-square or the truth tells.
+motion is not what it says of itself; which one, its own chi-square or the truth shows.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from graphslam.optimum import ChiSquareTest, Optimality, chi_square_test
 from graphslam.smoother import SmootherResult
 
 _CLEARLY = 1.5
-"""Of two errors, one so many times the other tells the worse motion."""
+"""Of two errors, one so many times the other shows the worse motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ def find_inconsistent_source(
     accuracy_wheels: Accuracy | None,
     accuracy_scans: Accuracy | None,
 ) -> tuple[str, str]:
-    """Whose motion is to blame for a disagreement, and the evidence; `` when nothing tells.
+    """Whose motion is to blame for a disagreement, and the evidence; `` when nothing shows it.
 
     wheels, scans: with a chi-square that can be read, see readable.
     """

@@ -63,7 +63,7 @@ class Sweeps:
 
 
 class LineReader:
-    """What the lines so far have told.
+    """The records of the lines read so far.
 
     odometry: rows of line, both times, x, y, heading. skipped: how many lines of each name were
     passed over.

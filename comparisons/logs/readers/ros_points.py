@@ -56,7 +56,7 @@ def detections(message: Any, place: str) -> Points | None:
     """A Detection3DArray, or a Detection2DArray whose results have poses.
 
     The best result's position where it is not zero, else the box's centre. Named by the
-    detection's own id, and told apart by the class of the best result.
+    detection's own id, and separated by the class of the best result.
     """
     points, covariances, labels, kinds = [], [], [], []
     for one in message.detections:

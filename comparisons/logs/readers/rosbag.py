@@ -8,7 +8,7 @@ are read only when asked for, since most are drawings. Times are the headers', o
 where all headers of a topic say zero.
 
 A sensor's place comes from `/tf_static`, seen from the frame that the odometry moves; where it is
-not told there, a scanner is taken to be at the pose, and points are refused.
+not stated there, a scanner is taken to be at the pose, and points are refused.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _LEAST_SIGMA = 1e-3
 _ALIGNED_RAD, _LARGEST_RAD = float(np.deg2rad(1.0)), float(np.deg2rad(15.0))
 """Fixes are laid onto as much of the odometry as shows the start's heading so well, or at worst."""
 _ALL = 1.2
-"""Where all fixes do not show it, this times their variance is enough: the rest tells little."""
+"""Where all fixes do not show it, this times their variance is enough: the rest adds little."""
 
 Times = NDArray[np.int64]
 _T = TypeVar("_T")
@@ -191,11 +191,11 @@ class _Frame:
         return np.asarray((stream.time_ns - self.start) / 1e9, dtype=np.float64)
 
     def knows(self, stream: _Stream) -> bool:
-        """Whether it is told where the stream's frame is."""
+        """Whether the place of the stream's frame is known."""
         return _motion(stream.frame, self.base, self.transforms) is not None
 
     def place(self, stream: _Stream, key: str) -> Array:
-        """(4, 4) from the stream's frame into the base's; the identity where that is not told."""
+        """(4, 4) from the stream's frame into the base's; the identity where that is unknown."""
         motion = _motion(stream.frame, self.base, self.transforms)
         if motion is None:
             reported = f"unknown ({stream.frame} from {self.base or 'the base'}), taken as the pose"
@@ -213,7 +213,7 @@ class _Drive:
     time_s: Array
 
     def poses(self, start: int) -> Array:
-        """(N, 3) as the odometry tells them, the origin where there is none."""
+        """(N, 3) from the odometry, the origin where there is none."""
         if self.moved is None:
             return np.zeros((len(self.time_s), 3))
         sample_s = (self.moved.time_ns - start) / 1e9
@@ -543,7 +543,7 @@ def _base(moved: _Stream | None, transforms: dict[str, tuple[str, Array]]) -> st
 
 
 def _motion(name: str, base: str, transforms: dict[str, tuple[str, Array]]) -> Array | None:
-    """(4, 4) from a frame into the base's; None where that is not told."""
+    """(4, 4) from a frame into the base's; None where that is unknown."""
     up, down = _upward(name, transforms), _upward(base, transforms)
     common = next((name for name in up if name in down), None)
     if common is None:

@@ -1,4 +1,4 @@
-"""Logs of scans alone: odometry told as poses becomes one displacement per scan.
+"""Logs of scans alone: odometry given as poses becomes one displacement per scan.
 
 Poses are planar. Dead reckoned poses carry no covariance of their displacements, so one is stated
 here: variances grow with the way and with the turn, hence do not depend on how often the scanner

@@ -32,7 +32,7 @@ from comparisons.logs.simulate.scanners import half_degrees
 
 
 class Navigator(Protocol):
-    """Says where the robot is; it is told everything that the robot measures, and the truth."""
+    """Says where the robot is; it receives all that the robot measures, and the truth."""
 
     def departed(self, displacement: Array, covariance: Array, true_pose: Array) -> None:
         """One sample of odometry, as in RelativePoses, and where it truly led (3,)."""

@@ -31,7 +31,7 @@ def with_tree_measurements(log: Log, scans: Scans) -> Log:
     """Range, bearing and diameter of tracked trunks (Guivant 2002, section 3.1).
 
     The vehicle's motion between scans, which the tracks need, is dead reckoned. Trunks are found
-    and followed in the scanner's frame, and told in the vehicle's.
+    and followed in the scanner's frame, and expressed in the vehicle's.
     """
     if not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry, which following trunks needs")

@@ -68,7 +68,7 @@ def associate(old: Array, new: Array, d_min_m: float) -> Associated:
 
 
 def doubled(pair: Associated, d_min_m: float, worth: Array) -> Index:
-    """Which old points (d,) share their new one with an old one of more worth (k,).
+    """Which old points (d,) share their new one with an old one of more weight (k,).
 
     Only pairs closer than a tenth of d_min count. If kept, points that converge to one place would
     leave gaps, which new points fill, without end.
