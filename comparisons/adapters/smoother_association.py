@@ -104,7 +104,7 @@ class OwnAssociator:
     def _optimised(
         self, name: str, own: OwnAssociation, wild: Index, result: SmootherResult
     ) -> Alternative:
-        """The optimum with an association. outliers: rows of measurements that are left out."""
+        """The optimum with an association. wild: rows of outlier measurements, left out."""
         from graphslam.graph_builder import build_graph, from_values, to_values
         from graphslam.optimisers import levenberg_marquardt
 
