@@ -184,5 +184,5 @@ def test_what_goes_beside_both_and_what_does_not() -> None:
     assert mapped.agreement.model.within(1e-6)
     with pytest.raises(InputError, match="--high-level goes with --landmarks points only"):
         compared(log(), landmarks="both", high_level=True)
-    with pytest.raises(InputError, match="holds no planar scans"):
+    with pytest.raises(InputError, match="has no planar scans"):
         compared(simulated(), landmarks="both")

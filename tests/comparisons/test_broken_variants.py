@@ -16,7 +16,7 @@ GAPS = {
     "gain not transposed": "algebra",
     "bearing Jacobian as printed": "model",
     "innovation not wrapped": "model",
-    "sigma that is squared twice": "model",
+    "sigma squared twice": "model",
     "steering sign": "model",
     "no heading column": "model",
 }
@@ -24,8 +24,8 @@ PLANTS = {defect.name: defect.plant for defect in REGISTRY}
 NAMED_FIRST = {
     "bearing Jacobian as printed": ("the innovation", "measurement updates"),
     "innovation not wrapped": ("the innovation", "measurement updates"),
-    "sigma that is squared twice": ("the noise covariance", "measurement updates"),
-    "steering sign": ("the predicted pose", "steps"),
+    "sigma squared twice": ("the noise covariance", "measurement updates"),
+    "steering sign": ("the predicted pose", "predictions"),
     "no heading column": ("the Jacobian with respect to heading", "measurement updates"),
 }
 

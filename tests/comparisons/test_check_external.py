@@ -479,7 +479,7 @@ def test_the_command(tmp_path: Path, right: Estimate) -> None:
     (tmp_path / "one.tum").write_text(tum_text(right.time_s[:1], right.pose[:1]))
     one = slamcheck("check", "simulated-loop", "--estimate", "one.tum", cwd=tmp_path)
     assert one.returncode == 1, one.stderr
-    assert "coverage: covers 0.0 of 85.0 s" in one.stdout
+    assert "coverage: the estimate covers 0.0 of 85.0 s" in one.stdout
     most = ("--estimate", "one.tum", "--min-coverage", "0")
     assert slamcheck("check", "simulated-loop", *most, cwd=tmp_path).returncode == 0
     missing = slamcheck("check", "simulated-loop", "--estimate", "no.tum", cwd=tmp_path)

@@ -141,7 +141,7 @@ def test_an_offset_of_one_landmark_is_named(
     (worst,) = own.contradicting
     assert worst.landmark_index == which
     assert worst.shift[:2] @ way == pytest.approx(MOVED_M, rel=0.3)
-    assert f"scan landmark {worst.landmark_index} are 0." in c.verdict.causes[0].evidence
+    assert f"scan landmark {worst.landmark_index} differ by 0." in c.verdict.causes[0].evidence
     table = matching_differences(c.find(OwnMatchingFinding).result)
     assert table.count("contradicts") == 1
 

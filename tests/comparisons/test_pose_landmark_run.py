@@ -193,7 +193,7 @@ def test_broken_algebra_is_named() -> None:
 
     broken = compared(log(), Modified(plant), Source(Frames), filter="full", association="known")
     assert "algebra" in [cause.gap for cause in broken.verdict.causes]
-    assert "the update gets the mean wrong" in broken.verdict.causes[0].evidence
+    assert "the update computes the mean wrongly" in broken.verdict.causes[0].evidence
 
 
 def test_what_goes_by_the_ledger_is_told() -> None:

@@ -14,7 +14,7 @@ from tests.comparisons.test_cli import slamcheck
 from tests.helpers import simulated
 from tests.scenarios import scenario
 
-_TIMED = re.compile(r"<h2>Time</h2>.*?</table>|[\d,]+ scans/s")
+_TIMED = re.compile(r"<h2>Time</h2>.*?</table>|scans per second</td><td>[\d,]+")
 
 
 def steady(path: Path) -> object:
