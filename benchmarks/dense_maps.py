@@ -288,7 +288,7 @@ def errors_of_drives(seeds: int, loops: int) -> None:
     )
 
 
-def errors_by_rule(seeds: int | None) -> None:
+def errors_by_rule(seeds: int | None, rules: Sequence[str] | None = None) -> None:
     """What each of the documents' settings does to the occupancy layer, after the first loop."""
     print("means over drives of one loop; distances of occupied cells to the surfaces [m], median")
     print("/ 95 %; aligned: after the landmarks' motion onto the true ones; regions: when made")
@@ -303,6 +303,8 @@ def errors_by_rule(seeds: int | None) -> None:
             ("as-published, correlation 0.5", "as-published", {"least_correlation": 0.5}),
             *((title, "recommended", fields) for title, fields in ALONE.items()),
         ):
+            if rules and title not in rules:
+                continue
             config = MapConfig.of(
                 preset=preset,
                 log={"source": name},
@@ -392,6 +394,7 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=[10, 30, 100, 300, 1000])
     parser.add_argument("--seeds", type=int, help="5; of rules, those of docs/results.md")
     parser.add_argument("--loops", type=int, default=3)
+    parser.add_argument("--rules", nargs="+", help="rows of rules; all if left out")
     choices = parser.parse_args()
     if "layers" in choices.only:
         speed_of_layers(choices.scans)
@@ -400,7 +403,7 @@ def main() -> None:
     if "drives" in choices.only:
         errors_of_drives(choices.seeds or 5, choices.loops)
     if "rules" in choices.only:
-        errors_by_rule(choices.seeds)
+        errors_by_rule(choices.seeds, choices.rules)
 
 
 if __name__ == "__main__":
