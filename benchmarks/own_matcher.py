@@ -96,7 +96,7 @@ def pose_nees(estimate: Estimate, truth: Array) -> float:
 def measurement_nees(
     seen: PoseLandmarkMeasurements, initialised: PoseLandmarkMeasurements, truth: Array
 ) -> float:
-    """Mean over 3 of all measurements but each landmark's first, which `begun` holds."""
+    """Mean over 3 of all measurements but each landmark's first, which `initialised` holds."""
     axis: dict[int, Array] = {}
     for pose, landmark_index, z in zip(
         initialised.pose.tolist(), initialised.landmark.tolist(), initialised.measured, strict=True

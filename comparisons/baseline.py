@@ -297,8 +297,7 @@ def read_baseline(path: Path) -> Baseline:
     if kept.version not in (1, 2, 3, 4):
         raise InputError(f"{path}: version {kept.version}, expected 1 to 4")
     if kept.version < 4:
-        metrics = {current(name): metric for name, metric in kept.metrics.items()}
-        kept = kept.model_copy(update={"metrics": metrics})
+        kept = kept.model_copy(update={"metrics": current(kept.metrics)})
     try:
         kept.config_at(kept.log)
     except InputError as error:

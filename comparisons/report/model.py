@@ -6,7 +6,7 @@ import math
 import re
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict
 
 _FORMER = {
     "sighting": "measurement",
@@ -23,15 +23,15 @@ class Model(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _current(cls, data: Any) -> Any:
-        return {current(str(k)): v for k, v in data.items()} if isinstance(data, dict) else data
 
-
-def current(name: str) -> str:
-    """Return a figure's name, which version 0.1 spelt with another word."""
-    return _WORDS.sub(lambda found: _FORMER[found[0]], name)
+def current(stored: Any) -> Any:
+    """Return what a file holds, its names at any depth in today's words, not those of 0.1."""
+    if isinstance(stored, dict):
+        return {
+            _WORDS.sub(lambda found: _FORMER[found[0]], name): current(value)
+            for name, value in stored.items()
+        }
+    return [current(one) for one in stored] if isinstance(stored, list) else stored
 
 
 def finite(value: float) -> float | None:

@@ -22,6 +22,7 @@ from comparisons.atomic import check_file, write_whole
 from comparisons.errors import InputError, printable
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
+from comparisons.report.model import current
 from comparisons.report.models import Result
 from comparisons.report.result import metrics
 
@@ -140,16 +141,18 @@ def _read(folder: Path) -> Found:
         raise InputError(f"{folder}: holds no result of slamcheck, expected one of {known}")
     path, (job, names) = folder / f"{name}.json", _FILES[name]
     text = read_text(path)
+    try:
+        found = current(json.loads(text))
+    except (ValueError, RecursionError):
+        found = None
     if job == "run":
         try:
-            run = Result.model_validate_json(text)
+            run = (
+                Result.model_validate_json(text) if found is None else Result.model_validate(found)
+            )
         except ValidationError as error:
             raise InputError(f"{path}: not a run's result: {first_fault(error)}") from None
         return Found({**_words(run.model_dump(), job), "verdict": run.headline}, metrics(run))
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        found = None
     if not isinstance(found, dict):
         raise InputError(f"{path}: not a result of slamcheck {job}")
     figures: dict[str, Any] = {

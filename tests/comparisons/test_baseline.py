@@ -34,6 +34,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import CheckResult, build_check_result
+from comparisons.report.model import current
 from comparisons.report.models import AccuracyResult, AgreementResult, EkfResult, Result
 from comparisons.report.result import build_result, metrics
 from comparisons.settings import run_config
@@ -135,7 +136,7 @@ def test_results_of_older_runs_are_read(result: Result) -> None:
         del data["ekf"][name]
     del data["schema"], data["config"]
     data["smoother"]["rejected_sightings"] = data["smoother"].pop("rejected_measurements")
-    older = Result.model_validate(data | {"scan_slam": None, "dense": None})
+    older = Result.model_validate(current(data) | {"scan_slam": None, "dense": None})
     assert older.schema_version == 1
     assert older.ekf == result.ekf
 

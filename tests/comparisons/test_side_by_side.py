@@ -195,3 +195,14 @@ def test_the_command(tmp_path: Path, result: Result) -> None:
         assert done.returncode == 2
         assert words in done.stderr
         assert done.stderr.count("\n") == 1
+
+
+def test_former_names_share_a_row_with_todays(tmp_path: Path) -> None:
+    """Version 0.1 had other names for figures, in the results of every job."""
+    former, now = read_results(
+        [
+            folder(tmp_path / key, "solution", {"smoother": {key: 7}})
+            for key in ("rejected_sightings", "rejected_measurements")
+        ]
+    )
+    assert former.metrics == now.metrics == {"smoother.rejected_measurements": 7}
