@@ -16,6 +16,7 @@ SEARCH_MARGIN_M = 10.0
 SEARCH_SIGMAS = 4.0
 """Landmarks are sought this much farther than the longest range of a scan, whichever is more:
 metres, or standard deviations of where the vehicle puts the end of that range."""
+_UPPER = (0, 0), (0, 1), (1, 1)
 
 
 class Distances(NamedTuple):
@@ -41,8 +42,9 @@ def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurem
     longest, variance = float(model.range_m(seen.z).max()), state.pose_covariance.diagonal()
     sigma = math.sqrt(variance[:2].sum()) + longest * math.sqrt(variance[2:].sum())
     local = state.local_map(longest + max(SEARCH_MARGIN_M, SEARCH_SIGMAS * sigma))
-    closed = np.isin(local.landmark_index, seen.closed)
-    return local.take(np.flatnonzero(~closed)) if closed.any() else local
+    if not seen.closed:
+        return local
+    return local.take(np.flatnonzero(~np.isin(local.landmark_index, seen.closed)))
 
 
 def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measurements) -> Distances:
@@ -64,14 +66,11 @@ def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measure
     cross = hv @ local.cross @ hl.transpose(0, 2, 1)
     through_map = hl @ local.own @ hl.transpose(0, 2, 1)
     spread = through_pose + cross + cross.transpose(0, 2, 1) + through_map  # H P H^T, (L, 2, 2)
-    s = spread[None] + seen.noise[:, None]  # (m, L, 2, 2)
     nu = model.innovation(seen.z[:, None], predicted.z[None])  # (m, L, 2), 2.57
-    determinant = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] ** 2
-    nis = (
-        s[..., 1, 1] * nu[..., 0] ** 2
-        - 2.0 * s[..., 0, 1] * nu[..., 0] * nu[..., 1]
-        + s[..., 0, 0] * nu[..., 1] ** 2
-    ) / determinant  # 2.58
+    s00, s01, s11 = (spread[:, i, j] + seen.noise[:, i, j, None] for i, j in _UPPER)  # S, (m, L)
+    nu0, nu1 = nu[..., 0], nu[..., 1]
+    determinant = s00 * s11 - s01**2
+    nis = (s11 * nu0**2 - 2.0 * s01 * nu0 * nu1 + s00 * nu1**2) / determinant  # 2.58
     return Distances(nis, nis + np.log(determinant), nu)  # 2.60
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,13 +29,14 @@ class KnownAssociation:
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Look the labels up; new ones take the next landmark indices. Unlabelled are rejected."""
-        landmark_indices = np.full(len(seen), REJECTED, dtype=np.intp)
-        for k, label in enumerate(seen.identity.tolist()):
-            if label >= 0:
-                landmark_indices[k] = self.index_of.setdefault(
-                    label, self.first_index + len(self.index_of)
-                )
+        named = [self._index(label) for label in seen.identity.tolist()]
+        landmark_indices = np.array(named, dtype=np.intp)
         return reject_beyond(self.gate, landmark_indices, state, model, seen)
+
+    def _index(self, label: int) -> int:
+        if label < 0:
+            return REJECTED
+        return self.index_of.setdefault(label, self.first_index + len(self.index_of))
 
 
 @dataclass(frozen=True)
@@ -81,11 +83,12 @@ def reject_beyond(
     Returns:
         (m,) landmark indices, REJECTED where one is not used; new landmarks pass.
     """
+    first = state.layout.first[seen.width]
     landmark_indices = landmark_indices.copy()
-    mapped = np.flatnonzero((landmark_indices >= 0) & (landmark_indices < state.landmark_count))
-    gone = state.layout.first[seen.width][landmark_indices[mapped]] == ABSENT
+    mapped = np.flatnonzero((landmark_indices >= 0) & (landmark_indices < len(first)))
+    gone = first[landmark_indices[mapped]] == ABSENT
     landmark_indices[mapped[gone]], mapped = REJECTED, mapped[~gone]
-    if np.isfinite(gate) and len(mapped):
+    if math.isfinite(gate) and len(mapped):
         local = state.map_of(landmark_indices[mapped])
         nis = normalised_distances(local, model, seen.take(mapped)).nis.diagonal()
         landmark_indices[mapped[nis > gate]] = REJECTED

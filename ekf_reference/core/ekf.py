@@ -67,8 +67,10 @@ class Stabilisation:
 
     def covariance(self, duration_s: float, pose: Array) -> Array:
         """Return the noise (3, 3) of a step, the same everywhere."""
-        position = self.variance_rate_position * duration_s
-        return np.diag((position, position, self.variance_rate_heading * duration_s))
+        position, heading = self.variance_rate_position, self.variance_rate_heading
+        return duration_s * np.array(
+            [[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]
+        )
 
 
 class PoseReading(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -221,7 +222,7 @@ class KalmanState:
             ValueError: A landmark was removed.
         """
         columns = self._layout.columns(landmark_index, width)
-        landmark = self._mean[columns[self._layout.pose_size :]].reshape(-1, width)
+        landmark = self.mean_at(columns[self._layout.pose_size :]).reshape(-1, width)
         return LocalMap(self.pose, landmark_index, landmark, self.covariance_of(columns), columns)
 
     def snapshot(self, width: int = POINT) -> MapSnapshot:
@@ -234,6 +235,18 @@ class KalmanState:
             Places, and the indices of current ones: here all that are in the state.
         """
         return MapSnapshot(self.places(width), self._layout.present(width))
+
+    def mean_at(self, columns: Index) -> Array:
+        """Return some entries of the mean.
+
+        Args:
+            columns: (c,) state entries.
+
+        Returns:
+            (c,), a copy.
+        """
+        part: Array = self._mean[columns]
+        return part
 
     def covariance_of(self, columns: Index) -> Array:
         """Return the covariance of some entries.
@@ -293,7 +306,7 @@ class KalmanState:
         p = self._covariance[:n, :n]
         gain_left = p[:, columns] @ jacobian.T  # P H^T, (n, m)
         innovation_covariance = jacobian @ gain_left[columns] + noise  # S, 2.39
-        if not (np.isfinite(innovation_covariance).all() and np.isfinite(innovation).all()):
+        if not math.isfinite(float(innovation_covariance.sum() + innovation.sum())):
             raise FilterDivergedError("the innovation or its covariance is not finite")
         try:
             inverse_root = np.linalg.inv(np.linalg.cholesky(innovation_covariance))
@@ -377,14 +390,16 @@ class KalmanState:
         total = n + local._layout.size - a
         self._reserve(total)
         mean, p = self._mean, self._covariance
-        cross = phi @ p[start, :n]  # P_ab = phi P_ab(0), all columns
-        if len(spared) or n > WHOLE:
-            subtract(p, root, np.setdiff1d(np.arange(n), np.concatenate((start, spared))), spared)
-        else:
-            p[:n, :n] -= root @ root.T
-        mean[:n] += shift
         everywhere = np.concatenate((start, np.arange(n, total)))
-        p[everywhere, :n], p[:n, everywhere] = cross, cross.T
+        if n > a:
+            cross = phi @ p[start, :n]  # P_ab = phi P_ab(0), all columns
+            if len(spared) or n > WHOLE:
+                changed = np.setdiff1d(np.arange(n), np.concatenate((start, spared)))
+                subtract(p, root, changed, spared)
+            else:
+                p[:n, :n] -= root @ root.T
+            mean[:n] += shift
+            p[everywhere, :n], p[:n, everywhere] = cross, cross.T
         p[everywhere[:, None], everywhere] = local.covariance
         mean[everywhere] = local.mean
         self._layout = self._layout.continued(local.layout, a)

@@ -9,7 +9,7 @@ cancels, and psi itself would cost half the digits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -61,7 +61,8 @@ class CompressedState(KalmanState):
     What KalmanState keeps is all of it as of the last global update. phi: (a', a), theta: (a,) as
     in section 4; a states at the area's start, a' now. learnt: rows (m, a + 1) L^-1 (H phi, nu) of
     the updates, S = L L^T: psi is the sum of their squares. theta repeats what their last column
-    says, for places that are asked between global updates.
+    says, for places that are asked between global updates. Where no state is passive, as in a small
+    map, none of the three is kept.
     """
 
     def __init__(self, pose: Array, covariance: Array, areas: LocalAreas) -> None:
@@ -80,11 +81,13 @@ class CompressedState(KalmanState):
 
     def _activate(self, columns: Index, centre: Array, extent: float) -> None:
         """Begin an area with some active states, their entries (a,) ascending, the pose's first."""
-        self._columns, self._centre, self._extent = columns, centre, extent
+        self._columns, self._extent = columns, extent
+        self._centre = float(centre[0]), float(centre[1])
         self._local = self.part(columns)  # the marginal of the active states
         self._present: Layout = self._layout  # of all, also of landmarks new in `_local`
         self._entry: Index = np.full(self._layout.size, ABSENT)  # of each state entry in `_local`
         self._entry[columns] = np.arange(len(columns))
+        self._passive = self._layout.size - len(columns)
         self._phi: Array = np.eye(len(columns))
         self._theta = np.zeros(len(columns))
         self._learnt: list[Array] = []
@@ -149,8 +152,10 @@ class CompressedState(KalmanState):
     def map_of(self, landmark_index: Index, width: int = POINT) -> LocalMap:
         """Return some landmarks of a kind, made active if they are not."""
         columns = self._present.columns(landmark_index, width)
-        self._local_entries(columns)  # may replace the local state
-        return replace(self._local.map_of(landmark_index, width), columns=columns)
+        entries = self._local_entries(columns)  # may replace the local state
+        known, own = self._local, entries[self._local.layout.pose_size :]
+        landmark, covariance = known.mean_at(own).reshape(-1, width), known.covariance_of(entries)
+        return LocalMap(known.pose, landmark_index, landmark, covariance, columns)
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
         """Return the landmark indices at most `reach_m` away; later areas reach at least so far."""
@@ -160,7 +165,8 @@ class CompressedState(KalmanState):
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle: phi <- F phi. Beyond the area's edge the next area begins."""
         self._local.predict(pose, jacobian_pose, noise)
-        self._phi[:3] = jacobian_pose @ self._phi[:3]
+        if self._passive:
+            self._phi[:3] = jacobian_pose @ self._phi[:3]
         self._fresh = False
         if self._offset() > self.areas.half_m:
             self.leave()
@@ -171,11 +177,13 @@ class CompressedState(KalmanState):
         """Fuse in the active states, then add to psi and theta with the old phi, then move phi."""
         local = self._local_entries(columns)
         done = self._local.update(local, jacobian, innovation, noise)
+        self._fresh = False
+        if not self._passive:
+            return done
         seen = done.inverse_root @ (jacobian @ self._phi[local])  # L^-1 H phi
         self._learn(np.column_stack((seen, done.whitened)))  # psi + phi^T H^T S^-1 H phi
         self._theta += seen.T @ done.whitened  # theta + phi^T H^T S^-1 nu
         self._phi -= done.gain_root.T @ seen  # (I - W H) phi
-        self._fresh = False
         return done
 
     def augment(
@@ -184,7 +192,8 @@ class CompressedState(KalmanState):
         """Add landmarks inside the area: rows G_x phi_v."""
         entries = self._local.layout.size + np.arange(landmark.size)
         self._local.augment(landmark, jacobian_pose, jacobian_z, noise)
-        self._phi = np.vstack((self._phi, jacobian_pose.reshape(-1, 3) @ self._phi[:3]))
+        if self._passive:
+            self._phi = np.vstack((self._phi, jacobian_pose.reshape(-1, 3) @ self._phi[:3]))
         self._present = self._present.appended(*landmark.shape)
         self._entry = np.concatenate((self._entry, entries))
         self._fresh = False
@@ -219,7 +228,8 @@ class CompressedState(KalmanState):
 
     def _offset(self) -> float:
         """Distance from the area's centre, east-west or north-south, whichever is more."""
-        return float(np.abs(self._local.pose[:2] - self._centre).max())
+        x, y, _ = self._local.pose.tolist()
+        return max(abs(x - self._centre[0]), abs(y - self._centre[1]))
 
     def _learn(self, rows: Array) -> None:
         """Add rows (m, a + 1) to psi; many are folded into as few as say the same."""

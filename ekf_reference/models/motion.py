@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, rotation
+from ekf_reference.core.geometry import Array
 
 
 class MotionStep(NamedTuple):
@@ -157,7 +157,7 @@ class RelativePoseModel:
         """Compose the pose with the displacement."""
         heading, (dx, dy, turn) = float(T_world_vehicle[2]), control.tolist()
         cos, sin = math.cos(heading), math.sin(heading)
-        jacobian_control = np.eye(3)
-        jacobian_control[:2, :2] = rotation(heading + turn)
+        c, s = math.cos(heading + turn), math.sin(heading + turn)
+        jacobian_control = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         moved = cos * dx - sin * dy, sin * dx + cos * dy, turn
         return MotionStep.by(T_world_vehicle, *moved, jacobian_control)

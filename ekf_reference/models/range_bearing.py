@@ -33,10 +33,10 @@ class RangeBearing(MeasurementModel):
         dx, dy = p_landmark_world[:, 0] - x, p_landmark_world[:, 1] - y
         q = dx * dx + dy * dy
         r = np.sqrt(q)
-        z = np.column_stack((r, np.arctan2(dy, dx) - heading))
+        z = np.array((r, np.arctan2(dy, dx) - heading)).T
         jacobian_landmark = np.array((dx / r, dy / r, -dy / q, dx / q)).T.reshape(-1, 2, 2)
         jacobian_pose = np.zeros((len(r), 2, 3))
-        jacobian_pose[:, :, :2] = -jacobian_landmark
+        np.negative(jacobian_landmark, out=jacobian_pose[:, :, :2])
         jacobian_pose[:, 1, 2] = -1.0
         return PredictedMeasurements(z, jacobian_pose, jacobian_landmark)
 
