@@ -35,7 +35,7 @@ GATE, NEW_GATE, REACH_M = 13.82, 25.0, 15.0
 CANDIDATES = {"measurements": 5, "age_s": 0.8, "spread_m": 0.5, "join_m": 1.0, "silence_s": 3.0}
 
 
-@dataclass
+@dataclass(eq=False)
 class Candidate:
     """A tree that is no landmark yet: where it was seen (2,), and when first and last."""
 
@@ -150,7 +150,8 @@ class DenseEkf:
     def place(self, z: Array) -> Array:
         """Where a measurement (2,) puts its tree."""
         at = self.x[2] + z[1]
-        return self.x[:2] + z[0] * np.array([math.cos(at), math.sin(at)])
+        place: Array = self.x[:2] + z[0] * np.array([math.cos(at), math.sin(at)])
+        return place
 
     def confirmed(self, z: Array, time_s: float) -> bool:
         """Whether a tree was seen often enough to become a landmark."""
