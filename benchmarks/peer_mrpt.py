@@ -17,7 +17,6 @@ import json
 import re
 import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peer_pairs import MissingError, Pair, Ran, Side, Spent, median, run
+from benchmarks.peer_pairs import MissingError, Pair, Ran, Side, Spent, median, run, scratch
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import build_timeline
@@ -50,7 +49,7 @@ def rows(*, quick: bool) -> list[Pair]:
     del quick
     if shutil.which("kf-slam") is None or not (LOG.is_file() and INI.is_file()):
         raise MissingError(f"MRPT {INSTALL}")
-    work = Path(tempfile.mkdtemp(prefix="peer-mrpt-"))
+    work = scratch()
     unnamed, first = _write_variants(work)
     steps = len(rawlog.read(LOG).odometry.time_s)
     pairs = [

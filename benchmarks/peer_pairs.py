@@ -9,6 +9,8 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of this process; of those it starts, too
 
+import atexit
+import shutil
 import statistics
 import subprocess
 import tempfile
@@ -116,7 +118,7 @@ def run(words: Sequence[str | Path], fine: Sequence[int] = (0,)) -> Ran:
     """Run a program in a process of its own.
 
     Args:
-        words: The program and its arguments. fine: exit codes that are none of a failure.
+        words: The program and its arguments.
         fine: Exit codes of success.
 
     Returns:
@@ -143,6 +145,13 @@ def run(words: Sequence[str | Path], fine: Sequence[int] = (0,)) -> Ran:
         last = (text.strip() or "nothing printed").splitlines()[-1]
         raise RuntimeError(f"{words[0]} exited with {process.returncode}: {last}")
     return Ran(Spent(usage.ru_utime + usage.ru_stime, taken), text)
+
+
+def scratch() -> Path:
+    """Return a folder that is gone when this process ends."""
+    folder = Path(tempfile.mkdtemp(prefix="slamcheck-peers-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def program(*words: str | Path, fine: Sequence[int] = (0,)) -> Side:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -99,7 +100,7 @@ def table(
                 }
             )
     yield ""
-    yield "OPENBLAS_NUM_THREADS=1 for all."
+    yield f"OPENBLAS_NUM_THREADS={os.environ['OPENBLAS_NUM_THREADS']} for all."
     yield from (*notes, *skipped)
 
 

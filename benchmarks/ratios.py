@@ -12,6 +12,10 @@ new ratios; those of references that are not installed stay. `make bench` runs t
 from __future__ import annotations
 
 import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import datetime
 import subprocess
 import sys
@@ -31,7 +35,9 @@ from benchmarks.peer_pairs import (
     here,
     interleaved,
     program,
+    scratch,
 )
+from benchmarks.peers import pairs_of
 
 FILE = ROOT / "benchmarks" / "ratios.toml"
 TOLERANCE = 0.2
@@ -139,28 +145,14 @@ def compare(name: str, make: Make, kept: Kept | None, repeat: int = REPEAT) -> F
     return Found(line, ratio)
 
 
-def smoother() -> Sides:
-    """Graph, optimum and marginals on Victoria Park, over bare gtsam."""
-    from benchmarks.peer_gtsam import rows
+def peer(source: str, *, quick: bool = False) -> Make:
+    """Return the first pair of a source of `benchmarks/peers.py`."""
 
-    pair = rows(quick=False)[0]
-    return pair.ours, pair.theirs
+    def make() -> Sides:
+        pair = pairs_of(source, quick=quick)[0]
+        return pair.ours, pair.theirs
 
-
-def kf_slam() -> Sides:
-    """The full EKF on MRPT's log with its labels, over `kf-slam`."""
-    from benchmarks.peer_mrpt import rows
-
-    pair = rows(quick=False)[0]
-    return pair.ours, pair.theirs
-
-
-def linear_filter() -> Sides:
-    """Steps of a linear filter, over filterpy."""
-    from benchmarks.peer_filterpy import rows
-
-    pair = rows(quick=False)[0]
-    return pair.ours, pair.theirs
+    return make
 
 
 def compressed(landmarks: int, scans: int) -> Make:
@@ -219,11 +211,9 @@ def own_association() -> Sides:
 
 def whole_run() -> Sides:
     """`slamcheck run` with its report, over the comparison alone."""
-    import tempfile
-
-    folder = tempfile.mkdtemp(prefix="bench-")
+    folder = scratch()
     code = f"import slamcheck; slamcheck.compare(slamcheck.load_log({LOG!r}))"
-    words = sys.executable, "-m", "slamcheck", "run", LOG, "--out", f"{folder}/run"
+    words = sys.executable, "-m", "slamcheck", "run", LOG, "--out", folder / "run"
     return program(*words, fine=(0, 1, 3)), program(sys.executable, "-c", code)
 
 
@@ -235,15 +225,17 @@ def help_page() -> Sides:
 
 
 BENCHMARKS: dict[str, Make] = {
-    "smoother over bare gtsam": smoother,
+    "smoother over bare gtsam": peer("gtsam"),
     "compressed over full EKF, 70 landmarks": compressed(70, 60),
     "compressed over full EKF, 2000 landmarks": compressed(2000, 10),
     "EKF over matrix products": ekf,
     "own association over labels in solve": own_association,
     "run with report over compare": whole_run,
     "help page over bare Python": help_page,
-    "linear filter over filterpy": linear_filter,
-    "EKF over kf-slam": kf_slam,
+    "linear filter over filterpy": peer("filterpy"),
+    "EKF over kf-slam": peer("mrpt"),
+    "trajectory check over evo": peer("trajectory", quick=True),
+    "occupancy grid over MRPT": peer("grid", quick=True),
 }
 
 
