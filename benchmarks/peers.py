@@ -83,9 +83,13 @@ def table(
             continue
         for pair in pairs:
             times = 1 if quick else min(repeat, pair.repeat or repeat)
-            measured = interleaved(pair.ours, pair.theirs, times)
+            try:
+                measured = interleaved(pair.ours, pair.theirs, times)
+                found = tuple(pair.notes())
+            except RuntimeError as error:
+                skipped.append(f"failed: {pair.name}: {error}")
+                continue
             yield line(pair, measured)
-            found = tuple(pair.notes())
             notes += [f"{pair.name}: {note}" for note in found]
             kept.append(
                 {

@@ -124,16 +124,19 @@ def compare(name: str, make: Make, kept: Kept | None, repeat: int = REPEAT) -> F
         repeat: Repetitions, of which the median counts.
 
     Returns:
-        A line for the reader, and whether the ratio is above the kept one's tolerance twice.
+        A line for the reader, and whether the ratio is above the kept one's tolerance twice, or a
+        program failed.
     """
     try:
         ours, reference = make()
+        measured = interleaved(ours, reference, repeat)
+        if kept is not None and measured.ratio > kept.ratio * (1.0 + kept.tolerance):
+            again = interleaved(ours, reference, repeat)
+            measured = min(measured, again, key=lambda one: one.ratio)
     except MissingError as missing:
         return Found(f"{name}: skipped: {missing}")
-    measured = interleaved(ours, reference, repeat)
-    if kept is not None and measured.ratio > kept.ratio * (1.0 + kept.tolerance):
-        again = interleaved(ours, reference, repeat)
-        measured = min(measured, again, key=lambda one: one.ratio)
+    except RuntimeError as error:
+        return Found(f"{name}: FAILED: {error}", fallen=True)
     ratio, ratios = measured.ratio, measured.ratios
     line = f"{name}: {ratio:.4g} ({min(ratios):.4g} to {max(ratios):.4g})"
     if kept is None:
@@ -279,7 +282,7 @@ def main() -> None:
     if choices.keep:
         write({name: kept[name] for name in every if name in kept}, choices.file)
     elif slower:
-        print("\n".join(("", "slower than kept:", *slower)), file=sys.stderr)
+        print("\n".join(("", "slower than kept, or failed:", *slower)), file=sys.stderr)
         raise SystemExit(1)
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import peers, ratios
-from benchmarks.peer_pairs import MissingError, Side, Spent
+from benchmarks.peer_pairs import MissingError, Pair, Side, Spent
+from benchmarks.peer_pairs import run as ran
 from tests.graphslam.skips import pass_on
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -288,6 +289,32 @@ def test_missing_peers_are_skipped_by_name(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(peers.SOURCES, "grid", "benchmarks.peer_that_is_not")
     lines = list(peers.table(["grid"], 1, quick=True, kept=[]))
     assert lines[-1] == "skipped: grid: no module benchmarks.peer_that_is_not"
+
+
+def failing() -> Spent:
+    raise RuntimeError("made-up exited with 1: no window")
+
+
+def test_programs_that_fail_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = ratios.compare("made up", lambda: (spending(1.0), failing), kept_ratio(0.5))
+    assert found.fallen
+    assert found.line == "made up: FAILED: made-up exited with 1: no window"
+    pair = Pair(name="made-up: ours", work="none", ours=spending(1.0), theirs=failing)
+    monkeypatch.setattr(peers, "pairs_of", lambda name, quick: [pair])
+    lines = list(peers.table(["grid"], 1, quick=True, kept=[]))
+    assert lines[-1] == "failed: made-up: ours: made-up exited with 1: no window"
+
+
+def test_a_program_is_measured_with_its_children() -> None:
+    """Its own children's processor time counts, and a failure says what was printed last."""
+    work = "sum(i * i for i in range(3_000_000))"
+    child = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {work!r}])"
+    alone, within, nothing = (
+        ran((sys.executable, "-c", code)).spent.cpu_s for code in (work, child, "pass")
+    )
+    assert within > nothing + 0.5 * (alone - nothing)
+    with pytest.raises(RuntimeError, match="exited with 3: gone"):
+        ran((sys.executable, "-c", "import sys; print('gone'); sys.exit(3)"))
 
 
 def bench(monkeypatch: pytest.MonkeyPatch, make: ratios.Make, *arguments: str) -> int | str | None:
