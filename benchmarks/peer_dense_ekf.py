@@ -5,7 +5,7 @@ landmarks in reach for the nearest neighbour, then an update by an H as wide as 
 sigmas, gates and the rule for new landmarks are those of ours. Of two ways to write the algebra,
 `whole` has it as in textbooks, F P F^T + Q and (I - K H) P with square matrices, which would take
 hours for the whole log and is measured on its first minute; otherwise the prediction touches
-the vehicle's rows alone, and P - K (P H^T)^T is one product.
+the vehicle's rows alone, and K S K^T is one product.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class DenseEkf:
         else:
             self.P[:3, 3:] = f @ self.P[:3, 3:]
             self.P[3:, :3] = self.P[:3, 3:].T
-            self.P[:3, :3] = f @ self.P[:3, :3] @ f.T + q
+            self.P[:3, :3] = symmetric(f @ self.P[:3, :3] @ f.T + q)
 
     def observe(self, z: Array, sigma: Array, time_s: float) -> None:
         """Fuse the measurements (m, 2) of a scan one by one."""
@@ -140,12 +140,14 @@ class DenseEkf:
         h = np.zeros((2, len(self.x)))
         h[:, :3], h[:, 3 + 2 * landmark : 5 + 2 * landmark] = part[:, :3], part[:, 3:]
         cross = self.P @ h.T
-        gain = cross @ np.linalg.inv(h @ cross + r)
+        s = h @ cross + r
+        gain = cross @ np.linalg.inv(s)
         self.x += gain @ innovation(z, expected)
         if self.whole:
             self.P = (np.eye(len(self.x)) - gain @ h) @ self.P
         else:
-            self.P -= gain @ cross.T
+            root = gain @ np.linalg.cholesky(s)
+            self.P -= root @ root.T
 
     def place(self, z: Array) -> Array:
         """Where a measurement (2,) puts its tree."""
@@ -179,8 +181,14 @@ class DenseEkf:
         grown[:n, :n] = self.P
         grown[n:, :n] = g_x @ self.P[:3]
         grown[:n, n:] = grown[n:, :n].T
-        grown[n:, n:] = g_x @ self.P[:3, :3] @ g_x.T + g_z @ r @ g_z.T
+        grown[n:, n:] = symmetric(g_x @ self.P[:3, :3] @ g_x.T + g_z @ r @ g_z.T)
         self.x, self.P = np.concatenate((self.x, self.place(z))), grown
+
+
+def symmetric(a: Array) -> Array:
+    """Return the symmetric part; rounding makes the rest, which grows over 50,000 updates."""
+    half: Array = 0.5 * (a + a.T)
+    return half
 
 
 def innovation(z: Array, expected: Array) -> Array:
