@@ -3,9 +3,9 @@
 One array for the mean, one for the covariance; each measurement by itself: a loop over the
 landmarks in reach for the nearest neighbour, then an update by an H as wide as the state. Models,
 sigmas, gates and the rule for new landmarks are those of ours. Of two ways to write the algebra,
-`whole` has it as in textbooks, F P F^T + Q and (I - K H) P with square matrices, which would take
-hours for the whole log and is measured on its first minute; otherwise the prediction touches
-the vehicle's rows alone, and K S K^T is one product.
+`whole` has it as in textbooks, F P F^T + Q and (I - K H) P with square matrices, cubic in the
+landmarks, and is measured on the first minute alone; otherwise the prediction touches the vehicle's
+rows alone, and P - K S K^T is one product.
 """
 
 from __future__ import annotations
