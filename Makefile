@@ -6,7 +6,7 @@ CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: run test test-all test-golden lint settings docs pictures results results-speed nightly release-check clean
+.PHONY: run test test-all test-golden lint settings docs pictures results results-speed peers bench nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -47,6 +47,17 @@ results: $(VENV)/installed-dev
 # The tables of times, on a machine that does nothing else. Half an hour.
 results-speed: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/record.py --due --idle --data $(DATA)
+
+# The same work by us and by peers, in turns. PyPI's peers are installed; Debian's are named.
+peers: $(VENV)/installed-dev
+	$(BIN)/python -m pip install --quiet filterpy "evo>=1.28"
+	@command -v kf-slam >/dev/null || echo "for MRPT: sudo apt-get install mrpt-apps mrpt-common"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.peers $(if $(ONLY),--only $(ONLY))
+
+# Short benchmarks as ratios beside those kept in benchmarks/ratios.toml; what has become slower by
+# more than 20 % is an error. KEEP=1 keeps the new ratios. Two to three minutes.
+bench: $(VENV)/installed-dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.ratios $(if $(KEEP),--keep)
 
 # 20,000 damaged files, odd settings, kills and full disks, drawn anew each time; says how many of
 # each kind it has tried.

@@ -84,6 +84,20 @@ def bare_marginals(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> N
     marginals.jointMarginalCovariance([max(keys), *(key for key in keys if key < POSE_KEY)])
 
 
+def own_solution(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+    """Our way from a start to the optimum."""
+    return polish(graph, optimise(graph, start)[0])[0]
+
+
+def bare_solution(
+    graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, tolerance: float
+) -> gtsam.Values:
+    """Levenberg-Marquardt with gtsam's defaults, but for the relative tolerance."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(tolerance)
+    return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
+
+
 def timed(call: Callable[[], Any], repeat: int) -> tuple[float, Any]:
     """Least wall time of some calls, and the last result."""
     least, result = np.inf, None
@@ -106,18 +120,9 @@ def main() -> None:
     build, graph = timed(lambda: build_graph(problem), repeat)
     bare_build, plain = timed(lambda: bare_graph(problem), repeat)
     start_s, (start, _) = timed(lambda: track(problem, graph), repeat)
-
-    def ours() -> gtsam.Values:
-        return polish(graph, optimise(graph, start)[0])[0]
-
-    def bare(tolerance: float) -> gtsam.Values:
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setRelativeErrorTol(tolerance)
-        return gtsam.LevenbergMarquardtOptimizer(plain, start, parameters).optimize()
-
-    solve_s, end = timed(ours, repeat)
-    default_s, default_end = timed(lambda: bare(1e-5), repeat)
-    bare_solve, bare_end = timed(lambda: bare(1e-10), repeat)
+    solve_s, end = timed(lambda: own_solution(graph, start), repeat)
+    default_s, default_end = timed(lambda: bare_solution(plain, start, 1e-5), repeat)
+    bare_solve, bare_end = timed(lambda: bare_solution(plain, start, 1e-10), repeat)
     result = smooth(problem, {})
     marginals, _ = timed(lambda: (result.pose_covariances(), result.marginal()), repeat)
     bare_s, _ = timed(lambda: bare_marginals(plain, bare_end), repeat)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import datetime
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from benchmarks import peers, ratios
+from benchmarks.peer_pairs import MissingError, Pair, Side, Spent
+from benchmarks.peer_pairs import run as ran
 from tests.graphslam.skips import pass_on
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -215,6 +220,179 @@ def test_pieces_benchmark_runs() -> None:
     lines = run("benchmarks/pieces.py", "--repeat", "2")
     assert len(lines) == 2
     assert all("median" in line for line in lines)
+
+
+@pytest.mark.slow
+def test_peers_benchmark_runs(tmp_path: Path) -> None:
+    """One row for each pair whose peer is here; the others are named."""
+    kept = tmp_path / "peers.json"
+    few = ("--only", "gtsam", "dense-ekf", "filterpy", "--quick", "--json", str(kept))
+    lines = run("-m", "benchmarks.peers", *few)
+    rows = [line.split(" | ")[0] for line in lines[2 : lines.index("")]]
+    assert rows[:2] == [
+        "| gtsam: our smoother from the same start",
+        "| gtsam's iSAM2: our way to the optimum",
+    ]
+    named = [line.split(":")[1].strip() for line in lines if line.startswith("skipped: ")]
+    data = [row for row in rows if row.startswith("| dense EKF")]
+    assert len(data) == (0 if "dense-ekf" in named else 2)
+    assert [one["name"] for one in json.loads(kept.read_text())] == [row[2:] for row in rows]
+
+
+def spending(*seconds: float) -> Side:
+    """A side that says it took these processor times, one after the other, the last for ever."""
+    left = list(seconds)
+    return lambda: Spent(left.pop(0) if len(left) > 1 else left[0], 1.0)
+
+
+def kept_ratio(ratio: float) -> ratios.Kept:
+    day = datetime.date(2026, 1, 1)
+    return ratios.Kept(name="made up", ratio=ratio, commit="0123456", date=day)
+
+
+@pytest.mark.parametrize(("factor", "fallen"), [(1.3, True), (1.1, False), (0.5, False)])
+def test_bench_rejects_a_slow_down_beyond_the_tolerance(factor: float, fallen: bool) -> None:
+    sides = spending(0.4 * factor), spending(0.8)
+    found = ratios.compare("made up", lambda: sides, kept_ratio(0.5))
+    assert found.fallen == fallen
+    assert found.ratio == pytest.approx(0.5 * factor)
+    assert found.line.startswith(f"made up: {0.5 * factor:.4g} ")
+    assert "kept 0.5 " in found.line
+    assert ("SLOWER" in found.line) == fallen
+
+
+def test_bench_measures_again_before_it_rejects() -> None:
+    """Five repetitions beside other work, then five alone."""
+    disturbed = spending(*[0.9] * 5, *[0.4] * 5)
+    found = ratios.compare("made up", lambda: (disturbed, spending(0.8)), kept_ratio(0.5))
+    assert not found.fallen
+    assert found.ratio == pytest.approx(0.5)
+
+
+def test_bench_takes_medians_of_interleaved_repetitions() -> None:
+    """Two outliers of five leave the ratio; both sides slow together leave it, too."""
+    outliers = spending(0.4, 4.0, 0.4, 4.0, 0.4)
+    found = ratios.compare("made up", lambda: (outliers, spending(0.8)), kept_ratio(0.5))
+    assert found.ratio == pytest.approx(0.5)
+    slow = spending(0.4, 0.8, 1.2, 1.6, 2.0), spending(0.8, 1.6, 2.4, 3.2, 4.0)
+    assert ratios.compare("made up", lambda: slow, None).ratio == pytest.approx(0.5)
+
+
+def missing() -> ratios.Sides:
+    raise MissingError("made-up not installed: make peers")
+
+
+def test_missing_peers_are_skipped_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = ratios.compare("made up", missing, kept_ratio(0.5))
+    assert not found.fallen
+    assert found.line == "made up: skipped: made-up not installed: make peers"
+    monkeypatch.setitem(peers.SOURCES, "grid", "benchmarks.peer_that_is_not")
+    lines = list(peers.table(["grid"], 1, quick=True, kept=[]))
+    assert lines[-1] == "skipped: grid: no module benchmarks.peer_that_is_not"
+
+
+def failing() -> Spent:
+    raise RuntimeError("made-up exited with 1: no window")
+
+
+def test_programs_that_fail_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = ratios.compare("made up", lambda: (spending(1.0), failing), kept_ratio(0.5))
+    assert found.fallen
+    assert found.line == "made up: FAILED: made-up exited with 1: no window"
+    pair = Pair(name="made-up: ours", work="none", ours=spending(1.0), theirs=failing)
+    monkeypatch.setattr(peers, "pairs_of", lambda name, quick: [pair])
+    lines = list(peers.table(["grid"], 1, quick=True, kept=[]))
+    assert lines[-1] == "failed: made-up: ours: made-up exited with 1: no window"
+
+
+def test_a_program_is_measured_with_its_children() -> None:
+    """Its own children's processor time counts, and a failure says what was printed last."""
+    work = "sum(i * i for i in range(3_000_000))"
+    child = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {work!r}])"
+    alone, within, nothing = (
+        ran((sys.executable, "-c", code)).spent.cpu_s for code in (work, child, "pass")
+    )
+    assert within > nothing + 0.5 * (alone - nothing)
+    with pytest.raises(RuntimeError, match="exited with 3: gone"):
+        ran((sys.executable, "-c", "import sys; print('gone'); sys.exit(3)"))
+
+
+def bench(monkeypatch: pytest.MonkeyPatch, make: ratios.Make, *arguments: str) -> int | str | None:
+    """The exit code of `benchmarks.ratios` with one benchmark."""
+    monkeypatch.setattr(ratios, "BENCHMARKS", {"made up": make})
+    monkeypatch.setattr(sys, "argv", ["ratios", *arguments])
+    try:
+        ratios.main()
+    except SystemExit as left:
+        return left.code
+    return 0
+
+
+def test_bench_keeps_ratios_and_compares_with_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "ratios.toml"
+
+    def half() -> ratios.Sides:
+        return spending(0.4), spending(0.8)
+
+    def worse() -> ratios.Sides:
+        return spending(0.52), spending(0.8)
+
+    assert bench(monkeypatch, half, "--file", str(file)) == 2
+    assert bench(monkeypatch, half, "--file", str(file), "--keep") == 0
+    assert ratios.read(file, ["made up"])["made up"].ratio == 0.5
+    assert bench(monkeypatch, half, "--file", str(file)) == 0
+    capsys.readouterr()
+    assert bench(monkeypatch, worse, "--file", str(file)) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("made up: 0.65 (0.65 to 0.65), kept 0.5 of ")
+    assert bench(monkeypatch, missing, "--file", str(file), "--keep") == 0
+    assert ratios.read(file, ["made up"])["made up"].ratio == 0.5
+
+
+GOOD = """[[ratio]]
+name = "made up"
+ratio = 0.5
+commit = "0123456"
+date = 2026-01-01
+tolerance = 0.2
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("ratio = 0.5", "ratio = 0.0", "ratio.0.ratio: input should be greater than 0"),
+        ("ratio = 0.5", "ratio = nan", "ratio.0.ratio: input should be"),
+        ("ratio = 0.5", "time = 0.5", "ratio.0.ratio: field required"),
+        ('commit = "0123456"', 'commit = "yesterday"', "ratio.0.commit: string should match"),
+        ("tolerance = 0.2", "tolerance = 2", "ratio.0.tolerance: input should be less than 1"),
+        ('"made up"', '"gone"', "gone: no such benchmark; take it out"),
+        ("[[ratio]]", "[[ratio]", "ratios.toml: "),
+        (GOOD, GOOD + GOOD, "made up: stands there twice"),
+    ],
+)
+def test_a_bad_file_of_ratios_is_one_line(
+    old: str,
+    new: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "ratios.toml"
+    file.write_text(GOOD)
+    assert ratios.read(file, ["made up"]) == {"made up": kept_ratio(0.5)}
+    file.write_text(GOOD.replace(old, new))
+    assert bench(monkeypatch, missing, "--file", str(file)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("ratios: ratios.toml: ")
+    assert said in line
+
+
+def test_the_kept_ratios_are_of_the_benchmarks() -> None:
+    assert ratios.read(ratios.FILE, list(ratios.BENCHMARKS))
 
 
 def scale(size: str) -> tuple[dict[str, tuple[float, float]], str]:

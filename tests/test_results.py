@@ -218,7 +218,9 @@ def test_what_fails_or_is_not_committed_is_not_recorded(
 def test_every_command_exists() -> None:
     for table in read_registry().tables.values():
         for command in table.commands.values():
-            program, first = shlex.split(command)[:2]
+            program, first, *rest = shlex.split(command)
+            if first == "-m":
+                first = f"{rest[0].replace('.', '/')}.py"
             assert program in {"python", "slamcheck"}
             assert first in COMMANDS if program == "slamcheck" else (ROOT / first).is_file()
 
