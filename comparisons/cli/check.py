@@ -31,8 +31,6 @@ def check(given: Given) -> None:
         with progress_bar(given.output) as progress:
             from comparisons.config import CheckConfig
             from comparisons.estimates.external import ExternalEstimate, read_external
-            from comparisons.report.check import build_check_result, check_folder, check_summary
-            from comparisons.report.folder import write_job_folder
 
             handed_in: list[ExternalEstimate] = []
 
@@ -45,6 +43,8 @@ def check(given: Given) -> None:
 
             job = start_job(given, CheckConfig, check=read_first)
             from comparisons.pipeline.check import check as check_estimate
+            from comparisons.report.check import build_check_result, check_folder, check_summary
+            from comparisons.report.folder import write_job_folder
 
             checked = check_estimate(job.log, handed_in[0], job.config, progress)
             result = build_check_result(checked, job.read)

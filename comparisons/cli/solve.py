@@ -24,15 +24,15 @@ def solve(given: Given) -> None:
     with guarded(log_file=given.log_file):
         with progress_bar(given.output) as progress:
             from comparisons.config import SolveConfig
+
+            job = start_job(given, SolveConfig)
+            from comparisons.pipeline.solve import solve as solve_log
             from comparisons.report.folder import write_job_folder
             from comparisons.report.solution import (
                 build_solution_result,
                 solution_folder,
                 solution_summary,
             )
-
-            job = start_job(given, SolveConfig)
-            from comparisons.pipeline.solve import solve as solve_log
 
             solution = solve_log(job.log, job.config, progress)
             result = build_solution_result(solution, job.read)
