@@ -43,12 +43,13 @@ def check(given: Given) -> None:
 
             job = start_job(given, CheckConfig, check=read_first)
             from comparisons.pipeline.check import check as check_estimate
+
+            checked = check_estimate(job.log, handed_in[0], job.config, progress)
+            progress("report", 0, 0)
             from comparisons.report.check import build_check_result, check_folder, check_summary
             from comparisons.report.folder import write_job_folder
 
-            checked = check_estimate(job.log, handed_in[0], job.config, progress)
             result = build_check_result(checked, job.read)
-            progress("report", 0, 0)
             write_job_folder(check_folder(checked, result), job.folder)
         print_result(check_summary(result), job.folder / "check.json", given.output)
         raise SystemExit(VERDICTS[checked.outcome])

@@ -53,13 +53,14 @@ def run(given: Given) -> None:
 
             job = start_job(given, RunConfig)
             from comparisons.pipeline.compare import compare
+
+            comparison = compare(job.log, job.config, progress)
+            progress("report", 0, 0)
             from comparisons.report.folder import write_job_folder
             from comparisons.report.result import build_result, run_summary
             from comparisons.report.run import run_folder
 
-            comparison = compare(job.log, job.config, progress)
             result = build_result(comparison, job.read)
-            progress("report", 0, 0)
             _record(comparison, record)  # first: where that fails, no folder is left
             content = run_folder(comparison, result)
             write_job_folder(content, job.folder, job.config.report.figures)
