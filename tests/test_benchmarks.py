@@ -53,6 +53,15 @@ def test_main_job_benchmark_runs() -> None:
 
 
 @pytest.mark.slow
+def test_startup_benchmark_runs() -> None:
+    header, bare, *rows = run("benchmarks/startup.py", "--repeat", "1")
+    assert header.split()[-4:] == ["all", "beside", "report", "share"]
+    assert bare.startswith("python -c pass")
+    assert rows[-1].split()[:3] == ["slamcheck", "run", "ten-seconds"]
+    assert rows[-1].endswith("%")
+
+
+@pytest.mark.slow
 def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "run.png"
     lines = run("benchmarks/waypoint_run.py", "--seeds", "1", "--plot", str(picture))

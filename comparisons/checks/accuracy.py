@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
@@ -198,6 +197,8 @@ def match_landmarks(
 
 def match_by_distance(points: Array, reference: Array) -> tuple[Index, Index]:
     """Indices of the one-to-one matches with least total distance, none beyond MATCH_M."""
+    from scipy.optimize import linear_sum_assignment  # takes long to load
+
     distance = np.linalg.norm(points[:, None] - reference[None], axis=2)
     rows, columns = linear_sum_assignment(np.minimum(distance, MATCH_M))
     near = distance[rows, columns] < MATCH_M

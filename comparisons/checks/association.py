@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import fcluster, linkage
 
 from comparisons.logs.log import Log
 
@@ -83,6 +82,8 @@ def _pairs(counts: NDArray[np.intp]) -> int:
 
 def _clusters(place: NDArray[np.float64]) -> NDArray[np.int64]:
     """Cluster of each place (L, 2), by single linkage."""
+    from scipy.cluster.hierarchy import fcluster, linkage  # takes long to load
+
     groups: NDArray[np.int64] = fcluster(linkage(place, "single"), CLUSTER_M, "distance")
     return groups.astype(np.int64)
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
@@ -27,6 +26,7 @@ from comparisons.checks.grade import (
     match_map,
     pose_difference,
 )
+from comparisons.checks.quantiles import chi2_quantile
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
@@ -418,7 +418,7 @@ def _block(difference: Array, covariance: Array, given: Array | None) -> Block:
 
 def _outside(difference: Array, covariance: Array) -> float:
     """Share of the poses beyond their own region; one without a usable covariance is."""
-    limit = float(chi2.ppf(_SURE, 3))
+    limit = float(chi2_quantile(_SURE, 3))
     positive = np.linalg.eigvalsh(covariance)[:, 0] > 0.0
     safe = np.where(positive[:, None, None], covariance, np.eye(3))
     square = np.einsum("ki,ki->k", difference, np.linalg.solve(safe, difference[..., None])[..., 0])

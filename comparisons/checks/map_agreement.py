@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
+from comparisons.checks.quantiles import chi2_quantile
 from comparisons.estimates.estimate import Estimate
 
-_CHI2_2_99 = float(chi2.ppf(0.99, 2))
+_CHI2_2_99 = float(chi2_quantile(0.99, 2))
 MOST_OUTSIDE = 0.05
 """Share of landmarks that may lie beyond their 99 % region before the maps disagree."""
 

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
@@ -19,6 +18,7 @@ from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.checks.quantiles import chi2_quantile
 from comparisons.checks.verdict import Verdict, rounded
 from comparisons.choices import FailOn
 from comparisons.logs.log import LandmarkMeasurements
@@ -38,7 +38,7 @@ _NONE_FOUND = 3
 
 def limit(dof: int) -> float:
     """Root of a mean NEES over its degrees of freedom that a sound run hardly passes."""
-    return float(np.sqrt(chi2.ppf(_SHARE, dof) / dof))
+    return float(np.sqrt(chi2_quantile(_SHARE, dof) / dof))
 
 
 @dataclass(frozen=True)

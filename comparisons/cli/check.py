@@ -31,8 +31,6 @@ def check(given: Given) -> None:
         with progress_bar(given.output) as progress:
             from comparisons.config import CheckConfig
             from comparisons.estimates.external import ExternalEstimate, read_external
-            from comparisons.report.check import build_check_result, check_folder, check_summary
-            from comparisons.report.folder import write_job_folder
 
             handed_in: list[ExternalEstimate] = []
 
@@ -47,8 +45,11 @@ def check(given: Given) -> None:
             from comparisons.pipeline.check import check as check_estimate
 
             checked = check_estimate(job.log, handed_in[0], job.config, progress)
-            result = build_check_result(checked, job.read)
             progress("report", 0, 0)
+            from comparisons.report.check import build_check_result, check_folder, check_summary
+            from comparisons.report.folder import write_job_folder
+
+            result = build_check_result(checked, job.read)
             write_job_folder(check_folder(checked, result), job.folder)
         print_result(check_summary(result), job.folder / "check.json", given.output)
         raise SystemExit(VERDICTS[checked.outcome])

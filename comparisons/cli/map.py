@@ -27,15 +27,16 @@ def map_command(given: Given) -> None:
     with guarded(log_file=given.log_file):
         with progress_bar(given.output) as progress:
             from comparisons.config import MapConfig
-            from comparisons.report.dense_map import build_map_result, map_folder, map_summary
-            from comparisons.report.folder import write_job_folder
 
             job = start_job(given, MapConfig, base=_DEFAULT)
             from comparisons.pipeline.dense_map import map_log
 
             mapping = map_log(job.log, job.config, progress)
-            result = build_map_result(mapping, job.read)
             progress("report", 0, 0)
+            from comparisons.report.dense_map import build_map_result, map_folder, map_summary
+            from comparisons.report.folder import write_job_folder
+
+            result = build_map_result(mapping, job.read)
             write_job_folder(map_folder(mapping, result), job.folder)
         print_result(map_summary(result), job.folder / "map.json", given.output)
         raise SystemExit(AGREE)

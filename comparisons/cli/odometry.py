@@ -22,6 +22,12 @@ def odometry(given: Given) -> None:
     with guarded(log_file=given.log_file):
         with progress_bar(given.output) as progress:
             from comparisons.config import OdometryConfig
+
+            job = start_job(given, OdometryConfig)
+            from comparisons.pipeline.odometry import run_front_end
+
+            front_end = run_front_end(job.log, job.config, progress)
+            progress("report", 0, 0)
             from comparisons.report.folder import write_job_folder
             from comparisons.report.odometry import (
                 build_front_end_result,
@@ -29,12 +35,7 @@ def odometry(given: Given) -> None:
                 front_end_summary,
             )
 
-            job = start_job(given, OdometryConfig)
-            from comparisons.pipeline.odometry import run_front_end
-
-            front_end = run_front_end(job.log, job.config, progress)
             result = build_front_end_result(front_end, job.read)
-            progress("report", 0, 0)
             write_job_folder(front_end_folder(front_end, result), job.folder)
         print_result(front_end_summary(result), job.folder / "odometry.json", given.output)
         raise SystemExit(VERDICTS[result.verdict])

@@ -50,16 +50,17 @@ def run(given: Given) -> None:
             check_viewer(live, record)
         with progress_bar(given.output) as progress:
             from comparisons.config import RunConfig
-            from comparisons.report.folder import write_job_folder
-            from comparisons.report.result import build_result, run_summary
-            from comparisons.report.run import run_folder
 
             job = start_job(given, RunConfig)
             from comparisons.pipeline.compare import compare
 
             comparison = compare(job.log, job.config, progress)
-            result = build_result(comparison, job.read)
             progress("report", 0, 0)
+            from comparisons.report.folder import write_job_folder
+            from comparisons.report.result import build_result, run_summary
+            from comparisons.report.run import run_folder
+
+            result = build_result(comparison, job.read)
             _record(comparison, record)  # first: where that fails, no folder is left
             content = run_folder(comparison, result)
             write_job_folder(content, job.folder, job.config.report.figures)

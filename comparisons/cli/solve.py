@@ -24,6 +24,12 @@ def solve(given: Given) -> None:
     with guarded(log_file=given.log_file):
         with progress_bar(given.output) as progress:
             from comparisons.config import SolveConfig
+
+            job = start_job(given, SolveConfig)
+            from comparisons.pipeline.solve import solve as solve_log
+
+            solution = solve_log(job.log, job.config, progress)
+            progress("report", 0, 0)
             from comparisons.report.folder import write_job_folder
             from comparisons.report.solution import (
                 build_solution_result,
@@ -31,12 +37,7 @@ def solve(given: Given) -> None:
                 solution_summary,
             )
 
-            job = start_job(given, SolveConfig)
-            from comparisons.pipeline.solve import solve as solve_log
-
-            solution = solve_log(job.log, job.config, progress)
             result = build_solution_result(solution, job.read)
-            progress("report", 0, 0)
             write_job_folder(solution_folder(solution, result), job.folder)
         print_result(solution_summary(result), job.folder / "solution.json", given.output)
         raise SystemExit(VERDICTS[result.verdict])

@@ -82,9 +82,8 @@ def write_estimate(estimate: Estimate, folder: str | Path) -> None:
 def tum_text(time_s: Array, pose: Array) -> str:
     """A trajectory as TUM lines, from times (K,) and planar poses (K, 3)."""
     half = 0.5 * pose[:, 2]
-    flat = np.zeros((len(half), 3))
-    rows = np.column_stack((time_s, pose[:, :2], flat, np.sin(half), np.cos(half)))
-    return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+    rows = np.column_stack((time_s, pose[:, :2], np.sin(half), np.cos(half))).tolist()
+    return "".join([f"{t!r} {x!r} {y!r} 0.0 0.0 0.0 {z!r} {w!r}\n" for t, x, y, z, w in rows])
 
 
 def read_estimate(folder: Path) -> Estimate:

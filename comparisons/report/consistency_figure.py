@@ -42,6 +42,7 @@ def draw_panel(axis: Axes, panel: Panel, *, marked: bool = False) -> None:
         axis.axhline(panel.level, color=TRUTH_COLOUR, linewidth=0.5)
     if panel.logarithmic:
         axis.set_yscale("log")
+        axis.yaxis.set_major_formatter("{x:g}")  # powers of ten set as formulas take far longer
         axis.minorticks_off()
     axis.set_ylabel(panel.title)
 

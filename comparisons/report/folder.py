@@ -8,9 +8,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
 from pydantic import BaseModel
 
 from comparisons.atomic import check_replaceable, folder_name, fresh_folder
@@ -20,7 +19,9 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.folder import write_estimate
 from comparisons.logs.table import read_toml
 from comparisons.options import FLAGS
-from comparisons.report.picture import save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CONFIG = "config.toml"
 _RESULTS = ("result", "solution", "check", "odometry", "map")
@@ -53,6 +54,8 @@ def write_job_folder(content: JobFolder, folder: Path, formats: Collection[str] 
     formats: of the pictures; see picture.save. The result's file lists all others, so that the
     next run knows which folder it may replace.
     """
+    from comparisons.report.picture import save  # matplotlib takes long to load
+
     with fresh_folder(folder, known_files(folder)) as work:
         for name, estimate in content.estimates.items():
             (work / name).mkdir()

@@ -20,7 +20,12 @@ def blank(width: float, height: float, *, fitted: bool = True) -> Figure:
 
 
 FORMATS = ("png", "pdf")
-_PNG: dict[str, Any] = {"dpi": 130, "metadata": {"Software": None}}
+_PNG: dict[str, Any] = {
+    "dpi": 130,
+    "metadata": {"Software": None},
+    "pil_kwargs": {"compress_level": 3},
+}
+"""Compressed less than usual: half the time, and curves and maps hardly grow."""
 
 
 def save(figure: Figure, path: Path, formats: Collection[str] = ()) -> None:

@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from comparisons.arrays import Array, Index
 from comparisons.checks.consistency.normalised import Band, counted, faults, mean_band
+from comparisons.checks.quantiles import chi2_quantile
 from ekf_reference.core.geometry import wrap_angle
 
 CLEAR = 0.05
@@ -65,7 +65,7 @@ class FilterAgainstSmoother:
         squared, dof = self.squared[self.dof > 0], self.dof[self.dof > 0]
         if not len(dof):
             return None
-        low, high = chi2.ppf(0.025, dof), chi2.ppf(0.975, dof)
+        low, high = chi2_quantile(0.025, dof), chi2_quantile(0.975, dof)
         return float(np.mean((squared >= low) & (squared <= high)))
 
     @property

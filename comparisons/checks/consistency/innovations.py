@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.consistency.normalised import Band, faults, mean_band
+from comparisons.checks.quantiles import chi2_tail
 from ekf_reference.core.landmark_types import POINT
 
 LAGS = 10
@@ -220,7 +220,7 @@ def whiteness(
         order=order,
         coefficient=c,
         band=2.0 * sigma,
-        p_value=float(chi2.sf(np.sum((c / sigma) ** 2), len(c))),
+        p_value=chi2_tail(float(np.sum((c / sigma) ** 2)), len(c)),
         mean=float(values.mean()),
         mean_band=2.0 * float(np.sqrt(power / n)),
     )

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
@@ -113,6 +112,8 @@ def map_errors(
 
 def spanning_tree(places: Array) -> Index:
     """(N - 1, 2) ends of the shortest edges that hold places (N, 2) together."""
+    from scipy.sparse.csgraph import minimum_spanning_tree  # takes long to load
+
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     tree = minimum_spanning_tree(np.maximum(apart, 1e-12)).tocoo()
     return np.column_stack((tree.row, tree.col)).astype(np.intp)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from comparisons.arrays import Array, Index
+from comparisons.checks.quantiles import chi2_quantile
 
 _OUTSIDE = 0.05
 """Of the figures that a band is for, as many lie outside, half of them on either side."""
@@ -36,12 +36,12 @@ class Band(NamedTuple):
 def mean_band(count: float, dof: float, outside: float = _OUTSIDE) -> Band:
     """Of the mean of `count` independent chi-square variables with `dof` degrees of freedom.
 
-    chi2.ppf(q, R d) / R (Bar-Shalom, Li and Kirubarajan 2001, section 5.4.2). Everything lies in
-    the band of none.
+    chi2_quantile(q, R d) / R (Bar-Shalom, Li and Kirubarajan 2001, section 5.4.2). Everything lies
+    in the band of none.
     """
     if count * dof == 0:
         return Band(0.0, float("inf"))
-    low, high = chi2.ppf((0.5 * outside, 1.0 - 0.5 * outside), count * dof) / count
+    low, high = chi2_quantile((0.5 * outside, 1.0 - 0.5 * outside), count * dof) / count
     return Band(float(low), float(high))
 
 

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, chi2
+from scipy.special import bdtrc
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.misfit import squared_misfit
+from comparisons.checks.quantiles import chi2_quantile
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from ekf_reference.core.landmark_types import POINT
@@ -21,7 +22,7 @@ from ekf_reference.core.measurements import REJECTED
 
 _WHOLE = 1e-9
 """Weights that add up to one do so to this."""
-_FITS = float(chi2.ppf(0.99, 2))
+_FITS = float(chi2_quantile(0.99, 2))
 """A measurement whose residual at the optimum is within this had no reason to be rejected."""
 _ALLOWED = 0.01
 """Share of fitting measurements that a gate may cost; the usual gates cost 0.1 %."""
@@ -153,7 +154,7 @@ def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[DataFault]:
     squared = squared_misfit(log.measurements, rows, pose, smoothed.landmark[place])
     fitting = int(np.count_nonzero(squared <= _FITS))
     total = len(rows) + int(np.count_nonzero(run.landmark_index >= 0))
-    if binom.sf(fitting - 1, total, _ALLOWED) > _SURE:
+    if bdtrc(fitting - 1, total, _ALLOWED) > _SURE:
         return []
     return [
         DataFault(

@@ -14,11 +14,10 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
-from scipy.stats import f as f_distribution
 
 from comparisons.arrays import Array
 from comparisons.checks.causes import Cause
+from comparisons.checks.quantiles import f_quantile
 
 Complex = NDArray[np.complex128]
 Fit = Callable[[Complex, Complex], tuple[complex, complex, str]]
@@ -172,7 +171,7 @@ def _simplest(motions: Sequence[_Motion]) -> _Motion:
 
     def better(more: _Motion, one: _Motion) -> bool:
         added, left = more.free - one.free, _INDEPENDENT - more.free
-        limit = 1.0 + added * float(f_distribution.ppf(_SURE, added, left)) / left
+        limit = 1.0 + added * f_quantile(_SURE, added, left) / left
         return one.square + open_square > limit * (more.square + open_square)
 
     ranked = sorted(motions, key=lambda one: (one.free, one.square))
@@ -343,6 +342,8 @@ def _late(paths: Paths) -> Iterator[tuple[int, float, Complex, float, str]]:
 
     Free parameters beside the delay [s], what is left (K,), the turn, and words.
     """
+    from scipy.optimize import minimize_scalar  # takes long to load, and is rarely needed
+
     t = paths.time_s
     latest = min(_LATEST_S, 0.25 * float(t[-1] - t[0]))
     delays = np.linspace(-latest, latest, 41)

@@ -96,13 +96,12 @@ def read_log(
             f"{shown}: no such file or folder{near} (slamcheck logs lists bundled names)"
         )
     if format_name is None:
-        names = [name for name, reader in READERS.items() if reader.recognises(path)]
-        if not names:
+        format_name = next((n for n, reader in READERS.items() if reader.recognises(path)), None)
+        if format_name is None:
             raise InputError(
                 f"{path}: format not recognised, expected one of {', '.join(READERS)} "
                 "(name it with --format)"
             )
-        format_name = names[0]
     if format_name not in READERS:
         raise InputError(f"format '{format_name}' is unknown, expected {', '.join(READERS)}")
     try:

@@ -41,8 +41,8 @@ class Drawing:
 
     def path(self, name: str, colour: str, point: Array, dashes: str = "", track: str = "") -> None:
         """A line through points (N, 2). track: what the script knows it by, if it does."""
-        places = self._places(point[kept(len(point))])
-        shown = " ".join(f"{x:.2f},{y:.2f}" for x, y in places.tolist() if np.isfinite(x + y))
+        places = _finite(self._places(point[kept(len(point))]))
+        shown = " ".join([f"{x:.2f},{y:.2f}" for x, y in places.tolist()])
         style = f' stroke-dasharray="{escape(dashes)}"' if dashes else ""
         style += f' data-track="{escape(track)}"' if track else ""
         self._add(name, colour, f'<polyline class="path" points="{shown}"{style}/>')
@@ -58,8 +58,8 @@ class Drawing:
 
     def dots(self, name: str, colour: str, point: Array) -> None:
         """Points (N, 2), thinned."""
-        places = self._places(point[:: -(-len(point) // MOST_POINTS) or 1])
-        shown = "".join(f"M{x:.2f},{y:.2f}h0" for x, y in places.tolist() if np.isfinite(x + y))
+        places = _finite(self._places(point[:: -(-len(point) // MOST_POINTS) or 1]))
+        shown = "".join([f"M{x:.2f},{y:.2f}h0" for x, y in places.tolist()])
         self._add(name, colour, f'<path class="dots" d="{shown}"/>')
 
     def marks(
@@ -135,6 +135,12 @@ class Drawing:
             f'<g class="{kind}" data-name="{escape(name)}" stroke="{paint}" '
             f'fill="{paint}"{hidden}>{shapes}</g>'
         )
+
+
+def _finite(places: Array) -> Array:
+    """The rows of places (N, 2) that are finite."""
+    found: Array = places[np.isfinite(places).all(axis=1)]
+    return found
 
 
 def kept(count: int) -> NDArray[np.intp]:
