@@ -35,10 +35,15 @@ BUDGET_SHARE = 4
 """It may take so many times the iterations of the starts more."""
 MOST_WORK = 30_000_000
 """Iterations times factors that exploring may take: 30 iterations of a million factors."""
+NEARBY_POSES = 1_000
+"""Of more poses a landmark's other place is tried among the poses that saw it first.
+
+The trial over the whole graph is left out where the landmark comes back already there.
+"""
 LOCAL_POSES = 8_000
-"""Of more poses a landmark's other place is tried among the poses that saw it first."""
+"""Of more poses it is left out, too, where the trial nearby adds more error than FOLLOWED."""
 FOLLOWED = 100.0
-"""Such a trial is followed over the whole graph when it ends with no more error than this added."""
+"""Error that a trial nearby may add and still be followed over the whole graph."""
 MISSED = 0.05
 """Random starts go on until a basin as wide as the best one's is missed with this chance."""
 LEAST_DRAWS, MOST_DRAWS = 8, 40
@@ -209,19 +214,22 @@ class MinimumSearch:
             if other.poses is poses and self._comes_to_nothing(attempt, other, landmarks):
                 continue
             end = self._trial(attempt, other, poses, landmarks)
+            if end is attempt:
+                self._back[attempt] += 1
+                continue
             if end.error < attempt.error and not same_error(end.error, attempt.error):
                 return end
             self._beside.append(end)
         return None
 
     def _comes_to_nothing(self, attempt: Attempt, other: Alternative, landmarks: Array) -> bool:
-        """Whether moved landmarks come back, or cost too much, as those nearby already tell.
+        """Whether a moved landmark comes back, or costs too much, as those nearby already tell.
 
-        Only of problems of more than LOCAL_POSES: in them a hop over everything takes too long.
+        Only of problems of more than NEARBY_POSES or LOCAL_POSES: a hop over all takes too long.
         """
         moved = np.flatnonzero(np.abs(other.landmarks - landmarks).max(axis=1) > 0.0)
         beyond = len(self._problem.loop_closures.first) + self._problem.pose_landmarks.count
-        if self._problem.pose_count <= LOCAL_POSES or len(moved) > 1 or beyond:
+        if self._problem.pose_count <= NEARBY_POSES or len(moved) > 1 or beyond:
             return False
         from graphslam.surroundings import Surroundings
 
@@ -229,9 +237,10 @@ class MinimumSearch:
         added, spent = near.settle(other.landmarks[moved[0]])
         self._spent += spent * near.share
         back = abs(added) <= _SAME
+        too_much = added > FOLLOWED and self._problem.pose_count > LOCAL_POSES
         self._back[attempt] += back
-        self._hops += back or added > FOLLOWED
-        return back or added > FOLLOWED
+        self._hops += back or too_much
+        return back or too_much
 
     def _trial(
         self, attempt: Attempt, other: Alternative, poses: Array, landmarks: Array
@@ -244,16 +253,24 @@ class MinimumSearch:
             values.update(LANDMARK_KEY + j, other.landmarks[j])
         self._hops += 1
         name = attempt.name.removesuffix(" and hops") + " and hops"
-        return self._rough(replace(attempt, name=name, values=values))
+        return self._rough(replace(attempt, name=name, values=values), attempt)
 
-    def _rough(self, start: Attempt) -> Attempt:
-        """Optimise in few iterations, and to the end only what comes near the best by then."""
+    def _rough(self, start: Attempt, left: Attempt | None = None) -> Attempt:
+        """Optimise in few iterations, and to the end only what comes near the best by then.
+
+        left: what a hop has left; it is the result as soon as the hop is seen to come back there.
+        """
         try:
             end, spent, converged = levenberg_marquardt(self._graph, start.values, 1e-2, _GLANCE)
             error, more = self._graph.error(end), 0
-            if error < _HOPELESS * (1.0 + self.best.error):
+            back = self._at(left, error, end)
+            if not back and error < _HOPELESS * (1.0 + self.best.error):
                 end, more, converged = levenberg_marquardt(self._graph, end, 1e-4, _TRIAL)
                 error, spent, more = self._graph.error(end), spent + more, 0
+                back = self._at(left, error, end)
+            if left is not None and back:
+                self._spent += spent
+                return left
             if error < self.best.error + _NEAR * (1.0 + self.best.error):
                 end, more, converged = optimise(self._graph, end)
                 end, error, last = polish(self._graph, end)
@@ -267,15 +284,19 @@ class MinimumSearch:
         """Equal in error and in place."""
         if one is other:
             return True
-        if not np.isfinite(one.error) or not same_error(one.error, other.error):
-            return False
         known = self._together.get((one, other))
         if known is None:
-            apart = one.values.localCoordinates(other.values)
-            linear = self._graph.linearize(one.values)
-            added = linear.error(apart) - linear.error(one.values.zeroVectors())
-            known = self._together[one, other] = abs(added) <= _SAME
+            known = self._together[one, other] = self._at(one, other.error, other.values)
         return known
+
+    def _at(self, one: Attempt | None, error: float, values: gtsam.Values) -> bool:
+        """Whether values with such an error are at an attempt's end; never where there is none."""
+        if one is None or not np.isfinite(one.error) or not same_error(one.error, error):
+            return False
+        apart = one.values.localCoordinates(values)
+        linear = self._graph.linearize(one.values)
+        added = linear.error(apart) - linear.error(one.values.zeroVectors())
+        return bool(abs(added) <= _SAME)
 
     def _minima(self) -> tuple[Minimum, ...]:
         """The distinct minima, lowest first, and where the others differ most from it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -270,7 +271,7 @@ def test_a_large_graph_is_searched_nearby(monkeypatch: pytest.MonkeyPatch) -> No
     world = worlds.loop(2)
     guess = {"truth": (world.poses, world.landmarks)}
     whole = smooth(world.problem, guess)
-    monkeypatch.setattr(search, "LOCAL_POSES", world.problem.pose_count - 1)
+    monkeypatch.setattr(search, "NEARBY_POSES", world.problem.pose_count - 1)
     monkeypatch.setattr(MinimumSearch, "_trial", None)
     nearby = smooth(world.problem, guess)
     assert whole.optimality.exploration.hops > 0
@@ -289,6 +290,7 @@ def test_a_nearby_trial_that_leads_below_is_followed(monkeypatch: pytest.MonkeyP
     """One landmark of a straight drive with poor bearings is on the wrong side."""
     problem, poses, posts = two_sided(0)
     graph = build_graph(problem)
+    monkeypatch.setattr(search, "NEARBY_POSES", problem.pose_count - 1)
     monkeypatch.setattr(search, "LOCAL_POSES", problem.pose_count - 1)
 
     def hop() -> tuple[float, float]:
@@ -303,6 +305,38 @@ def test_a_nearby_trial_that_leads_below_is_followed(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(search, "FOLLOWED", -np.inf)
     before, after = hop()
     assert after == before
+    # What it costs nearby does not count in a graph that is not as large.
+    monkeypatch.setattr(search, "LOCAL_POSES", problem.pose_count)
+    before, after = hop()
+    assert after < before - 1.0
+
+
+def test_a_hop_that_comes_back_is_not_polished(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is counted where it came back; polishing would only find the same end again."""
+    world = worlds.loop(2)
+    graph = build_graph(world.problem)
+    polished = []
+
+    def counted(*given: Any) -> Any:
+        polished.append(given)
+        return polish(*given)
+
+    def explored() -> tuple[int, int]:
+        one = MinimumSearch(world.problem, graph, "levenberg-marquardt", silent)
+        one.attempt("truth", "sequential", one.values(world.poses, world.landmarks))
+        one.attempt_relaxed()
+        polished.clear()
+        ends = one.explore()
+        assert [m.starts for m in ends.minima] == [2 + ends.hops]
+        return ends.hops, len(polished)
+
+    monkeypatch.setattr(search, "polish", counted)
+    hops, count = explored()
+    assert hops > 0
+    assert count == 0
+    rough = MinimumSearch._rough
+    monkeypatch.setattr(MinimumSearch, "_rough", lambda self, start, left: rough(self, start))
+    assert explored() == (hops, hops)
 
 
 def test_surroundings_hold_every_factor_of_the_poses_that_saw_a_landmark() -> None:
