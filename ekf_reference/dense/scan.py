@@ -185,7 +185,7 @@ class Scan:
         short: Single = self._speaking.take(direction) - np.sqrt(ahead_m**2 + left_m**2)
         return short
 
-    def farthest(self, ahead_m: Single, left_m: Single, radius_m: float) -> Single:
+    def farthest(self, ahead_m: Single, left_m: Single, radius_m: float | Single) -> Single:
         """(N,) bound on the range [m] of returns that speak about discs, -inf where none does.
 
         ahead_m, left_m: (N,) of their middles. No less than any range that `short_of` takes for a

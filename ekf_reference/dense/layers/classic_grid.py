@@ -56,7 +56,7 @@ class ClassicGrid:
             (middle[near, axis, None] + cell).astype(np.float32).ravel()
             for axis, cell in enumerate((self._around @ scan.axes).T)
         )
-        change = self.update.change(scan, ahead, left).reshape(len(near), -1)
+        change = self.update.change(scan, ahead, left).reshape(len(near), len(self._cell))
         row = self._rows(tile, near)
         odds = self._odds[row]
         self.update.add(odds, change)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.core.geometry import Index, Mask
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds
 
@@ -45,8 +45,15 @@ class GridUpdate:
         """Standard deviation [m] of a return's range, the cells' size included."""
         return float(np.hypot(scan.sensor.sigma_range_m, _ROUGHNESS * self.resolution_m))
 
-    def reached(self, scan: Scan, ahead_m: Single, left_m: Single, radius_m: float) -> Mask:
-        """(N,) whether a scan may change cells in discs whose middles are ahead and left (N,)."""
+    def reached(
+        self, scan: Scan, ahead_m: Single, left_m: Single, radius_m: float | Single
+    ) -> Mask:
+        """(N,) whether a scan may change cells in discs whose middles are ahead and left (N,).
+
+        Where it is False, `change` is zero for every cell of the disc.
+        """
+        if not len(scan.range_m):
+            return np.zeros(len(ahead_m), dtype=bool)
         bound = scan.farthest(ahead_m, left_m, radius_m)
         distance = np.sqrt(ahead_m * ahead_m + left_m * left_m)
         margin = radius_m + (_FAR + _SLACK) * self.sigma_m(scan)
