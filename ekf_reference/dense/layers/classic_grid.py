@@ -6,6 +6,8 @@ second time (Nieto 2005, section 4.1.3, Figs. 4.3 a and 4.5).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
@@ -50,8 +52,8 @@ class ClassicGrid:
         tile = [(i, j) for i in range(west, east + 1) for j in range(south, north + 1)]
         middle = (self._corner(np.array(tile))[:, None] - scan.origin + self._block) @ scan.axes
         middle = middle.reshape(-1, 2)
-        reached = self.update.reached(scan, *middle.T.astype(np.float32), self._radius_m)
-        near = np.flatnonzero(reached)
+        asked = middle.T.astype(np.float32)
+        near = np.flatnonzero(self.update.reached(scan, asked[0], asked[1], self._radius_m))
         ahead, left = (
             (middle[near, axis, None] + cell).astype(np.float32).ravel()
             for axis, cell in enumerate((self._around @ scan.axes).T)
@@ -84,7 +86,7 @@ class ClassicGrid:
     @property
     def _radius_m(self) -> float:
         """From the middle of a block to the farthest of its cells' corners."""
-        return _BLOCK * self.update.resolution_m / np.sqrt(2.0)
+        return _BLOCK * self.update.resolution_m / math.sqrt(2.0)
 
     def _rows(self, tile: list[tuple[int, int]], near: Index) -> Index:
         """Rows of the table for blocks (n,) of the tiles; these are made where there are none."""
@@ -98,7 +100,7 @@ class ClassicGrid:
         return first[near // _ALONG**2] + near % _ALONG**2
 
     def _corner(self, tile: Index) -> Array:
-        return tile * (_SIDE * self.update.resolution_m)
+        return tile.astype(float) * (_SIDE * self.update.resolution_m)
 
 
 def _centers(count: int, step_m: float) -> Array:
