@@ -52,6 +52,8 @@ TESTS = {"widened beams": "2D: insert scan with", "beams of one cell": "2D: inse
 NONE = "no test has this name"
 SCANS = 3000
 """Of each of MRPT's tests."""
+WITHIN = 5
+"""Runs of MRPT within a repetition, of which the median counts: its start takes as long."""
 BATCH = 250
 """Scans of ours that are kept in memory at a time."""
 CELL_M, MOST_M = 0.05, 15.0
@@ -147,9 +149,8 @@ def _theirs(test: str) -> Side:
     def side() -> Spent:
         with tempfile.TemporaryDirectory() as folder:
             words = ("sh", "-c", 'cd "$1" && exec "$2" -c "$3"', "sh", folder, PROGRAM)
-            tested = [run((*words, test)).spent for _ in range(3)]
-            start = [run((*words, NONE)).spent for _ in range(3)]
-        return median(tested) - median(start)
+            spent = [(run((*words, test)).spent, run((*words, NONE)).spent) for _ in range(WITHIN)]
+        return median([tested for tested, _ in spent]) - median([start for _, start in spent])
 
     return side
 
