@@ -225,18 +225,18 @@ def test_a_scan_changes_no_cell_that_it_does_not_reach(grazing_rad: float) -> No
         middle[:20] *= 0.05
         turn, away = rng.uniform(-np.pi, np.pi, 3000), np.sqrt(rng.uniform(0.0, 1.0, (50, 3000)))
         cell = middle + (away * radius)[..., None] * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
-        asked = middle.T.astype(np.float32)
+        ahead, left = middle.T.astype(np.float32)
         change = update.change(scan, *cell.reshape(-1, 2).T.astype(np.float32)).reshape(50, -1)
         changed = (change != 0.0).any(axis=0)
-        reached = update.reached(scan, *asked, radius.astype(np.float32))
+        reached = update.reached(scan, ahead, left, radius.astype(np.float32))
         assert not (changed & ~reached).any()
-        left_out += np.count_nonzero(~reached)
-        points = update.reached(scan, *asked, np.zeros(3000, dtype=np.float32))
-        broken += np.count_nonzero(changed & ~points)  # by the discs' middles alone
+        left_out += int(np.count_nonzero(~reached))
+        points = update.reached(scan, ahead, left, np.zeros(3000, dtype=np.float32))
+        broken += int(np.count_nonzero(changed & ~points))  # by the discs' middles alone
     assert left_out > 1000
     assert broken > 100
     empty = Scan.of_ranges(HERE, np.zeros(0), np.zeros(0), SENSOR)
-    assert not update.reached(empty, *asked, 1.0).any()
+    assert not update.reached(empty, ahead, left, 1.0).any()
 
 
 def test_blocks_hold_each_cell_once_and_lie_around_their_middles() -> None:
