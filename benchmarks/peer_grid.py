@@ -22,6 +22,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +84,8 @@ def ranges() -> Array:
         distance = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / turned
         share = (start[:, 0] * ray[:, 1:] - start[:, 1] * ray[:, :1]) / turned
     met = np.where((distance > 0.0) & (share >= 0.0) & (share <= 1.0), distance, np.inf)
-    return np.minimum(met.min(axis=1), MOST_M)
+    cut: Array = np.minimum(met.min(axis=1), MOST_M)
+    return cut
 
 
 def scans(rng: np.random.Generator, count: int) -> list[Scan]:
@@ -91,6 +93,14 @@ def scans(rng: np.random.Generator, count: int) -> list[Scan]:
     distance, side = ranges(), (1.0, 1.0, math.pi)
     poses = rng.uniform(np.negative(side), side, (count, 3))
     return [Scan.of_ranges(pose, BEARING, distance, SENSOR) for pose in poses]
+
+
+Work = Callable[[], None]
+
+
+def _do(works: Sequence[Work]) -> None:
+    for work in works:
+        work()
 
 
 class Ours:
@@ -106,32 +116,29 @@ class Ours:
 
     def global_grid(self) -> Spent:
         """The scans' look-ups included."""
-
-        def fuse(taken: Sequence[Scan]) -> Callable[[], object]:
-            return lambda: [self._grid.fuse(scan) for scan in taken]
-
-        return self._spent(fuse)
+        return self._spent(lambda taken: [partial(self._grid.fuse, scan) for scan in taken])
 
     def regions(self) -> Spent:
         """The layer alone, with returns that are in their regions already."""
         placed = self._layer.place(self._view)
 
-        def fuse(taken: Sequence[Scan]) -> Callable[[], object]:
+        def fuses(taken: Sequence[Scan]) -> list[Work]:
             known = [Reported.of(placed, scan) for scan in taken]
-            return lambda: [self._region.fuse(r.hits, r.placed, r.scan, r.near) for r in known]
+            return [partial(self._region.fuse, r.hits, placed, r.scan, r.near) for r in known]
 
-        return self._spent(fuse)
+        return self._spent(fuses)
 
     def all_around(self) -> Spent:
         """All that a dense map does with a scan."""
+        return self._spent(
+            lambda taken: [partial(self._around.insert, self._view, scan) for scan in taken]
+        )
 
-        def fuse(taken: Sequence[Scan]) -> Callable[[], object]:
-            return lambda: [self._around.insert(self._view, scan) for scan in taken]
-
-        return self._spent(fuse)
-
-    def _spent(self, work: Callable[[Sequence[Scan]], Callable[[], object]]) -> Spent:
-        spent = [here(work(scans(self._rng, BATCH)))() for _ in range(self._batches)]
+    def _spent(self, works: Callable[[Sequence[Scan]], list[Work]]) -> Spent:
+        spent = []
+        for _ in range(self._batches):
+            prepared = works(scans(self._rng, BATCH))
+            spent.append(here(partial(_do, prepared))())
         share = SCANS / (BATCH * self._batches)
         return Spent(share * sum(s.cpu_s for s in spent), share * sum(s.wall_s for s in spent))
 

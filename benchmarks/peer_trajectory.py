@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.peer_pairs import MissingError, Pair, Spent, here, interleaved, median, run
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess
 from comparisons.checks.consistency.nees import against_truth
 from comparisons.estimates.estimate import Estimate
@@ -41,7 +42,7 @@ AGREE_M = 1e-9
 def write_pair(folder: Path, count: int) -> None:
     """Write `truth.txt`, `estimate.txt` and the estimate folder `estimate` of a drive at 10 Hz."""
     rng = np.random.default_rng(0)
-    time_s = 1000.0 + 0.1 * np.arange(count)
+    time_s: Array = 1000.0 + 0.1 * np.arange(count, dtype=float)
     heading = np.cumsum(rng.normal(0.0, 0.02, count))
     step = 0.1 * np.column_stack((np.cos(heading), np.sin(heading)))
     true = np.column_stack((np.cumsum(step, axis=0), heading))
