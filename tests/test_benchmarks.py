@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import peers, ratios
@@ -425,3 +426,27 @@ def test_a_log_of_ten_thousand_poses_comes_to_a_verdict() -> None:
     assert reported.endswith(", agree")
     assert stages["all"][1] < 900.0
     assert float(reported.split()[1]) < 5.0
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_peers_trajectory_part_finds_evos_error(tmp_path: Path) -> None:
+    pytest.importorskip("evo", reason="evo is not installed")
+    from benchmarks import peer_trajectory as peer
+
+    peer.write_pair(tmp_path, 400)
+    ours, theirs = peer.check_trajectory(tmp_path)[0], peer.evo_in_process(tmp_path)
+    assert abs(ours - theirs()) <= 1e-9
+    lines = (tmp_path / "estimate.txt").read_text().splitlines(keepends=True)
+    (tmp_path / "estimate.txt").write_text("".join(lines[1:]))  # broken: a pose is missing
+    assert abs(ours - theirs()) > 1e-9
+
+
+def test_the_peers_scan_is_like_mrpts_example() -> None:
+    """361 beams, cut at 15 m; MRPT's: 1,098 m of beams, 32 m^2 in view, 15 beams cut."""
+    from benchmarks import peer_grid as peer
+
+    distance = peer.ranges()
+    assert distance.shape == (361,)
+    assert 1098.0 <= distance.sum() <= 1.15 * 1098.0
+    assert 32.0 <= np.square(distance).sum() * np.radians(0.25) <= 1.15 * 32.0
+    assert 10 <= np.count_nonzero(distance == peer.MOST_M) <= 20

@@ -17,7 +17,7 @@ from comparisons.arrays import Array
 from comparisons.atomic import check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_trajectory, tum_text
-from comparisons.logs.table import Table, read_text
+from comparisons.logs.table import Table, first_record
 from comparisons.logs.validation import LARGEST, increasing, within
 
 FORMATS = ("tum", "kitti", "csv")
@@ -52,8 +52,7 @@ def read_trajectory_file(path: Path, times: Path | None = None) -> Trajectory:
 
 def read_with_files(path: Path, times: Path | None = None) -> tuple[Trajectory, tuple[Path, ...]]:
     """Do the same; the second is the files that were read. Raises InputError."""
-    lines = (line.strip() for line in read_text(path).splitlines())
-    first = next((line for line in lines if line and not line.startswith("#")), "")
+    first = first_record(path)
     if len(first.split()) == len(_KITTI):
         clock = times or path.with_name(TIMES)
         return _read_kitti(path, clock), (path, clock)

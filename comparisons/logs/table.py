@@ -45,21 +45,19 @@ class Table:
             self.columns = columns = named
         if header and named != columns:
             raise InputError(f"{path}:1: expected the header {','.join(columns)}")
-        records = self._lines(text)
+        records = [line for line in lines[int(header) :] if is_record(line)]
         if not records:
             self.data: Array = np.zeros((0, len(columns)))
             return
         try:
-            self.data = np.loadtxt(
-                [line for _, line in records], delimiter=self._delimiter, ndmin=2, dtype=float
-            )
+            self.data = np.loadtxt(records, delimiter=self._delimiter, ndmin=2, dtype=float)
         except ValueError:
-            self._explain(records)
+            self._explain(text)
         if self.data.shape[1] != len(columns):
-            self._explain(records)
+            self._explain(text)
         required = [name not in gaps for name in columns]
         if not np.isfinite(self.data[:, required]).all() or np.isinf(self.data).any():
-            self._explain(records)
+            self._explain(text)
 
     def __getitem__(self, column: str) -> Array:
         """One column (N,) by name."""
@@ -83,12 +81,12 @@ class Table:
         return [
             (number, line)
             for number, line in enumerate(text.splitlines()[start:], start=start + 1)
-            if line and not line.isspace() and not line.lstrip().startswith("#")
+            if is_record(line)
         ]
 
-    def _explain(self, records: list[tuple[int, str]]) -> NoReturn:
+    def _explain(self, text: str) -> NoReturn:
         """Raise for the first line that does not hold one number per column."""
-        for number, line in records:
+        for number, line in self._lines(text):
             words = [w.strip() for w in line.split("#")[0].strip().split(self._delimiter)]
             if len(words) != len(self.columns):
                 raise InputError(
@@ -99,6 +97,18 @@ class Table:
                 if not (name in self._gaps and word == "nan"):
                     number_or_fail(word, self.path, number, name)
         raise InputError(f"{self.path}: not a table of {', '.join(self.columns)}")
+
+
+def is_record(line: str) -> bool:
+    """Whether a line is neither empty nor a comment."""
+    start = line.lstrip()
+    return start != "" and start[0] != "#"
+
+
+def first_record(path: Path) -> str:
+    """The first record of a text file without blanks around it, or nothing. Raises InputError."""
+    with _reading(path), path.open(encoding="utf-8-sig") as file:
+        return next((line.strip() for line in file if is_record(line)), "")
 
 
 @contextmanager
@@ -124,9 +134,16 @@ def number_or_fail(word: str, path: Path, line: int, name: str) -> float:
 
 def read_text(path: Path) -> str:
     """A file's text. Raises InputError when it is missing, unreadable or not text."""
+    with _reading(path):
+        return path.read_text(encoding="utf-8-sig")
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn what may go wrong with a file into an InputError."""
     try:
         check_regular(path)
-        return path.read_text(encoding="utf-8-sig")
+        yield
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except UnicodeDecodeError:

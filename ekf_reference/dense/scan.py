@@ -17,6 +17,12 @@ Single = NDArray[np.float32]
 _DIRECTIONS = 7200
 """Directions of the compass for which the nearest beam is looked up once a scan."""
 _TURN = 2.0 * np.pi
+_DIRECTION = (np.arange(_DIRECTIONS + 1, dtype=float) + 0.5) * (_TURN / _DIRECTIONS) - np.pi
+"""(D + 1,) bearings [rad] in the middle of each direction; the last is the first again."""
+_SECTORS = 450
+"""Parts of the circle for which the farthest return is looked up once a scan."""
+_LEVEL = np.ceil(np.log2(2.0 * np.arange(_SECTORS // 2 + 1) + 1.0)).astype(np.int32)
+"""(S / 2 + 1,) a window of 2^l sectors holds one sector and so many to either side."""
 NEXT = 1.5
 """Two returns are neighbours when so many beams or fewer apart."""
 _NOISY = 3.0
@@ -145,8 +151,10 @@ class Scan:
 
     def box(self, margin_m: float = 0.0) -> Array:
         """(4,) west, south, east, north of the scanner and all returns."""
-        corner = np.vstack((self.origin, self.point))
-        return np.concatenate((corner.min(axis=0) - margin_m, corner.max(axis=0) + margin_m))
+        least = self.point.min(axis=0, initial=np.inf)
+        most = self.point.max(axis=0, initial=-np.inf)
+        west_south = np.minimum(least, self.origin) - margin_m
+        return np.concatenate((west_south, np.maximum(most, self.origin) + margin_m))
 
     def beams(self, point: Array) -> Beams:
         """The returns that speak about points (N, 2) of the world [m]."""
@@ -177,26 +185,57 @@ class Scan:
         short: Single = self._speaking.take(direction) - np.sqrt(ahead_m**2 + left_m**2)
         return short
 
+    def farthest(self, ahead_m: Single, left_m: Single, radius_m: float | Single) -> Single:
+        """(N,) bound on the range [m] of returns that speak about discs, -inf where none does.
+
+        ahead_m, left_m: (N,) of their middles. No less than any range that `short_of` takes for a
+        point of the disc.
+        """
+        distance = np.sqrt(ahead_m * ahead_m + left_m * left_m)
+        half = 0.5 * np.pi * radius_m / np.maximum(distance, radius_m)  # its arcsine is less
+        reach = (half * np.float32(_SECTORS / _TURN)).astype(np.int32) + 1
+        reach[distance <= radius_m] = _SECTORS // 2
+        bearing = np.arctan2(left_m, ahead_m) + np.float32(np.pi)
+        first = (bearing * np.float32(_SECTORS / _TURN)).astype(np.int32) - reach
+        bound: Single = self._windows.take(_LEVEL.take(reach) * _SECTORS + first % _SECTORS)
+        return bound
+
+    @cached_property
+    def _windows(self) -> Single:
+        """Row l: greatest range of 2^l sectors (S,) from each one on; the last, of all."""
+        row = self._speaking[:-1]
+        while len(row) > _SECTORS:
+            row = np.maximum(row[::2], row[1::2])
+        rows = [row]
+        for level in range(int(_LEVEL[-1])):
+            ahead = 2**level
+            row = np.maximum(row, np.concatenate((row[ahead:], row[:ahead])))
+            rows.append(row)
+        return np.stack(rows)
+
     @cached_property
     def _speaking(self) -> Single:
         """(D + 1,) range [m] of the return that speaks about each direction, -inf for none."""
-        _, reach, speaks = self._towards(_directions(), self._nearest)
+        _, reach, speaks = self._towards(_DIRECTION, self._nearest)
         return np.where(speaks, reach, -np.inf).astype(np.float32)
 
     def _towards(self, bearing: Array, beam: Index) -> tuple[Array, Array, Mask]:
         """Bearings (N,) with their nearest returns: off those, range there, and whether known."""
-        off = bearing - self.bearing_rad[beam]
+        off = bearing - self.bearing_rad.take(beam)
         off -= _TURN * np.round(off / _TURN)
-        gap = np.where(off >= 0.0, beam, beam - 1)
-        first, second, turn = (column[gap] for column in self._gaps[:3])
-        joined = self._gaps[3][gap]
-        along = np.where(off >= 0.0, off, turn + off)
-        with np.errstate(divide="ignore", invalid="ignore"):  # where not joined
-            line = np.sin(turn - along) / first + np.sin(along) / second
-            between = np.sin(turn) / line
-        reach = np.where(joined, between, self.range_m[beam])
-        off = np.abs(off)
-        return off, reach, joined | (off <= self.sensor.reach_rad)
+        reach = self.range_m.take(beam)
+        seen = np.abs(off) <= self.sensor.reach_rad
+        first, second, turn, joined = self._gaps
+        if joined.any():
+            gap = np.where(off >= 0.0, beam, beam - 1)
+            row = np.flatnonzero(joined[gap])
+            gap, along = gap[row], off[row]
+            opening = turn[gap]
+            along = np.where(along >= 0.0, along, opening + along)
+            line = np.sin(opening - along) / first[gap] + np.sin(along) / second[gap]
+            reach[row] = np.sin(turn)[gap] / line
+            seen[row] = True
+        return np.abs(off), reach, seen
 
     @cached_property
     def _gaps(self) -> tuple[Array, Array, Array, Mask]:
@@ -212,9 +251,8 @@ class Scan:
             (self.bearing_rad[-1:] - _TURN, self.bearing_rad, self.bearing_rad[:1] + _TURN)
         )
         halfway = 0.5 * (around[1:] + around[:-1])
-        return (np.searchsorted(halfway, _directions()) - 1) % len(self.bearing_rad)
-
-
-def _directions() -> Array:
-    """(D + 1,) bearings [rad] in the middle of each direction; the last is the first again."""
-    return (np.arange(_DIRECTIONS + 1, dtype=float) + 0.5) * (_TURN / _DIRECTIONS) - np.pi
+        first = np.searchsorted(_DIRECTION, halfway, side="right")  # direction beyond each
+        return np.repeat(
+            np.arange(-1, len(halfway)) % len(self.bearing_rad),
+            np.diff(first, prepend=0, append=len(_DIRECTION)),
+        )

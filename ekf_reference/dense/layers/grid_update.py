@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Index, Mask
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds
 
@@ -16,6 +16,9 @@ _ROUGHNESS = 0.5
 """Standard deviation of where in a cell a surface lies, in cells."""
 _FAR = 4.0
 """So many sigmas before a return, space is as free as it gets."""
+
+_SLACK = 0.01
+"""More of them where rounding must not decide."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,21 @@ class GridUpdate:
     def sigma_m(self, scan: Scan) -> float:
         """Standard deviation [m] of a return's range, the cells' size included."""
         return float(np.hypot(scan.sensor.sigma_range_m, _ROUGHNESS * self.resolution_m))
+
+    def reached(
+        self, scan: Scan, ahead_m: Single, left_m: Single, radius_m: float | Single
+    ) -> Mask:
+        """(N,) whether a scan may change cells in discs whose middles are ahead and left (N,).
+
+        Where it is False, `change` is zero for every cell of the disc.
+        """
+        if not len(scan.range_m):
+            return np.zeros(len(ahead_m), dtype=bool)
+        bound = scan.farthest(ahead_m, left_m, radius_m)
+        distance = np.sqrt(ahead_m * ahead_m + left_m * left_m)
+        margin = radius_m + (_FAR + _SLACK) * self.sigma_m(scan)
+        found: Mask = distance <= bound + margin
+        return found
 
     def change(self, scan: Scan, ahead_m: Single, left_m: Single) -> Single:
         """(N,) log-odds that a scan adds to cells ahead and left (N,) of the scanner."""

@@ -15,6 +15,10 @@ from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, proba
 
 _WITHIN = 1e-9
 """Sum of local coordinates, short of one, that still lies in the last cell."""
+_BLOCK = 16
+"""Cells along a side of a block; what a scan does not reach is left out by blocks."""
+
+_NONE = np.empty(0, dtype=np.intp)
 
 
 @dataclass
@@ -22,13 +26,16 @@ class RegionGrid:
     """One region's cells, with edges along its axes; those outside the triangle are left out.
 
     cells: (2,) counted along a and along b. weight: (3, n) of L1, a and b in every cell's centre.
-    place: (cells) number of a cell among the n, -1 where left out. odds: (n,) log-odds.
+    place: (cells) number of a cell among the n, -1 where left out. odds: (n,) log-odds. block: the
+    cells of each of b blocks. middle: (b, 2) of a and b in the middles of these.
     """
 
     cells: tuple[int, int]
     weight: Single
     place: Index
     odds: Single
+    block: list[Index]
+    middle: Single
 
     @classmethod
     def over(cls, triangle: Array, resolution_m: float) -> RegionGrid:
@@ -41,7 +48,13 @@ class RegionGrid:
         place[inside] = np.arange(np.count_nonzero(inside))
         alpha, beta = (i[inside] + 0.5) / along_a, (j[inside] + 0.5) / along_b
         weight = np.stack((np.ones_like(alpha), alpha, beta))
-        return cls((along_a, along_b), weight.astype(np.float32), place, unknown(len(alpha)))
+        return cls(
+            (along_a, along_b),
+            weight.astype(np.float32),
+            place,
+            unknown(len(alpha)),
+            *_blocks(i[inside], j[inside], (along_a, along_b)),
+        )
 
     def cell(self, local: Array) -> Index:
         """(N,) cells that hold local coordinates (N, 2); beyond the edge from L2 to L3, nearby."""
@@ -49,6 +62,16 @@ class RegionGrid:
         steps = (np.maximum(local, 0.0) * within[:, None] * self.cells).astype(np.intp)
         found: Index = self.place[steps[:, 0], steps[:, 1]]
         return found
+
+
+def _blocks(i: Index, j: Index, cells: tuple[int, int]) -> tuple[list[Index], Single]:
+    """`block` and `middle` of a RegionGrid with cells i, j (n,) along a and b."""
+    number = i // _BLOCK * -(-cells[1] // _BLOCK) + j // _BLOCK
+    order = np.argsort(number, kind="stable")
+    _, first = np.unique(number[order], return_index=True)
+    one = order[first]
+    middle = (np.column_stack((i[one], j[one])) // _BLOCK + 0.5) * _BLOCK / np.array(cells)
+    return np.split(order, first[1:]), middle.astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -95,18 +118,53 @@ class OccupancyGrid:
 
     def _fuse_scan(self, placed: RegionsAtMap, scan: Scan, near: Index) -> None:
         grids = [self._grid(region, placed) for region in near.tolist()]
-        ends = np.cumsum([0, *(len(grid.odds) for grid in grids)])
-        if not ends[-1]:
+        if not grids:
             return
         frame = np.stack([column[near] for column in placed.frames], axis=1)
         frame[:, 0] -= scan.origin
         own = np.swapaxes(frame @ scan.axes, 1, 2).astype(np.float32)  # (r, 2, 3): ahead, left
-        where = np.empty((2, ends[-1]), dtype=np.float32)
-        for grid, axes, first, last in zip(grids, own, ends[:-1], ends[1:], strict=True):
-            np.matmul(axes, grid.weight, out=where[:, first:last])
-        change = self.update.change(scan, where[0], where[1])
-        for grid, first, last in zip(grids, ends[:-1], ends[1:], strict=True):
-            self.update.add(grid.odds, change[first:last])
+        parts, end = [], 0
+        for grid, axes, cells in zip(grids, own, self._reached(scan, grids, own), strict=True):
+            first, end = end, end + (len(grid.odds) if cells is None else len(cells))
+            parts.append((grid, axes, cells, slice(first, end)))
+        where, odds = np.empty((2, end), dtype=np.float32), np.empty(end, dtype=np.float32)
+        for grid, axes, cells, rows in parts:
+            weight = grid.weight if cells is None else grid.weight.take(cells, axis=1)
+            np.matmul(axes, weight, out=where[:, rows])
+            odds[rows] = grid.odds if cells is None else grid.odds.take(cells)
+        self.update.add(odds, self.update.change(scan, where[0], where[1]))
+        for grid, _, cells, rows in parts:
+            grid.odds[slice(None) if cells is None else cells] = odds[rows]
+
+    def _reached(self, scan: Scan, grids: list[RegionGrid], own: Single) -> list[Index | None]:
+        """The cells of each grid that a scan may change, None for all.
+
+        own: (r, 2, 3) L1, a and b of the grids' regions, ahead and left of the scanner.
+        """
+        count = np.array([len(grid.block) for grid in grids])
+        cells = np.array([grid.cells for grid in grids])
+        half = own[:, :, 1:] * (0.5 * _BLOCK / cells[:, None])
+        corner = np.stack((half[..., 0] + half[..., 1], half[..., 0] - half[..., 1]))
+        radius = np.sqrt(np.square(corner).sum(axis=2).max(axis=0)).astype(np.float32)
+        of_block = np.repeat(own, count, axis=0)
+        weight = np.concatenate([grid.middle for grid in grids])
+        ahead, left = (of_block[..., 0] + (of_block[..., 1:] * weight[:, None]).sum(axis=2)).T
+        reached = self.update.reached(scan, ahead, left, np.repeat(radius, count))
+        first = np.cumsum(count) - count
+        chosen: list[Index | None] = []
+        for grid, begin, total, met in zip(
+            grids,
+            first.tolist(),
+            count.tolist(),
+            np.add.reduceat(reached, first, dtype=int).tolist(),
+            strict=True,
+        ):
+            if met == total:
+                chosen.append(None)
+                continue
+            few = np.flatnonzero(reached[begin : begin + total]).tolist()
+            chosen.append(np.concatenate([_NONE, *(grid.block[k] for k in few)]))
+        return chosen
 
     def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
         """The centres of all cells that were ever seen."""

@@ -209,3 +209,51 @@ def test_corrected_poses_double_a_wall_in_the_classic_grid_alone() -> None:
     assert np.nanmean(in_cells(classic, there + error)) > 0.8
     ghost = local.occupancy(there + error, placed)
     assert (np.isnan(ghost) | (ghost < 0.5)).all()
+
+
+@pytest.mark.parametrize("grazing_rad", [0.0, math.radians(5.0)])
+def test_a_scan_changes_no_cell_that_it_does_not_reach(grazing_rad: float) -> None:
+    """Discs everywhere, one around the scanner too: what is left out would not have changed."""
+    rng, update = np.random.default_rng(3), GridUpdate(0.2)
+    sensor = replace(SENSOR, grazing_rad=grazing_rad)
+    left_out = broken = 0
+    for count in (1, 7, 90, 361):
+        bearing, distance = rng.uniform(-np.pi, np.pi, count), rng.uniform(0.3, 12.0, count)
+        scan = Scan.of_ranges(HERE, bearing, distance, sensor)
+        middle = rng.uniform(-14.0, 14.0, (3000, 2))
+        radius = rng.uniform(0.05, 2.0, 3000)
+        middle[:20] *= 0.05
+        turn, away = rng.uniform(-np.pi, np.pi, 3000), np.sqrt(rng.uniform(0.0, 1.0, (50, 3000)))
+        cell = middle + (away * radius)[..., None] * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
+        ahead, left = middle.T.astype(np.float32)
+        change = update.change(scan, *cell.reshape(-1, 2).T.astype(np.float32)).reshape(50, -1)
+        changed = (change != 0.0).any(axis=0)
+        reached = update.reached(scan, ahead, left, radius.astype(np.float32))
+        assert not (changed & ~reached).any()
+        left_out += int(np.count_nonzero(~reached))
+        points = update.reached(scan, ahead, left, np.zeros(3000, dtype=np.float32))
+        broken += int(np.count_nonzero(changed & ~points))  # by the discs' middles alone
+    assert left_out > 1000
+    assert broken > 100
+    empty = Scan.of_ranges(HERE, np.zeros(0), np.zeros(0), SENSOR)
+    assert not update.reached(empty, ahead, left, 1.0).any()
+
+
+def test_blocks_hold_each_cell_once_and_lie_around_their_middles() -> None:
+    triangle = np.array([(1.0, 2.0), (19.0, 3.0), (2.0, 17.0)])
+    grid = RegionGrid.over(triangle, 0.3)
+    assert np.array_equal(np.sort(np.concatenate(grid.block)), np.arange(len(grid.odds)))
+    apart = [
+        np.abs((grid.weight[1:, cells].T - middle) * grid.cells).max()
+        for cells, middle in zip(grid.block, grid.middle, strict=True)
+    ]
+    assert max(apart) <= 7.5 + 1e-3
+
+
+def test_an_empty_scan_changes_nothing() -> None:
+    landmark, regions = field()
+    placed = regions.placed(landmark)
+    grid, everywhere = OccupancyGrid(0.2), np.arange(len(placed.triangle))
+    empty = Scan.of_ranges(HERE, np.zeros(0), np.zeros(0), SENSOR)
+    grid.fuse(*reported(placed, wall_scan())[:2], empty, everywhere)
+    assert not len(grid.samples(placed).point)
