@@ -27,6 +27,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from comparisons.experiments.montecarlo.chunk_files import CHUNK, ChunkFiles
 from comparisons.experiments.montecarlo.config import FILTER_NAMES
@@ -143,8 +144,9 @@ def main() -> None:
         except ImportError:
             print("dask: not installed, left out (pip install 'slamcheck[dask]')")
         else:
+            start: Any = LocalCluster
             for n in (1, 2):
-                started = LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address=":0")
+                started = start(n_workers=n, threads_per_worker=1, dashboard_address=":0")
                 kinds.append(Kind("dask", n, stack.enter_context(started).scheduler_address))
         work = study(choices.filter, world, steps, choices.chunks)
         found = measured(work, kinds, choices.repeat)
