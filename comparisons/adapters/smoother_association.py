@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from comparisons.arrays import Array, Index
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import surveyed
 from graphslam.association import AssociationResult, associate
+from graphslam.association_variants import Variant, associate_by
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherResult
 
@@ -28,6 +30,26 @@ class OwnAssociation:
     problem: SlamProblem
     poses: Array
     landmarks: Array
+
+
+class Optimum(NamedTuple):
+    """What other associations take from the smoother's optimum with the one found.
+
+    last_pose: (3,). outliers: rows of the log's measurements that a robust method left out, as
+    others do, too, and outlier_positions. kernel: of graphslam.graph_builder.KERNELS.
+    """
+
+    last_pose: Array
+    outliers: Index
+    outlier_positions: Index
+    kernel: str
+
+    @classmethod
+    def of(cls, own: OwnAssociation, result: SmootherResult) -> Optimum:
+        """Return that of the result with an association."""
+        used, rejected = np.flatnonzero(own.landmark_index >= 0), result.rejected
+        kernel = result.options.kernel
+        return cls(result.poses[-1], used[rejected.measurements], rejected.positions, kernel)
 
 
 @dataclass(frozen=True)
@@ -52,9 +74,10 @@ class OwnAssociator:
     ) -> None:
         """Measurements of surveyed landmarks go by their ids. left_out: those not to be used.
 
-        time_s: (M,) of the measurements.
+        epoch_time_s: (K,) of the poses. time_s: (M,) of the measurements.
         """
         self._log, self._timeline, self._rows = log, timeline, rows
+        self.epoch_time_s: Array = timeline.epoch_time_s
         self.time_s: Array = timeline.epoch_time_s[timeline.measurement_epoch]
         index_of, self._places, _ = surveyed(log)
         label = log.measurements.landmark[: len(timeline.measurement_epoch)]
@@ -76,18 +99,13 @@ class OwnAssociator:
         """Decide for every measurement."""
         return self._completed(associate(self._problem))
 
-    def alternatives(self, own: OwnAssociation, result: SmootherResult) -> Iterator[Alternative]:
-        """Decide in other ways, and optimise with each.
-
-        result: the smoother's with the association `own`. What a robust method left out there as
-        an outlier is left out here, too.
-        """
-        from graphslam.association_variants import associate_by, variants
-
-        wild = np.flatnonzero(own.landmark_index >= 0)[result.rejected.measurements]
-        for variant in variants():
-            found = associate_by(self._problem, variant, result.poses[-1])
-            yield self._optimised(variant.name, self._completed(found), wild, result)
+    def alternatives(self, variants: Sequence[Variant], optimum: Optimum) -> list[Alternative]:
+        """Decide in other ways, and optimise with each. optimum: with the association found."""
+        found = []
+        for variant in variants:
+            own = self._completed(associate_by(self._problem, variant, optimum.last_pose))
+            found.append(self._optimised(variant.name, own, optimum))
+        return found
 
     def _completed(self, found: AssociationResult) -> OwnAssociation:
         """The same of all measurements, the surveyed landmarks coming first."""
@@ -101,20 +119,18 @@ class OwnAssociator:
         places = np.vstack((self._places, found.landmarks))
         return OwnAssociation(landmark_index, problem, found.poses, places)
 
-    def _optimised(
-        self, name: str, own: OwnAssociation, wild: Index, result: SmootherResult
-    ) -> Alternative:
-        """The optimum with an association. wild: rows of outlier measurements, left out."""
+    def _optimised(self, name: str, own: OwnAssociation, optimum: Optimum) -> Alternative:
+        """The optimum with another association."""
         from graphslam.graph_builder import build_graph, from_values, to_values
         from graphslam.optimisers import levenberg_marquardt
 
         problem, landmark_index = own.problem, own.landmark_index
-        kept = ~np.isin(np.flatnonzero(landmark_index >= 0), wild)
+        kept = ~np.isin(np.flatnonzero(landmark_index >= 0), optimum.outliers)
         fixes = np.ones(len(problem.position_pose), dtype=bool)
-        fixes[result.rejected.positions] = False
+        fixes[optimum.outlier_positions] = False
         problem = problem.keep(kept, fixes)
         seen = np.union1d(problem.measurement_landmark, np.arange(len(self._places)))
-        graph = build_graph(problem, result.options.kernel)
+        graph = build_graph(problem, optimum.kernel)
         start = to_values(own.poses, own.landmarks, seen, problem.pose_landmarks)
         try:
             end, *_ = levenberg_marquardt(graph, start, 1e-6)

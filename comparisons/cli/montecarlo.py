@@ -67,8 +67,9 @@ class _Given(NamedTuple):
         typer.Option(metavar="SEED", min=0, hidden=True, help="Keep the log of this run in logs/."),
     ] = None
     workers: Annotated[
-        int, typer.Option(metavar="W", help="Number of parallel processes. [1]", show_default=False)
-    ] = 1
+        int | None,
+        typer.Option(metavar="W", help="Number of parallel processes. [cores; 1 for --command]"),
+    ] = None
     scheduler: Annotated[
         str | None,
         typer.Option(
@@ -131,10 +132,13 @@ def montecarlo(**values: Any) -> None:
             montecarlo_summary,
             write_montecarlo,
         )
+        from comparisons.experiments.montecarlo.workers import one_each_core
 
         with progress_bar(output) as progress:
-            external = External(commands, given.reuse)
-            outcome = run_study(study, folder, given.workers, given.scheduler, progress, external)
+            ours = one_each_core() if given.workers is None else given.workers
+            theirs = 1 if given.workers is None else given.workers
+            external = External(commands, given.reuse, theirs)
+            outcome = run_study(study, folder, ours, given.scheduler, progress, external)
             result = build_montecarlo_result(outcome)
             progress("report", 0, 0)
             write_montecarlo(outcome, result, folder)

@@ -28,7 +28,9 @@ def reproduce(
     drives: Annotated[
         int, typer.Option(metavar="N", help="Number of simulated drives per statistical claim.")
     ] = 10,
-    workers: Annotated[int, typer.Option(metavar="W", help="Number of parallel processes.")] = 1,
+    workers: Annotated[
+        int | None, typer.Option(metavar="W", help="Number of parallel processes. [cores]")
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Output folder.")] = Path(
         "slamcheck-reproduction"
     ),
@@ -41,7 +43,7 @@ def reproduce(
     Examples:
       slamcheck reproduce                           list the figures
       slamcheck reproduce N3.5 N3.12
-      slamcheck reproduce all --workers 2 --out figures
+      slamcheck reproduce all --workers 1 --out figures
       slamcheck reproduce all --data path/to/logs
     """
     with guarded():
@@ -51,6 +53,7 @@ def reproduce(
         import time
 
         from comparisons.atomic import check_replaceable
+        from comparisons.experiments.montecarlo.workers import one_each_core
         from comparisons.experiments.reproduction.folder import (
             CONTENTS,
             build_result,
@@ -63,7 +66,8 @@ def reproduce(
         check_replaceable(out, CONTENTS)
         start = time.perf_counter()
         with progress_bar() as progress:
-            found = run(tuple(figures), Sources(data, drives), workers, progress)
+            number = one_each_core() if workers is None else workers
+            found = run(tuple(figures), Sources(data, drives), number, progress)
             result = build_result(found, drives, time.perf_counter() - start)
             progress("gallery", 0, 0)
             write_gallery(found, result, out)

@@ -2,7 +2,7 @@
 
 One object serves one comparison. `prepare` comes first, once. `attach` comes before every run of
 the filter, which may be more than one: what it puts beside the filter is made anew each time.
-`check` comes after both estimators, once.
+`begin` comes between the estimators, and `check` after both, once.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from comparisons.adapters.ekf_run import EkfRun
     from comparisons.adapters.filter_setup import FilterSetup
     from comparisons.checks.causes import Cause
     from comparisons.estimates.estimate import Estimate
+    from comparisons.pipeline.beside import Beside
     from comparisons.pipeline.gaps import Compared
     from comparisons.pipeline.prepare import Prepared
     from comparisons.report.html.drawing import Drawing
@@ -56,6 +58,13 @@ class Extension:
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         """Put sources, observers or guards beside a filter that is about to run."""
+
+    def begin(self, prepared: Prepared[Any], run: EkfRun) -> Beside[Any] | None:
+        """Start what `check` needs and the smoother does not, in a process beside it.
+
+        Its result is found in `compared.begun`, by the extension's name.
+        """
+        return None
 
     def check(self, compared: Compared) -> Finding | None:
         """Return what was found; None where there is nothing to report."""

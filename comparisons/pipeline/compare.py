@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.position_gate import RejectedFixes
+    from comparisons.pipeline.beside import Beside
 
 F = TypeVar("F", bound=Finding)
 
@@ -184,12 +186,18 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     options = SmootherOptions(**prepared.config.smoother.model_dump())
     with clock.stage("ekf"):
         run, setup = run_filter(prepared)
-    gaps = compute_gaps(log, run, options, clock, progress)
-    compared = Compared(prepared=prepared, setup=setup, ekf=run, gaps=gaps)
-    findings = {
-        one.name: found for one in prepared.extensions if (found := one.check(compared)) is not None
-    }
-    unchecked = _second_association(compared, findings)
+    second, unchecked = _second_association(prepared, run)
+    asked = prepared.extensions if second is None else (*prepared.extensions, second)
+    with _begun(asked, prepared, run) as begun:
+        gaps = compute_gaps(log, run, options, clock, progress)
+        compared = Compared(prepared=prepared, setup=setup, ekf=run, gaps=gaps, begun=begun)
+        findings = {
+            one.name: found
+            for one in prepared.extensions
+            if (found := one.check(compared)) is not None
+        }
+        if second is not None:
+            unchecked = _ask(second, compared, findings)
     with clock.stage("checks"):
         progress("checks", 0, 0)
         labelled, smoothed = prepared.labelled, gaps.smoothed
@@ -230,25 +238,42 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         )
 
 
-def _second_association(compared: Compared, findings: dict[str, Finding]) -> str:
-    """Ask the smoother's own where no other check is possible; return why none was made."""
-    log, name = compared.prepared.log, "own_association"
+@contextmanager
+def _begun(
+    extensions: Sequence[Extension], prepared: Prepared[Any], run: EkfRun
+) -> Iterator[dict[str, Beside[Any]]]:
+    """What extensions begin beside the smoother, by name; ended at the latest with the block."""
+    with ExitStack() as stack:
+        begun = {}
+        for one in extensions:
+            work = one.begin(prepared, run)
+            if work is not None:
+                begun[one.name] = stack.enter_context(work)
+        yield begun
+
+
+def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extension | None, str]:
+    """Return the smoother's own where no other check is possible, or else why it is not asked."""
+    log = prepared.log
     reported = (
         log.measurements.labelled or log.truth.poses is not None or log.truth.landmarks is not None
     )
-    if (
-        compared.prepared.labelled
-        or reported
-        or not len(log.measurements.time_s)
-        or name in findings
-    ):
-        return ""
+    if prepared.labelled or reported or not len(log.measurements.time_s):
+        return None, ""
     from comparisons.pipeline.second_association import own_association
 
-    found, unchecked = own_association(compared)
+    return own_association(prepared, run)
+
+
+def _ask(second: Extension, compared: Compared, findings: dict[str, Finding]) -> str:
+    """Add what an association that nobody asked for finds; return why it finds nothing."""
+    try:
+        found = second.check(compared)
+    except InputError as error:
+        return f"the association is unchecked: {error}"
     if found is not None:
-        findings[name] = found
-    return unchecked
+        findings[second.name] = found
+    return ""
 
 
 def _truth_gap(

@@ -32,8 +32,9 @@ Progress = Callable[[str, int, int], None]
 class Clock:
     """seconds: on the wall by stage, in their order. cpu_s: of the processor, by stage.
 
-    Processor time is that of this process, all its threads counted (time.process_time): more than
-    the wall's where several work, less where the machine was busy with others.
+    Processor time is that of this process, all its threads counted (time.process_time), and of one
+    beside it, in the stage that waits for its result: more than the wall's where several work, less
+    where the machine was busy with others.
     """
 
     def __init__(self) -> None:
@@ -51,6 +52,10 @@ class Clock:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
             self.cpu_s[name] = self.cpu_s.get(name, 0.0) + time.process_time() - cpu
             _return_memory()
+
+    def add_cpu(self, name: str, cpu_s: float) -> None:
+        """Add what another process has done for a stage."""
+        self.cpu_s[name] = self.cpu_s.get(name, 0.0) + cpu_s
 
     def after(self, *others: Clock | None) -> dict[str, dict[str, float]]:
         """Return `seconds` and `cpu_s` as result files have them, stages of others first."""

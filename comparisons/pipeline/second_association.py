@@ -11,16 +11,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_input import assemble, position_rows
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory, match_landmarks
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import poses_apart
 from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
-from comparisons.errors import InputError
-from comparisons.extensions.interface import Finding
+from comparisons.config import RunConfig
+from comparisons.extensions.interface import Extension
 from comparisons.logs.transforms.known_landmarks import indices_by_label
 from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.prepare import Prepared
 from graphslam.graph_builder import build_graph, from_values
 from graphslam.initialisation import track
 from graphslam.optimisers import optimise
@@ -32,47 +34,48 @@ from graphslam.smoother import smooth
 NAME = "own_association"
 
 
-def own_association(compared: Compared) -> tuple[Finding | None, str]:
-    """Return the smoother's own association against the filter's, or why nobody has asked it."""
-    config = compared.prepared.config.extensions.get(NAME)
-    if config is not None:
+def own_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extension | None, str]:
+    """Return the check by the smoother's own association, or why it is not made.
+
+    Neither where the configuration asks for it.
+    """
+    if NAME in prepared.config.extensions:
+        from comparisons.extensions.own_association.extension import OwnAssociation
+
+        if any(one.asked for one in prepared.extensions if isinstance(one, OwnAssociation)):
+            return None, ""
         return None, "the association is unchecked, as --smoother-association ekf asks"
-    own, run = own_work(compared), run_work(compared)
-    if own > run:
+    own, whole = own_work(run), run_work(run)
+    if own > whole:
         return None, (
             "the association is unchecked: the smoother's own costs about "
-            f"{own / run:.1f} times the run; ask for it with --smoother-association own"
+            f"{own / whole:.1f} times the run; ask for it with --smoother-association own"
         )
     from comparisons.extensions.own_association.extension import OwnAssociation
 
-    try:
-        found = OwnAssociation().check(compared)
-    except InputError as error:
-        return None, f"the association is unchecked: {error}"
-    return found, ""
+    return OwnAssociation(), ""
 
 
-def own_work(compared: Compared) -> float:
+def own_work(run: EkfRun) -> float:
     """Seconds, about, of the smoother's own association and of the optimum with it.
 
     After each piece all poses so far are solved for anew, every measurement is judged by the map,
     and in the end the smoother starts again. Coefficients: least squares over six runs, from 430 to
     2,800 epochs and 1,900 to 23,600 measurements, of processor time on one machine.
     """
-    epochs, seen, landmarks, _ = _counts(compared)
+    epochs, seen, landmarks, _ = _counts(run)
     solved = 0.5 * (epochs / Options().piece) * (epochs + seen)
     return 1.3e-4 * epochs + 3.4e-5 * solved + 1.9e-6 * seen * landmarks + 1.6e-4 * seen
 
 
-def run_work(compared: Compared) -> float:
+def run_work(run: EkfRun) -> float:
     """Seconds, about, of the run itself, measured likewise, two of them for reading and report."""
-    _, seen, landmarks, steps = _counts(compared)
+    _, seen, landmarks, steps = _counts(run)
     return 2.0 + 2.1e-4 * seen + 6.2e-5 * steps + 1.1e-6 * seen * landmarks
 
 
-def _counts(compared: Compared) -> tuple[int, int, int, int]:
+def _counts(run: EkfRun) -> tuple[int, int, int, int]:
     """Epochs, measurements, landmarks, and samples of odometry."""
-    run = compared.ekf
     timeline = run.timeline
     return (
         len(timeline.epoch_time_s),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from comparisons.adapters.smoother_association import OwnAssociation, OwnAssociator
+from comparisons.adapters.smoother_association import Optimum, OwnAssociation, OwnAssociator
 from comparisons.adapters.smoother_input import (
     assemble,
     position_rows,
@@ -23,6 +23,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import indices_by_label
+from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.prepare import (
     Prepared,
     Progress,
@@ -31,6 +32,7 @@ from comparisons.pipeline.prepare import (
     no_progress,
     prepare,
 )
+from graphslam.association_variants import variants
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
@@ -158,7 +160,7 @@ def solve(
     if own is not None and associator is not None:
         with clock.stage("association check"):
             progress("association check", 0, 0)
-            checked = _check(associator, own, result, estimate)
+            checked = _check(prepared, associator, own, result, estimate)
     reckoned = dead_reckoned(problem.prior_pose, problem.increment)
     return Solution(
         prepared=prepared,
@@ -174,12 +176,28 @@ def solve(
 
 
 def _check(
-    associator: OwnAssociator, own: OwnAssociation, result: SmootherResult, estimate: Estimate
+    prepared: Prepared[SolveConfig],
+    associator: OwnAssociator,
+    own: OwnAssociation,
+    result: SmootherResult,
+    estimate: Estimate,
 ) -> AssociationCheck:
-    """Compare the association with others of the same measurements."""
-    problem = result.problem
+    """Compare the association with others of the same measurements, two at a time."""
+    problem, clock, ways = result.problem, prepared.clock, variants()
+    given = Optimum.of(own, result)
+    size = problem.pose_count, len(associator.time_s), problem.landmark_count
+    second = Beside(
+        associator.alternatives,
+        ways[1::2],
+        given,
+        seconds=len(ways[1::2]) * clock.cpu_s["association"],
+        size=size,
+    )
+    with second:
+        found = [*associator.alternatives(ways[::2], given), *second.result()]
+    clock.add_cpu("association check", second.cpu_s)
+    order = [way.name for way in ways]
+    found.sort(key=lambda one: order.index(one.name))
     dof = problem.residual_dimension - problem.state_dimension
     optimum = (result.poses, estimate.pose_covariance, 2.0 * result.error, dof)
-    return check_association(
-        own.landmark_index, associator.time_s, optimum, associator.alternatives(own, result)
-    )
+    return check_association(own.landmark_index, associator.time_s, optimum, found)

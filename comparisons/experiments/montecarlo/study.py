@@ -147,7 +147,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class External:
-    """Filters of the user's. estimators: by name.
+    """Filters of the user's. estimators: by name. workers: processes that run them.
 
     reuse: take results that lie in the folder, of commands whose words and named files are the
     same; what these import may have changed. A callable always runs again.
@@ -155,6 +155,7 @@ class External:
 
     estimators: Mapping[str, Estimator] = field(default_factory=dict)
     reuse: bool = False
+    workers: int = 1
 
 
 def montecarlo(
@@ -189,7 +190,7 @@ def montecarlo(
     if folder is not None:
         check_folder(Path(folder))
     with tempfile.TemporaryDirectory(prefix="slamcheck-montecarlo-") as place:
-        external = External(estimators or {})
+        external = External(estimators or {}, workers=workers)
         return run_study(read_study(config), Path(folder or place), workers, external=external)
 
 
@@ -202,8 +203,9 @@ def run_study(
     external: External | None = None,
 ) -> Outcome:
     """Compute what the folder does not hold yet; figures over all runs. Raises InputError."""
-    check_workers(workers)
     external = external or External()
+    for number in (workers, external.workers):
+        check_workers(number)
     check_names(external.estimators)
     if external.estimators and scheduler is not None:
         raise InputError("--scheduler computes our filters only; give --workers with --command")
@@ -226,7 +228,7 @@ def run_study(
         files.write(*wanted[place], records)
         done += 1
         progress("runs", done, total)
-    job = _ExternalJob(study, world, folder, workers, progress)
+    job = _ExternalJob(study, world, folder, external.workers, progress)
     theirs = {name: job.run(name, one, external) for name, one in external.estimators.items()}
     used = np.logical_and.reduce(
         [np.ones(len(steps), dtype=bool), *(t.used for t in theirs.values())]

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from typing import Any, TypeVar
 
 from comparisons.errors import InputError
+from comparisons.pipeline.beside import cores
 
 Result = TypeVar("Result")
 _MOST_WORKERS = 1000
@@ -35,6 +36,11 @@ def spread(
         stack.enter_context(joblib.parallel_config(**backend))
         jobs = (joblib.delayed(_placed)(function, i, task) for i, task in enumerate(tasks))
         yield from joblib.Parallel(return_as="generator_unordered", batch_size=1)(jobs)
+
+
+def one_each_core() -> int:
+    """Return how many processes have a core each that this one may use."""
+    return min(cores(), _MOST_WORKERS)
 
 
 def check_workers(workers: int) -> None:

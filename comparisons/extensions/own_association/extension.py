@@ -3,31 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows, smoothed_estimate
+from comparisons.arrays import Index
 from comparisons.checks.accuracy import assess
 from comparisons.checks.agreement import block_agrees
 from comparisons.checks.association import score_association
 from comparisons.choices import When
 from comparisons.errors import InputError
+from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.extensions.own_association.check import (
     OwnAssociationCheck,
     association_cause,
     check_own_association,
 )
+from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.second_association import own_work, run_work
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, AssociationResult
 from comparisons.report.rows import accuracy_rows, association_rows, in_sigma
 from comparisons.report.sections import accuracy_result, association_result
 from ekf_reference.core.measurements import DYNAMIC
-from graphslam.smoother import smooth
+from graphslam.optimum import Optimality
+from graphslam.problem import PoseLandmarkMeasurements
+from graphslam.smoother import SmootherOptions, smooth
 
 
 class OwnAssociation(Extension):
@@ -39,14 +48,26 @@ class OwnAssociation(Extension):
         """when: never, to do nothing."""
         self._when = when
 
+    @property
+    def asked(self) -> bool:
+        """Whether it does anything."""
+        return self._when != "never"
+
+    def begin(self, prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution] | None:
+        """Associate and solve beside the smoother; neither needs the other's result."""
+        return begin_own_association(prepared, run) if self.asked else None
+
     def check(self, compared: Compared) -> OwnAssociationFinding | None:
         """Associate without the filter, solve, assess, and compare. Raises InputError."""
-        if self._when == "never":
+        if not self.asked:
             return None
-        prepared = compared.prepared
+        prepared, work = compared.prepared, compared.begun[self.name]
         with prepared.clock.stage("own association"):
             prepared.progress("own association", 0, 0)
-            return OwnAssociationFinding(compared, solve_with_own_association(compared))
+            found = work.result()
+            own = compare_with_own_association(compared, found)
+        prepared.clock.add_cpu("own association", work.cpu_s)
+        return OwnAssociationFinding(compared, own)
 
 
 class OwnAssociationFinding(Finding):
@@ -87,34 +108,70 @@ class OwnAssociationFinding(Finding):
         return [association_differences(self.own, self._compared.ekf)]
 
 
-def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
-    """Return S' and how it compares with S.
+@dataclass(frozen=True)
+class OwnSolution:
+    """S': the landmark of each measurement (M,), and the estimate with the evidence for it."""
 
-    Only points are associated anew: measurements of pose landmarks stay as they are.
-    """
-    log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
+    landmark_index: Index
+    estimate: Estimate
+    optimality: Optimality
+
+
+def begin_own_association(prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution]:
+    """Begin S'."""
+    log = replace(prepared.log, scans=None, clouds=None)
     rows = position_rows(run.timeline, run.positions)
     left_out = np.flatnonzero(run.landmark_index == DYNAMIC)
-    found = OwnAssociator(log, run.timeline, rows, left_out).associate()
+    associator = OwnAssociator(log, run.timeline, rows, left_out)
+    options = SmootherOptions(**prepared.config.smoother.model_dump())
+    size = len(run.timeline.epoch_time_s), len(run.landmark_index), len(run.estimate.landmark)
+    return Beside(
+        solve_with_own_association,
+        log.name,
+        associator,
+        run.pose_landmarks,
+        options,
+        seconds=min(own_work(run), run_work(run)),
+        size=size,
+    )
+
+
+def solve_with_own_association(
+    name: str,
+    associator: OwnAssociator,
+    pose_landmarks: PoseLandmarkMeasurements,
+    options: SmootherOptions,
+) -> OwnSolution:
+    """Return S'. Only points are associated anew: measurements of pose landmarks stay as they are.
+
+    name: of the log. Raises InputError.
+    """
+    found = associator.associate()
     if not found.problem.landmark_count:
-        raise InputError(f"{log.name}: the smoother's own association found no landmark")
-    problem = replace(found.problem, pose_landmarks=run.pose_landmarks)
+        raise InputError(f"{name}: the smoother's own association found no landmark")
+    problem = replace(found.problem, pose_landmarks=pose_landmarks)
     guesses = {"association": (found.poses, found.landmarks)}
-    result = smooth(problem, guesses, options=gaps.result.options)
+    result = smooth(problem, guesses, options=options)
     ids = np.arange(found.problem.landmark_count)
-    estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
+    estimate = smoothed_estimate(result, associator.epoch_time_s, ids, "its own")
+    return OwnSolution(found.landmark_index, estimate, result.optimality)
+
+
+def compare_with_own_association(compared: Compared, found: OwnSolution) -> OwnAssociationCheck:
+    """Return how S' compares with S."""
+    log, run, estimate = compared.prepared.log, compared.ekf, found.estimate
     own = check_own_association(
         log.measurements,
         run.timeline.measurement_epoch,
         (run.landmark_index, found.landmark_index),
-        gaps.smoothed,
+        compared.gaps.smoothed,
         estimate,
-        result.optimality,
+        found.optimality,
     )
     return replace(
         own,
         accuracy=assess(estimate, compared.prepared.judged, labelled=False),
-        score=score_association(found.landmark_index, result.landmarks, log),
+        score=score_association(found.landmark_index, estimate.landmark, log),
     )
 
 

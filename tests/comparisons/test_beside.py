@@ -1,0 +1,266 @@
+"""Work in a second process: the same result, the same errors, and nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from comparisons.config import SolveConfig
+from comparisons.errors import InputError
+from comparisons.logs.log import Truth
+from comparisons.pipeline import beside
+from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.compare import Comparison, compare
+from comparisons.pipeline.solve import solve
+from comparisons.report.result import build_result
+from comparisons.report.solution import build_solution_result
+from comparisons.settings import run_config
+from tests.helpers import first_seconds, simulated
+
+ROOT = Path(__file__).resolve().parents[2]
+LONG_S = beside.PAYS_S + 1.0
+
+
+@pytest.fixture
+def second_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A core is free."""
+    monkeypatch.setattr(beside, "cores", lambda: 2)
+
+
+def gone(pid: int, within_s: float = 10.0) -> bool:
+    """Whether a process ends in time."""
+    end_s = time.monotonic() + within_s
+    while time.monotonic() < end_s:
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return True
+        if "State:\tZ" in _status(pid):
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def _status(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    except OSError:
+        return ""
+
+
+def refuse(text: str) -> None:
+    """Raise what a worker may raise."""
+    raise InputError(f"log: {text}")
+
+
+def exhaust() -> int:
+    """Return the process' number where it was asked for, and want memory elsewhere."""
+    if not hasattr(sys, "ps1_of_tests"):
+        raise MemoryError
+    return os.getpid()
+
+
+@pytest.mark.usefixtures("second_core")
+def test_a_call_elsewhere_returns_the_same() -> None:
+    x = np.random.default_rng(0).standard_normal((300, 300))
+    with Beside(np.linalg.svd, x, seconds=LONG_S) as work:
+        assert work.elsewhere
+        found = work.result()
+    assert work.cpu_s > 0.0
+    for here, there in zip(np.linalg.svd(x), found, strict=True):
+        assert here.tobytes() == there.tobytes()
+
+
+@pytest.mark.usefixtures("second_core")
+def test_what_is_raised_there_is_raised_here() -> None:
+    with Beside(refuse, "no landmark", seconds=LONG_S) as work:
+        assert work.elsewhere
+        with pytest.raises(InputError, match="log: no landmark"):
+            work.result()
+
+
+@pytest.mark.usefixtures("second_core")
+def test_a_killed_process_is_done_without() -> None:
+    with Beside(math.sqrt, 4.0, seconds=LONG_S) as work:
+        assert work._process is not None
+        work._process.kill()
+        assert work.result() == 2.0
+    assert work.cpu_s == 0.0
+
+
+@pytest.mark.usefixtures("second_core")
+def test_what_has_too_little_memory_there_is_done_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "ps1_of_tests", 1, raising=False)
+    with Beside(exhaust, seconds=LONG_S) as work:
+        assert work.elsewhere
+        assert work.result() == os.getpid()
+
+
+@pytest.mark.usefixtures("second_core")
+def test_an_interrupt_leaves_no_process() -> None:
+    pid = 0
+    with (  # noqa: PT012
+        pytest.raises(KeyboardInterrupt),
+        Beside(time.sleep, 60.0, seconds=LONG_S) as work,
+    ):
+        assert work._process is not None
+        pid = work._process.pid
+        raise KeyboardInterrupt
+    assert gone(pid, 1.0)
+
+
+def test_without_the_block_a_process_stays(second_core: None) -> None:
+    """The broken variant: nobody ends it."""
+    work = Beside(time.sleep, 60.0, seconds=LONG_S)
+    assert work._process is not None
+    assert not gone(work._process.pid, 0.5)
+    work.__exit__(None, None, None)
+
+
+ORPHAN = """
+import time
+from comparisons.pipeline import beside
+beside.cores = lambda: 2
+with beside.Beside(time.sleep, 60.0, seconds=1e9) as work:
+    print(work._process.pid, flush=True)
+    work.result()
+"""
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_it_ends_with_the_process_that_asked(ended_by: signal.Signals) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", ORPHAN],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        cwd=ROOT,
+        text=True,
+    ) as asking:
+        assert asking.stdout is not None
+        pid = int(asking.stdout.readline())
+        assert not gone(pid, 0.5)
+        asking.send_signal(ended_by)
+        asking.wait(10.0)
+        assert gone(pid)
+
+
+def _of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multiprocessing, "parent_process", object)
+
+
+def _of_one_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(beside, "cores", lambda: 1)
+
+
+def _without_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+
+
+@pytest.mark.usefixtures("second_core")
+@pytest.mark.parametrize("how", [_of_another, _of_one_core, _without_python])
+def test_where_no_process_is_to_be_had_the_call_is_made_here(
+    how: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    how(monkeypatch)
+    with Beside(os.getpid, seconds=LONG_S) as work:
+        assert not work.elsewhere
+        assert work.result() == os.getpid()
+
+
+@pytest.mark.usefixtures("second_core")
+def test_no_process_for_little_work_nor_in_a_thread_nor_for_what_cannot_be_sent() -> None:
+    assert not Beside(os.getpid, seconds=beside.PAYS_S).elsewhere
+    assert not Beside(os.getpid, seconds=LONG_S, size=(10**9, 10**9, 10)).elsewhere
+    assert not Beside(lambda: 1, seconds=LONG_S).elsewhere
+    seen: list[bool] = []
+    thread = threading.Thread(
+        target=lambda: seen.append(Beside(os.getpid, seconds=LONG_S).elsewhere)
+    )
+    thread.start()
+    thread.join()
+    assert seen == [False]
+
+
+def _watched(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Record where each call was made; all are long enough."""
+    seen: list[bool] = []
+    result = Beside.result
+
+    def watching(self: Beside[Any]) -> Any:
+        seen.append(self.elsewhere)
+        return result(self)
+
+    monkeypatch.setattr(beside, "PAYS_S", -1.0)
+    monkeypatch.setattr(Beside, "result", watching)
+    return seen
+
+
+def _text(result: Any) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(result.model_dump_json())
+    assert found.pop("seconds")
+    assert found.pop("cpu_s")
+    return found
+
+
+def _arrays(content: Any) -> list[bytes]:
+    """All arrays in a tree of dataclasses, by their bytes."""
+    if isinstance(content, np.ndarray):
+        return [content.tobytes()]
+    parts: list[Any] = []
+    if is_dataclass(content):
+        parts = [getattr(content, field.name) for field in fields(content)]
+    elif isinstance(content, Mapping):
+        parts = list(content.values())
+    elif isinstance(content, (tuple, list)):
+        parts = list(content)
+    return [x for part in parts for x in _arrays(part)]
+
+
+def test_a_run_with_its_own_association_is_the_same_to_the_bit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    log = replace(first_seconds(simulated(0), 15.0), truth=Truth())
+    config = run_config(association="nn", smoother_association="own")
+    seen = _watched(monkeypatch)
+    found = list[Comparison]()
+    for cores in (1, 2):
+        monkeypatch.setattr(beside, "cores", lambda cores=cores: cores)
+        found.append(compare(log, config))
+    assert seen == [False, False, True, True]  # F1 with F2, and S'
+    here, there = (_text(build_result(one)) for one in found)
+    assert here == there
+    assert here["own_association"]["landmarks"] > 3
+    assert list(found[0].seconds) == list(found[1].seconds)
+    for name in ("frozen", "own association"):  # what the other process has done counts
+        assert found[1].prepared.clock.cpu_s[name] > 0.1
+    arrays = [[x for one in (f.gaps.recorded, f.gaps.model) for x in _arrays(one)] for f in found]
+    assert arrays[0] == arrays[1]
+
+
+def test_a_solution_is_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = first_seconds(simulated(0), 15.0)
+    seen = _watched(monkeypatch)
+    texts = []
+    for cores in (1, 2):
+        monkeypatch.setattr(beside, "cores", lambda cores=cores: cores)
+        solution = solve(log, SolveConfig(association="own"))
+        assert solution.association_check is not None
+        names = [one.name for one in solution.association_check.variants]
+        texts.append(_text(build_solution_result(solution)))
+    assert seen == [False, True]
+    assert texts[0] == texts[1]
+    assert names == ["reversed time", "shifted borders", "looser settings", "stricter settings"]
