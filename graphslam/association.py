@@ -64,7 +64,7 @@ class _Draft:
     landmark_index: Index
     running_estimate: RunningEstimate
     included: Mask
-    smoother: GrowingSmoother = field(default_factory=GrowingSmoother)
+    smoother: GrowingSmoother
     values: gtsam.Values = field(default_factory=gtsam.Values)
     start: gtsam.Values = field(default_factory=gtsam.Values)
     around: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
@@ -93,6 +93,7 @@ def associate(problem: SlamProblem, options: Options | None = None) -> Associati
         landmark_index=np.full(len(problem.z), UNSEEN, dtype=np.intp),
         running_estimate=RunningEstimate(problem.prior_pose, problem.prior_covariance),
         included=np.zeros(len(problem.z), dtype=bool),
+        smoother=GrowingSmoother(),
     )
     draft.insert(POSE_KEY, gtsam.Pose2(*problem.prior_pose))
     _see(draft, 0)

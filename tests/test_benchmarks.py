@@ -238,3 +238,11 @@ def test_a_log_of_ten_thousand_poses_comes_to_a_verdict() -> None:
     assert reported.endswith(", agree")
     assert stages["all"][1] < 900.0
     assert float(reported.split()[1]) < 5.0
+
+
+@pytest.mark.slow
+def test_own_association_benchmark_runs() -> None:
+    lines = run("benchmarks/own_association.py", "--full", "--check")
+    agreed = next(line for line in lines if line.startswith("own and full"))
+    assert agreed.endswith("0 and 0 in one; 0 measurements at other landmarks, 0 and 0 used by one")
+    assert len(lines) == 10

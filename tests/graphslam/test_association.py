@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
+import gtsam
 import numpy as np
 import pytest
 
+from graphslam import association
 from graphslam.arrays import Mask
 from graphslam.association import associate
+from graphslam.graph_builder import POSE_KEY
+from graphslam.growing_smoother import GrowingSmoother
 from graphslam.increments import dead_reckoned
+from graphslam.marginals import joint_marginal
+from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
 from graphslam.relocalisation import PENDING, UNSEEN, Options, _likely, relocalise
 from graphslam.running_estimate import RunningEstimate, wrapped
@@ -202,6 +209,39 @@ def test_loops_are_closed_without_labels(seed: int, loops: int) -> None:
     assert recall > 0.99
     # Odometry alone would not do.
     assert score(nearest_by_dead_reckoning(world), true)[0] < 0.9
+
+
+class FullSmoother(GrowingSmoother):
+    """Everything anew after each piece."""
+
+    def extend(self, factors: Sequence[gtsam.NonlinearFactor], start: gtsam.Values) -> None:
+        for factor in factors:
+            self._graph.push_back(factor)
+        self.values.insert(start)
+        self.solve()
+
+    def solve(self) -> None:
+        self.values, *_ = levenberg_marquardt(self._graph, self.values, 1e-10)
+
+    def joint_covariance(self, keys: Sequence[int]) -> Array:
+        size = sum(3 if key >= POSE_KEY else 2 for key in keys)
+        return joint_marginal(self._graph.linearize(self.values), keys, size).covariance
+
+
+class Unmoved(FullSmoother):
+    """A broken variant: what was put somewhere stays there."""
+
+    def solve(self) -> None:
+        """Nothing."""
+
+
+def test_solving_anew_after_each_piece_decides_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = unlabelled(worlds.loop(1, poses=worlds.LOOP + 40).problem)
+    growing = associate(problem)
+    monkeypatch.setattr(association, "GrowingSmoother", FullSmoother)
+    assert np.array_equal(associate(problem).landmark_index, growing.landmark_index)
+    monkeypatch.setattr(association, "GrowingSmoother", Unmoved)
+    assert np.mean(associate(problem).landmark_index != growing.landmark_index) > 0.05
 
 
 def test_clutter_becomes_no_landmark() -> None:
