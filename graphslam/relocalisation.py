@@ -137,7 +137,8 @@ def _likely(possible: Mask, targets: Index, seen: tuple[Array, Array, Array], o:
         beam = _grown(
             beam, own, (nu[i, columns], noise[i]), cost_of_new, (bound, o.most_hypotheses)
         )
-    return np.append(columns, -1)[beam.choice[beam.cost <= beam.cost.min() + doubt]]
+    likely: Index = np.append(columns, -1)[beam.choice[beam.cost <= beam.cost.min() + doubt]]
+    return likely
 
 
 class _Beam(NamedTuple):
@@ -173,14 +174,14 @@ def _grown(
     best = np.argsort(cost, axis=None, kind="stable")[: limits[1]]
     best = best[cost.ravel()[best] <= limits[0]]
     parent, which = np.divmod(best, cost.shape[1])
-    landmark = np.append(own, -1)[which]
+    landmark: Index = np.append(own, -1)[which]
     shift, covariance = beam.shift[parent], beam.covariance[parent]
     told = np.flatnonzero(landmark >= 0)
-    entries = 2 * landmark[told, None] + (0, 1)
-    rows = covariance[told[:, None], entries]
-    s = np.take_along_axis(rows, entries[:, None], axis=2) + np.diag(noise)
+    pair = _entries(landmark[told]).reshape(-1, 2)
+    rows = covariance[told[:, None], pair]
+    s = np.take_along_axis(rows, pair[:, None], axis=2) + np.diag(noise)
     gain = np.linalg.solve(s, rows)
-    innovation = nu[landmark[told]] - np.take_along_axis(shift[told], entries, axis=1)
+    innovation = nu[landmark[told]] - np.take_along_axis(shift[told], pair, axis=1)
     shift[told] += (innovation[:, None] @ gain)[:, 0]
     covariance[told] -= rows.transpose(0, 2, 1) @ gain
     choice = np.column_stack((beam.choice[parent], landmark))
