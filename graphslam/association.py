@@ -3,8 +3,9 @@
 The log is read in pieces. What a piece sees is judged against the smoother's joint covariance of
 the last pose and the whole map: a measurement is recognised when all likely joint hypotheses say
 the same of it. What nothing in the map explains waits; seen often enough in one place, it becomes a
-landmark. After each piece everything is solved anew. In the end the finished map judges all
-measurements once more, landmarks that turn out to be one are merged, and rare ones are dropped.
+landmark. After each piece the smoother takes in what was decided. In the end landmarks that turn
+out to be one are merged, everything is solved once more, the finished map judges all measurements
+again, and rare landmarks are dropped.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from graphslam.graph_builder import (
     position_factor,
     prior_factor,
 )
-from graphslam.marginals import joint_marginal, to_global
+from graphslam.growing_smoother import GrowingSmoother
+from graphslam.marginals import to_global
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
 from graphslam.relocalisation import PENDING, UNSEEN, Options, extent, relocalise
@@ -50,56 +52,66 @@ class AssociationResult:
 class _Draft:
     """What is decided so far.
 
-    landmark_index: (M,). values, graph: the smoother's, up to pose `solved`, with the measurements
-    `included`. running_estimate: at the last pose known. count: landmarks.
+    landmark_index: (M,). values: of all variables, as smoothed, or where they start; `start` has
+    the latter, which the smoother does not have yet, as it has not the measurements that are not
+    `included` and the poses from `solved` on. running_estimate: at the last pose known, of the
+    landmarks `around`. count: landmarks.
     """
 
     problem: SlamProblem
     options: Options
     order: Index
     landmark_index: Index
-    values: gtsam.Values
     running_estimate: RunningEstimate
     included: Mask
-    graph: gtsam.NonlinearFactorGraph = field(default_factory=gtsam.NonlinearFactorGraph)
+    smoother: GrowingSmoother
+    values: gtsam.Values = field(default_factory=gtsam.Values)
+    start: gtsam.Values = field(default_factory=gtsam.Values)
+    around: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     known: int = 1
     solved: int = 0
     count: int = 0
 
-    def solution(self) -> tuple[Array, Array]:
-        """Poses (K, 3) known so far and landmarks (L, 2)."""
-        p = self.problem
-        known = replace(p, increment=p.increment[: self.known - 1], landmark_count=self.count)
-        return from_values(self.values, known)
+    def insert(self, key: int, where: gtsam.Pose2 | Array) -> None:
+        """Begin a variable."""
+        self.values.insert(key, where)
+        self.start.insert(key, where)
+
+    def landmarks(self) -> Array:
+        """(L, 2)."""
+        return np.array(
+            [self.values.atPoint2(LANDMARK_KEY + j) for j in range(self.count)]
+        ).reshape(-1, 2)
 
 
 def associate(problem: SlamProblem, options: Options | None = None) -> AssociationResult:
     """Decide for every measurement; the problem's measurement_landmark is not read."""
-    options = options or Options()
-    values = gtsam.Values()
-    values.insert(POSE_KEY, gtsam.Pose2(*problem.prior_pose))
     draft = _Draft(
         problem=problem,
-        options=options,
+        options=options or Options(),
         order=np.argsort(problem.measurement_pose, kind="stable"),
         landmark_index=np.full(len(problem.z), UNSEEN, dtype=np.intp),
-        values=values,
         running_estimate=RunningEstimate(problem.prior_pose, problem.prior_covariance),
         included=np.zeros(len(problem.z), dtype=bool),
+        smoother=GrowingSmoother(),
     )
+    draft.insert(POSE_KEY, gtsam.Pose2(*problem.prior_pose))
     _see(draft, 0)
     while draft.known < problem.pose_count:
-        length = options.piece if draft.solved else options.first_piece
+        length = draft.options.piece if draft.solved else draft.options.first_piece
         end = min(draft.known + length, problem.pose_count)
+        if draft.solved:
+            _look_around(draft, end)
         for k in range(draft.known, end):
             draft.running_estimate.move(
                 problem.increment[k - 1], problem.increment_covariance[k - 1]
             )
             _see(draft, k)
-            draft.values.insert(POSE_KEY + k, gtsam.Pose2(*draft.running_estimate.pose))
+            draft.insert(POSE_KEY + k, gtsam.Pose2(*draft.running_estimate.pose))
         draft.known = end
         _promote(draft)
-        _solve(draft)
+        draft.smoother.extend(_new_factors(draft), draft.start)
+        draft.values, draft.start = gtsam.Values(draft.smoother.values), gtsam.Values()
     return _finish(draft)
 
 
@@ -116,33 +128,42 @@ def _see(draft: _Draft, pose: int) -> None:
     rows = _rows(draft, pose)
     if len(rows):
         z, variance = draft.problem.z[rows], draft.problem.sigma[rows] ** 2
-        draft.landmark_index[rows] = relocalise(draft.running_estimate, z, variance, draft.options)
+        found = relocalise(draft.running_estimate, z, variance, draft.options)
+        known = found >= 0
+        found[known] = draft.around[found[known]]
+        draft.landmark_index[rows] = found
 
 
-def _solve(draft: _Draft) -> None:
-    """Optimise everything known, and take the running estimate from it."""
-    _extend_graph(draft)
-    draft.values, *_ = levenberg_marquardt(draft.graph, draft.values, 1e-4, limit=5)
-    poses, landmarks = draft.solution()
-    keys = [POSE_KEY + draft.known - 1, *range(LANDMARK_KEY, LANDMARK_KEY + draft.count)]
-    local = joint_marginal(draft.graph.linearize(draft.values), keys, 3 + 2 * draft.count)
-    mean = np.concatenate((poses[-1], landmarks.ravel()))
-    draft.running_estimate = RunningEstimate(mean, to_global(local.covariance, poses[-1, 2]))
+def _look_around(draft: _Draft, end: int) -> None:
+    """Take the running estimate from the smoother, of landmarks that poses before `end` may see."""
+    p, key = draft.problem, POSE_KEY + draft.known - 1
+    pose, landmarks = draft.values.atPose2(key), draft.landmarks()
+    mean = np.array((pose.x(), pose.y(), pose.theta()))
+    ahead = RunningEstimate(mean, to_global(draft.smoother.joint_covariance([key]), mean[2]))
+    around = np.zeros(draft.count, dtype=bool)
+    for k in range(draft.known, end):
+        ahead.move(p.increment[k - 1], p.increment_covariance[k - 1])
+        rows = _rows(draft, k)
+        if len(rows):
+            reach = 2.0 * ahead.reach_m(float(p.z[rows, 0].max()))
+            around |= np.linalg.norm(landmarks - ahead.pose[:2], axis=1) <= reach
+    draft.around = np.flatnonzero(around)
+    local = draft.smoother.joint_covariance([key, *(LANDMARK_KEY + draft.around).tolist()])
+    draft.running_estimate = RunningEstimate(
+        np.concatenate((mean, landmarks[draft.around].ravel())), to_global(local, mean[2])
+    )
 
 
-def _extend_graph(draft: _Draft) -> None:
-    """Factors of the poses and of the recognised measurements that the graph does not have yet."""
-    p, graph, first = draft.problem, draft.graph, draft.solved
-    if not graph.size():
-        graph.push_back(prior_factor(POSE_KEY, p))
+def _new_factors(draft: _Draft) -> list[gtsam.NonlinearFactor]:
+    """Factors of the poses from `solved` on and of recognised measurements not included yet."""
+    p, first = draft.problem, draft.solved
+    new: list[gtsam.NonlinearFactor] = [] if first else [prior_factor(POSE_KEY, p)]
     moves = slice(max(first, 1) - 1, draft.known - 1)
     step = replace(
         p, increment=p.increment[moves], increment_covariance=p.increment_covariance[moves]
     )
     departures = list(range(POSE_KEY + moves.start, POSE_KEY + moves.stop))
-    new: list[gtsam.NonlinearFactor] = list(
-        increment_factors(departures, [key + 1 for key in departures], step)
-    )
+    new += increment_factors(departures, [key + 1 for key in departures], step)
     rows = np.flatnonzero(
         (draft.landmark_index >= 0) & ~draft.included & (p.measurement_pose < draft.known)
     )
@@ -157,9 +178,8 @@ def _extend_graph(draft: _Draft) -> None:
         )
         for i in fixes.tolist()
     ]
-    for factor in new:
-        graph.push_back(factor)
     draft.solved = draft.known
+    return new
 
 
 def _places(draft: _Draft, rows: Index) -> Array:
@@ -191,14 +211,15 @@ def _promote(draft: _Draft) -> None:
         if instants < o.measurements or spread > o.spread_m:
             continue
         draft.landmark_index[rows[inside]] = draft.count
-        draft.values.insert(LANDMARK_KEY + draft.count, centre)
+        draft.insert(LANDMARK_KEY + draft.count, centre)
         draft.count += 1
 
 
 def _finish(draft: _Draft) -> AssociationResult:
-    """Merge, judge all measurements once more by the finished map, drop what is rare, number."""
+    """Merge, solve, judge all measurements once more, drop what is rare, number."""
     _merge(draft)
-    _judge_again(draft)
+    poses, landmarks = _solution(draft)
+    _judge_again(draft, poses, landmarks)
     counts = np.bincount(draft.landmark_index[draft.landmark_index >= 0], minlength=draft.count)
     rare = np.flatnonzero(counts < draft.options.measurements)
     draft.landmark_index[np.isin(draft.landmark_index, rare)] = UNSEEN
@@ -209,41 +230,46 @@ def _finish(draft: _Draft) -> AssociationResult:
     renumber[numbers] = np.arange(len(numbers))
     landmark_index = np.full(len(draft.landmark_index), UNSEEN, dtype=np.intp)
     landmark_index[used] = renumber[draft.landmark_index[used]]
-    poses, landmarks = draft.solution()
     return AssociationResult(landmark_index, len(numbers), poses, landmarks[numbers])
 
 
 def _merge(draft: _Draft) -> None:
     """Join landmarks within the resolution of each other that are statistically the same."""
-    if draft.count < 2:
+    o, landmarks = draft.options, draft.landmarks()
+    apart = np.linalg.norm(landmarks[:, None] - landmarks[None], axis=2)
+    pairs = np.argwhere(np.triu(apart < o.resolution_m, k=1))
+    if not len(pairs):
         return
-    o, running_estimate = draft.options, draft.running_estimate
+    close, place = np.unique(pairs, return_inverse=True)
+    p = draft.smoother.joint_covariance((LANDMARK_KEY + close).tolist())
     group = np.arange(draft.count)
-    apart = np.linalg.norm(
-        running_estimate.landmarks[:, None] - running_estimate.landmarks[None], axis=2
-    )
-    for i, j in np.argwhere(np.triu(apart < o.resolution_m, k=1)).tolist():
-        a, b = slice(3 + 2 * i, 5 + 2 * i), slice(3 + 2 * j, 5 + 2 * j)
-        p = running_estimate.covariance
+    for (i, j), (first, second) in zip(pairs.tolist(), 2 * place.reshape(pairs.shape), strict=True):
+        a, b = slice(first, first + 2), slice(second, second + 2)
         s = p[a, a] + p[b, b] - p[a, b] - p[b, a] + (o.resolution_m**2 / 8.0) * np.eye(2)
-        d = running_estimate.landmarks[i] - running_estimate.landmarks[j]
+        d = landmarks[i] - landmarks[j]
         if float(d @ np.linalg.solve(s, d)) < o.gate:
             group[group == group[j]] = group[i]
     kept, renumber = np.unique(group, return_inverse=True)
-    if len(kept) == draft.count:
-        return
     used = draft.landmark_index >= 0
     draft.landmark_index[used] = renumber[draft.landmark_index[used]]
     for landmark_index in range(draft.count):
         draft.values.erase(LANDMARK_KEY + landmark_index)
     for landmark_index, old in enumerate(kept.tolist()):
-        draft.values.insert(LANDMARK_KEY + landmark_index, running_estimate.landmarks[old])
-    draft.count, draft.solved = len(kept), 0
-    draft.graph, draft.included[:] = gtsam.NonlinearFactorGraph(), False
-    _solve(draft)
+        draft.values.insert(LANDMARK_KEY + landmark_index, landmarks[old])
+    draft.count = len(kept)
 
 
-def _judge_again(draft: _Draft) -> None:
+def _solution(draft: _Draft) -> tuple[Array, Array]:
+    """Poses (K, 3) and landmarks (L, 2) of the optimum of all that is decided."""
+    draft.solved, draft.included[:] = 0, False
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in _new_factors(draft):
+        graph.push_back(factor)
+    values, *_ = levenberg_marquardt(graph, draft.values, 1e-4, limit=5)
+    return from_values(values, replace(draft.problem, landmark_count=draft.count))
+
+
+def _judge_again(draft: _Draft, poses: Array, landmarks: Array) -> None:
     """Nearest landmark of every measurement in the finished map, when no other comes near.
 
     By the measurements' own noise: pose and map, being solved together, err alike.
@@ -251,7 +277,6 @@ def _judge_again(draft: _Draft) -> None:
     o, p = draft.options, draft.problem
     if not draft.count:
         return
-    poses, landmarks = draft.solution()
     for pose in np.unique(p.measurement_pose).tolist():
         rows = _rows(draft, pose)
         at = RunningEstimate(np.concatenate((poses[pose], landmarks.ravel())), np.zeros((0, 0)))

@@ -6,6 +6,7 @@ by what has been recognised, only to judge what is seen. The smoother then start
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,11 @@ class RunningEstimate:
         p[3:, :3] = p[:3, 3:].T
         p[:3, :3] = own
 
+    def reach_m(self, longest_m: float) -> float:
+        """How far a landmark may be that is seen at a range, with a pose four sigma off."""
+        p = self.covariance.diagonal()
+        return longest_m + 5.0 + 4.0 * (math.sqrt(p[0] + p[1]) + longest_m * math.sqrt(p[2]))
+
     def near(self, reach_m: float) -> Index:
         """Landmarks within reach of the vehicle."""
         distance = np.linalg.norm(self.landmarks - self.pose[:2], axis=1)
@@ -72,32 +78,41 @@ class RunningEstimate:
 
     def spread(self, landmark_indices: Index, jacobian: Array) -> Array:
         """(2 n, 2 n) covariance of the expected measurements of landmarks (n,), noise left out."""
-        columns = np.concatenate(([0, 1, 2], (3 + 2 * landmark_indices[:, None] + (0, 1)).ravel()))
-        stacked = np.zeros((len(landmark_indices), 2, len(columns)))
-        stacked[:, :, :3] = jacobian[:, :, :3]
-        which = np.arange(len(landmark_indices))
-        stacked[which, :, 3 + 2 * which], stacked[which, :, 4 + 2 * which] = (
-            jacobian[:, :, 3],
-            jacobian[:, :, 4],
-        )
-        flat = stacked.reshape(-1, len(columns))
+        columns = _columns(landmark_indices)
+        flat = _stacked(landmark_indices, landmark_indices, jacobian)
         result: Array = flat @ self.covariance[np.ix_(columns, columns)] @ flat.T
         return result
 
     def learn(self, landmark_indices: Index, z: Array, variance: Array) -> None:
         """Narrow by measurements (m, 2) with variances (m, 2) of landmarks (m,)."""
         expected = self.expect(landmark_indices)
-        h = np.zeros((len(landmark_indices), 2, len(self.mean)))
-        which = np.arange(len(landmark_indices))
-        h[:, :, :3] = expected.jacobian[:, :, :3]
-        h[which, :, 3 + 2 * landmark_indices] = expected.jacobian[:, :, 3]
-        h[which, :, 4 + 2 * landmark_indices] = expected.jacobian[:, :, 4]
-        flat = h.reshape(-1, len(self.mean))
+        different = np.unique(landmark_indices)
+        columns = _columns(different)
+        flat = _stacked(different, landmark_indices, expected.jacobian)
         nu = wrapped(z - expected.z).ravel()
-        left = self.covariance @ flat.T
-        gain = np.linalg.solve(flat @ left + np.diag(variance.ravel()), left.T).T
+        left = self.covariance[:, columns] @ flat.T
+        gain = np.linalg.solve(flat @ left[columns] + np.diag(variance.ravel()), left.T).T
         self.mean += gain @ nu
         self.covariance -= gain @ left.T
+
+
+def _columns(landmark_indices: Index) -> Index:
+    """Entries (3 + 2 n,) of the pose and of landmarks (n,) in mean and covariance."""
+    own = (3 + 2 * landmark_indices[:, None] + (0, 1)).ravel()
+    return np.concatenate(([0, 1, 2], own))
+
+
+def _stacked(different: Index, landmark_indices: Index, jacobian: Array) -> Array:
+    """(2 m, 3 + 2 n) Jacobian of measurements of landmarks (m,) by pose and landmarks (n,).
+
+    different: the latter, ascending. jacobian: (m, 2, 5).
+    """
+    count = len(landmark_indices)
+    which, place = np.arange(count), 3 + 2 * np.searchsorted(different, landmark_indices)
+    result = np.zeros((count, 2, 3 + 2 * len(different)))
+    result[:, :, :3] = jacobian[:, :, :3]
+    result[which, :, place], result[which, :, place + 1] = jacobian[:, :, 3], jacobian[:, :, 4]
+    return result.reshape(2 * count, -1)
 
 
 def wrapped(difference: Array) -> Array:

@@ -467,3 +467,11 @@ def test_a_projection_is_bounded_by_the_process_that_writes() -> None:
     assert projected_hours(2, 10.0, 0.8, 0.1) == pytest.approx(6.25)
     assert projected_hours(128, 10.0, 0.8, 0.5) == 0.5
     assert projected_hours(128, 10.0, 0.8, 0.0) < 0.1  # the broken variant: without the bound
+
+
+@pytest.mark.slow
+def test_own_association_benchmark_runs() -> None:
+    lines = run("benchmarks/own_association.py", "--full", "--check")
+    agreed = next(line for line in lines if line.startswith("own and full"))
+    assert agreed.endswith("0 and 0 in one; 0 measurements at other landmarks, 0 and 0 used by one")
+    assert len(lines) == 10

@@ -74,7 +74,8 @@ class OwnAssociator:
     ) -> None:
         """Measurements of surveyed landmarks go by their ids. left_out: those not to be used.
 
-        epoch_time_s: (K,) of the poses. time_s: (M,) of the measurements.
+        epoch_time_s: (K,) of the poses. time_s: (M,) of the measurements. open_rows: of those that
+        are not of surveyed landmarks; problem: with these, to be decided.
         """
         self._log, self._timeline, self._rows = log, timeline, rows
         self.epoch_time_s: Array = timeline.epoch_time_s
@@ -85,11 +86,11 @@ class OwnAssociator:
         free = self._fixed < 0
         if left_out is not None:
             self._fixed[left_out], free[left_out] = -1, False
-        self._open = np.flatnonzero(free)
+        self.open_rows = np.flatnonzero(free)
         nobody = np.full(len(label), -1, dtype=np.intp)
-        nobody[self._open] = 0
+        nobody[self.open_rows] = 0
         nothing = np.zeros((0, 2)), np.zeros((0, 2, 2))
-        self._problem = replace(
+        self.problem = replace(
             assemble(log, timeline, nobody, 1, rows),
             surveyed=nothing[0],
             surveyed_covariance=nothing[1],
@@ -97,20 +98,20 @@ class OwnAssociator:
 
     def associate(self) -> OwnAssociation:
         """Decide for every measurement."""
-        return self._completed(associate(self._problem))
+        return self._completed(associate(self.problem))
 
     def alternatives(self, variants: Sequence[Variant], optimum: Optimum) -> list[Alternative]:
         """Decide in other ways, and optimise with each. optimum: with the association found."""
         found = []
         for variant in variants:
-            own = self._completed(associate_by(self._problem, variant, optimum.last_pose))
+            own = self._completed(associate_by(self.problem, variant, optimum.last_pose))
             found.append(self._optimised(variant.name, own, optimum))
         return found
 
     def _completed(self, found: AssociationResult) -> OwnAssociation:
         """The same of all measurements, the surveyed landmarks coming first."""
         landmark_index, known = self._fixed.copy(), len(self._places)
-        landmark_index[self._open] = np.where(
+        landmark_index[self.open_rows] = np.where(
             found.landmark_index >= 0, found.landmark_index + known, -1
         )
         problem = assemble(

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
+import gtsam
 import numpy as np
 import pytest
 
+from graphslam import association
+from graphslam.arrays import Mask
 from graphslam.association import associate
+from graphslam.graph_builder import POSE_KEY
+from graphslam.growing_smoother import GrowingSmoother
 from graphslam.increments import dead_reckoned
+from graphslam.marginals import joint_marginal
+from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
-from graphslam.relocalisation import PENDING, UNSEEN, Options, relocalise
+from graphslam.relocalisation import PENDING, UNSEEN, Options, _likely, relocalise
 from graphslam.running_estimate import RunningEstimate, wrapped
 from tests.graphslam import worlds
 from tests.graphslam.numerics import (
@@ -77,9 +87,9 @@ def test_the_belief_is_moved_and_narrowed_as_a_gaussian() -> None:
     assert np.allclose(it.mean, moved(np.concatenate((mean, np.zeros(3)))))
     assert relative_error(it.covariance, jacobian @ joint @ jacobian.T) < 1e-7
 
-    before, landmark_indices = RunningEstimate(it.mean, it.covariance), np.array([2, 0])
-    z = before.expect(landmark_indices).z + rng.normal(0.0, 0.05, (2, 2))
-    variance = np.array([[0.01, 1e-4], [0.02, 2e-4]])
+    before, landmark_indices = RunningEstimate(it.mean, it.covariance), np.array([2, 0, 2])
+    z = before.expect(landmark_indices).z + rng.normal(0.0, 0.05, (3, 2))
+    variance = np.array([[0.01, 1e-4], [0.02, 2e-4], [0.03, 1e-4]])
     h = central_difference(
         lambda x: RunningEstimate(x, np.eye(9)).expect(landmark_indices).z.ravel(), before.mean
     )
@@ -89,8 +99,9 @@ def test_the_belief_is_moved_and_narrowed_as_a_gaussian() -> None:
     nu = wrapped(z - before.expect(landmark_indices).z).ravel()
     shift = it.covariance @ h.T @ (nu / variance.ravel())
     assert relative_error(it.mean - before.mean, shift) < 1e-6
-    spread = before.spread(landmark_indices, before.expect(landmark_indices).jacobian)
-    assert relative_error(spread, h @ before.covariance @ h.T) < 1e-6
+    two = np.array([0, 2])
+    spread = before.spread(two, before.expect(two).jacobian)
+    assert relative_error(spread, (h @ before.covariance @ h.T)[2:, 2:]) < 1e-6
 
 
 def test_known_new_and_doubtful() -> None:
@@ -128,6 +139,43 @@ def test_what_stands_together_is_one_piece_of_evidence() -> None:
     assert relative_error(three.covariance, one.covariance) < 0.02
 
 
+def enumerated(
+    possible: Mask, innovations: tuple[Array, Array, Array], o: Options, joint: bool = True
+) -> set[tuple[int, ...]]:
+    """The likely hypotheses, each cost taken from its own S; joint: with its correlations."""
+    nu, spread, noise = innovations
+    new = -2.0 * math.log(2.0 * math.pi * o.new_density)
+    costs = {}
+    for choice in product(*([*np.flatnonzero(row).tolist(), -1] for row in possible)):
+        paired = [i for i, column in enumerate(choice) if column >= 0]
+        entries = [2 * choice[i] + axis for i in paired for axis in (0, 1)]
+        s = spread[np.ix_(entries, entries)] + np.diag(noise[paired].ravel())
+        if not joint:
+            s = s * np.kron(np.eye(len(paired)), np.ones((2, 2)))
+        innovation = np.concatenate([np.zeros(0), *(nu[i, choice[i]] for i in paired)])
+        cost = innovation @ np.linalg.solve(s, innovation) + np.linalg.slogdet(s)[1]
+        costs[choice] = cost + new * choice.count(-1)
+    return {c for c, cost in costs.items() if cost <= min(costs.values()) + 2.0 * math.log(o.odds)}
+
+
+def test_likely_hypotheses_are_those_of_a_full_enumeration() -> None:
+    o, different = Options(most_hypotheses=10_000), 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        h = np.vstack([np.column_stack((np.eye(2), rng.normal(0.0, 8.0, 2))) for _ in range(5)])
+        spread = h @ np.diag((0.1, 0.01, 0.002)) @ h.T + 0.001 * random_covariance(rng, 10)
+        noise = np.tile((0.04, 0.004), (4, 1))
+        nu = (h @ rng.normal(0.0, 0.05, 3)).reshape(5, 2) + rng.normal(0.0, 0.3, (4, 5, 2))
+        possible = rng.random((4, 5)) < 0.6
+        possible[~possible.any(axis=1), 0] = True
+        found = _likely(possible, possible.argmax(axis=1), (nu, spread, noise), o).tolist()
+        true = enumerated(possible, (nu, spread, noise), o)
+        assert len(found) == len(true)
+        assert {tuple(choice) for choice in found} == true
+        different += true != enumerated(possible, (nu, spread, noise), o, joint=False)
+    assert different > 6  # Costs without correlations would not do.
+
+
 def pairs(*labels: Index) -> int:
     """Pairs of measurements with equal labels, each (M,); in all of them, of several."""
     counts = np.unique(np.column_stack(labels), axis=0, return_counts=True)[1]
@@ -161,6 +209,39 @@ def test_loops_are_closed_without_labels(seed: int, loops: int) -> None:
     assert recall > 0.99
     # Odometry alone would not do.
     assert score(nearest_by_dead_reckoning(world), true)[0] < 0.9
+
+
+class FullSmoother(GrowingSmoother):
+    """Everything anew after each piece."""
+
+    def extend(self, factors: Sequence[gtsam.NonlinearFactor], start: gtsam.Values) -> None:
+        for factor in factors:
+            self._graph.push_back(factor)
+        self.values.insert(start)
+        self.solve()
+
+    def solve(self) -> None:
+        self.values, *_ = levenberg_marquardt(self._graph, self.values, 1e-10)
+
+    def joint_covariance(self, keys: Sequence[int]) -> Array:
+        size = sum(3 if key >= POSE_KEY else 2 for key in keys)
+        return joint_marginal(self._graph.linearize(self.values), keys, size).covariance
+
+
+class Unmoved(FullSmoother):
+    """A broken variant: what was put somewhere stays there."""
+
+    def solve(self) -> None:
+        """Nothing."""
+
+
+def test_solving_anew_after_each_piece_decides_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = unlabelled(worlds.loop(1, poses=worlds.LOOP + 40).problem)
+    growing = associate(problem)
+    monkeypatch.setattr(association, "GrowingSmoother", FullSmoother)
+    assert np.array_equal(associate(problem).landmark_index, growing.landmark_index)
+    monkeypatch.setattr(association, "GrowingSmoother", Unmoved)
+    assert np.mean(associate(problem).landmark_index != growing.landmark_index) > 0.05
 
 
 def test_clutter_becomes_no_landmark() -> None:
