@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_factory import SHARE
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.ekf import Ekf, Stabilisation
 from ekf_reference.filters.compressed import CompressedEkf, CompressedState, LocalAreas
@@ -50,8 +51,8 @@ def build(kind: str, landmarks: Array) -> Ekf:
         np.diag((0.01, 0.01, 1e-4)),
         Stabilisation(1e-6, 1e-8),
     )
-    gain = 1e-4 if kind == "suboptimal" else 0.0
-    areas = LocalAreas(half_m=25.0, reach_m=RANGE_M + 10.0, least_gain=gain)
+    gain, share = (1e-4, 1.0) if kind == "suboptimal" else (0.0, SHARE)
+    areas = LocalAreas(25.0, RANGE_M + 10.0, gain, share)
     ekf = Ekf(*common) if kind == "full" else CompressedEkf(*common, areas=areas)
     m = len(landmarks)
     through = np.zeros((m, 2, 3))

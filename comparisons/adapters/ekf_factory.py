@@ -37,6 +37,9 @@ Common = tuple[MotionModel, Association, Array, Array, Stabilisation, Trace]
 """What every filter is made of: motion, association, prior, its covariance, noise, trace."""
 LEAST_GAIN = 1e-4
 """c1 of the suboptimal global update, the example of Guivant 2002, eq. 22."""
+SHARE = 0.6
+"""Of all states in an area from which on the exact compressed filter takes them all: to keep phi
+would cost more than it saves (benchmarks/map_size.py)."""
 NO_GATE = float("inf")
 """Of labels and positions in Misono's published filter, which rejects nothing."""
 WIDER = 2.0
@@ -101,7 +104,9 @@ def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float
         from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
 
         gain = LEAST_GAIN if choices.least_gain is None else choices.least_gain
-        areas = LocalAreas(least_gain=gain if choices.conservative else 0.0)
+        areas = (
+            LocalAreas(least_gain=gain) if choices.conservative else LocalAreas(most_share=SHARE)
+        )
         ekf = CompressedEkf(*common, areas)
     ekf.fixes = PositionFixes(PositionModel(antenna))
     return ekf

@@ -33,12 +33,14 @@ class LocalAreas:
     half_m: the vehicle may move this far east, west, north or south of an area's centre before
     the next area is centred on it. reach_m: the active area extends this far beyond that, or as
     far as the longest range that `within` was asked for. least_gain: c1 of Guivant 2002, eq. 22;
-    zero for the exact update, 1e-4 is the paper's example.
+    zero for the exact update, 1e-4 is the paper's example. most_share: an area with a larger share
+    of all states has them all, which leaves nothing to keep for a global update.
     """
 
     half_m: float = 25.0
     reach_m: float = 40.0
     least_gain: float = 0.0
+    most_share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -77,12 +79,11 @@ class CompressedState(KalmanState):
         self.areas = areas
         self.updates: list[GlobalUpdate] = []
         self._reach_m = areas.reach_m
-        self._activate(np.arange(len(pose)), pose[:2], areas.half_m + areas.reach_m)
+        self._activate(np.arange(len(pose)), _place(pose), areas.half_m + areas.reach_m)
 
-    def _activate(self, columns: Index, centre: Array, extent: float) -> None:
+    def _activate(self, columns: Index, centre: tuple[float, float], extent: float) -> None:
         """Begin an area with some active states, their entries (a,) ascending, the pose's first."""
-        self._columns, self._extent = columns, extent
-        self._centre = float(centre[0]), float(centre[1])
+        self._columns, self._centre, self._extent = columns, centre, extent
         self._local = self.part(columns)  # the marginal of the active states
         self._present: Layout = self._layout  # of all, also of landmarks new in `_local`
         self._entry: Index = np.full(self._layout.size, ABSENT)  # of each state entry in `_local`
@@ -218,7 +219,9 @@ class CompressedState(KalmanState):
         self._global_update()
         extent = self.areas.half_m + max(reach_m, self._reach_m)
         columns = np.unique(np.concatenate((self.columns_near(extent), *wanted)))
-        self._activate(columns, self._mean[:2].copy(), extent)
+        if len(columns) > self.areas.most_share * self._layout.size:
+            columns = np.arange(self._layout.size)
+        self._activate(columns, _place(self._mean), extent)
 
     def _local_entries(self, columns: Index) -> Index:
         """Entries in the local state; passive landmarks are made active first."""
@@ -228,8 +231,8 @@ class CompressedState(KalmanState):
 
     def _offset(self) -> float:
         """Distance from the area's centre, east-west or north-south, whichever is more."""
-        x, y, _ = self._local.pose.tolist()
-        return max(abs(x - self._centre[0]), abs(y - self._centre[1]))
+        (x, y), (east, north) = _place(self._local.pose), self._centre
+        return max(abs(x - east), abs(y - north))
 
     def _learn(self, rows: Array) -> None:
         """Add rows (m, a + 1) to psi; many are folded into as few as say the same."""
@@ -274,6 +277,11 @@ class CompressedState(KalmanState):
         self.merge(self._columns, self._local, self._phi, root, root @ learnt[:, -1], spared)
         columns = np.concatenate((self._columns, np.arange(size, self._layout.size)))
         self._activate(columns, self._centre, self._extent)
+
+
+def _place(pose: Array) -> tuple[float, float]:
+    """East and north of a pose or a state that begins with it."""
+    return float(pose[0]), float(pose[1])
 
 
 class CompressedEkf(Ekf):

@@ -21,7 +21,7 @@ _BLOCK = 16
 _NONE = np.empty(0, dtype=np.intp)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class RegionGrid:
     """One region's cells, with edges along its axes; those outside the triangle are left out.
 
@@ -48,12 +48,14 @@ class RegionGrid:
         place[inside] = np.arange(np.count_nonzero(inside))
         alpha, beta = (i[inside] + 0.5) / along_a, (j[inside] + 0.5) / along_b
         weight = np.stack((np.ones_like(alpha), alpha, beta))
+        block, middle = _blocks(i[inside], j[inside], (along_a, along_b))
         return cls(
-            (along_a, along_b),
-            weight.astype(np.float32),
-            place,
-            unknown(len(alpha)),
-            *_blocks(i[inside], j[inside], (along_a, along_b)),
+            cells=(along_a, along_b),
+            weight=weight.astype(np.float32),
+            place=place,
+            odds=unknown(len(alpha)),
+            block=block,
+            middle=middle,
         )
 
     def cell(self, local: Array) -> Index:
