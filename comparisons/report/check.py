@@ -24,7 +24,6 @@ from comparisons.report.consistency_result import (
     smoothed_rows,
 )
 from comparisons.report.figures.check import check_figure
-from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import (
     MapContent,
@@ -37,6 +36,7 @@ from comparisons.report.html.map import (
 from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import check_ladder
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.model import Model, finite
 from comparisons.report.models import (
     AccuracyResult,

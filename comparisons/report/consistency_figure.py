@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.figures.style import TRUTH_COLOUR
+from comparisons.report.marks import TRUTH_COLOUR
 from comparisons.report.panels import ConsistencyPanels, Panel
 from comparisons.report.picture import blank
 

@@ -21,11 +21,11 @@ from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import Solution
 from comparisons.report.check import build_check_result, check_map
-from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, ellipses
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.map import Track, farthest
 from comparisons.report.html.shell import number, table
 from comparisons.report.ladder import Step, check_ladder, ladder
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, ellipses
 from comparisons.report.result import build_result
 from comparisons.report.run import run_map
 

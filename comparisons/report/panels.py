@@ -19,7 +19,7 @@ from comparisons.checks.consistency.nees import PoseErrors
 from comparisons.checks.consistency.normalised import mean_band
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
 
 if TYPE_CHECKING:
     from comparisons.checks.grade import Reference

@@ -12,7 +12,6 @@ from comparisons.checks.accuracy import landmark_errors
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.figures.run import correlation_figure, map_figure
-from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import (
     MapContent,
@@ -25,6 +24,7 @@ from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.shell import number
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import ladder
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.models import BlockResult, Result
 from comparisons.report.panels import (
     ConsistencyPanels,

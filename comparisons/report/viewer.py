@@ -19,7 +19,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Poses
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, ellipses
 from graphslam.scan import planar
 
 SUFFIX = ".rrd"

@@ -20,8 +20,8 @@ from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.run import map_figure
-from comparisons.report.figures.style import ellipses
 from comparisons.report.folder import check_free, default_folder, write_job_folder
+from comparisons.report.marks import ellipses
 from comparisons.report.models import Result
 from comparisons.report.result import build_result
 from comparisons.report.rows import seconds_rows

@@ -9,13 +9,8 @@ from matplotlib.figure import Figure
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction.decorrelation_example import DecorrelationExample
 from comparisons.experiments.reproduction.neglected_change import NeglectedChange
-from comparisons.report.figures.style import (
-    EKF_COLOUR,
-    SCANS_COLOUR,
-    SMOOTHER_COLOUR,
-    TRUTH_COLOUR,
-    draw_reference,
-)
+from comparisons.report.figures.style import draw_reference
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.picture import blank
 
 WORLD_COLOUR, LOCAL_COLOUR = EKF_COLOUR, SMOOTHER_COLOUR

@@ -5,15 +5,8 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 
 from comparisons.arrays import Array
-from comparisons.report.figures.style import (
-    EKF_COLOUR,
-    SMOOTHER_COLOUR,
-    TRUTH_COLOUR,
-    draw_landmarks,
-    draw_reference,
-    draw_trajectory,
-    ellipses,
-)
+from comparisons.report.figures.style import draw_landmarks, draw_reference, draw_trajectory
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 
 TRUE_PATH_COLOUR = "#bbbbbb"
 SIGMAS = 3.0

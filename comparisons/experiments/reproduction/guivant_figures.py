@@ -15,14 +15,8 @@ from comparisons.experiments.reproduction.interface import (
     at_most,
 )
 from comparisons.experiments.reproduction.update_split import SPLIT, claims, draw
-from comparisons.report.figures.style import (
-    EKF_COLOUR,
-    SCANS_COLOUR,
-    SMOOTHER_COLOUR,
-    TRUTH_COLOUR,
-    draw_reference,
-    draw_trajectory,
-)
+from comparisons.report.figures.style import draw_reference, draw_trajectory
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from ekf_reference.models.position import PositionFixes
 
 _EARLY_S = 20.0

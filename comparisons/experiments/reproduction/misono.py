@@ -32,7 +32,8 @@ from comparisons.experiments.reproduction.navigator import direction_cosine_navi
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, draw_trajectory
+from comparisons.report.figures.style import draw_trajectory
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from ekf_reference.core.state import FilterDivergedError
 from graphslam.increments import dead_reckoned
 

@@ -16,14 +16,8 @@ from comparisons.experiments.reproduction.interface import AnyFigure, Claim, Fig
 from comparisons.experiments.reproduction.nieto_car_park import CAR_PARK, COARSE_M, CarPark
 from comparisons.extensions.dense_maps.figure import draw_cloud, draw_occupied, draw_regions
 from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR
-from comparisons.report.figures.style import (
-    EKF_COLOUR,
-    SMOOTHER_COLOUR,
-    TRUTH_COLOUR,
-    draw_landmarks,
-    draw_reference,
-    ellipses,
-)
+from comparisons.report.figures.style import draw_landmarks, draw_reference
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.dense.layers.layer import Samples
 
 _MARGIN_M = 6.0

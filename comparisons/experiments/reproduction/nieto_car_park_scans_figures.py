@@ -19,7 +19,7 @@ from comparisons.experiments.reproduction.nieto_car_park_scans import (
 )
 from comparisons.experiments.reproduction.nieto_scan_slam_figures import axes_at
 from comparisons.extensions.dense_maps.figure import draw_cloud
-from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 
 _MARGIN_M = 15.0
 _SIGMA = 1.0

@@ -32,7 +32,7 @@ from comparisons.extensions.dense_maps.figure import (
     draw_regions,
     draw_surfaces,
 )
-from comparisons.report.figures.style import SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
+from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.dense.layers.layer import Samples
 
 

@@ -21,12 +21,8 @@ from comparisons.experiments.reproduction.nieto_high_level import (
 )
 from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces
 from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR, draw_high_level
-from comparisons.report.figures.style import (
-    EKF_COLOUR,
-    TRUTH_COLOUR,
-    draw_trajectory,
-    ellipses,
-)
+from comparisons.report.figures.style import draw_trajectory
+from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR, ellipses
 
 _BESIDE_M = 3.0
 

@@ -32,7 +32,7 @@ from comparisons.logs.simulate.scan_drive import (
     simulate,
 )
 from comparisons.pipeline.dense_map import map_log
-from comparisons.report.figures.style import TRUTH_COLOUR
+from comparisons.report.marks import TRUTH_COLOUR
 from ekf_reference.dense.layers.layer import Samples
 
 _DYNAMIC_COLOUR = "#e08a1e"

@@ -31,7 +31,7 @@ from comparisons.extensions.dense_maps.figure import (
     draw_surfaces,
 )
 from comparisons.extensions.scan_landmarks.figure import axes_of, place_covariances
-from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 from ekf_reference.dense.layers.layer import Samples
 
 _AXIS_COLOUR = "#17a2b8"

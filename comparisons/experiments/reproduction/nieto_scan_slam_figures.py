@@ -18,7 +18,7 @@ from comparisons.experiments.reproduction.nieto_scan_slam import (
     ScanDrives,
     ScanMap,
 )
-from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.core.geometry import rotation
 
 _OBJECT_COLOUR = "#aaaaaa"

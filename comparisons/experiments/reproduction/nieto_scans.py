@@ -23,7 +23,7 @@ from comparisons.experiments.reproduction.interface import (
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scan_worlds import PlacedShape, ScanWorld, placed_shapes
 from comparisons.logs.simulate.scanners import half_degrees
-from comparisons.report.figures.style import EKF_COLOUR, TRUTH_COLOUR
+from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.templates import ObservationOptions
 from ekf_reference.scan_matching.alignment_covariance import scan_align

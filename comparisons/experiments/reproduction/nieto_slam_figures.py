@@ -19,7 +19,8 @@ from comparisons.experiments.reproduction.nieto_slam import (
     Loops,
     Moment,
 )
-from comparisons.report.figures.style import SMOOTHER_COLOUR, draw_correlation
+from comparisons.report.figures.style import draw_correlation
+from comparisons.report.marks import SMOOTHER_COLOUR
 
 _LONGER = 10.0
 

@@ -25,7 +25,7 @@ from comparisons.experiments.reproduction.interface import (
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import compare
-from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from ekf_reference.core.landmark_types import POINT
 
 FOLDER = "mrclam"

@@ -12,7 +12,7 @@ from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.check import DenseAgreement
 from comparisons.extensions.dense_maps.source import DenseRun
 from comparisons.logs.log import Log
-from comparisons.report.figures.style import EKF_COLOUR
+from comparisons.report.marks import EKF_COLOUR
 from comparisons.report.picture import blank
 from ekf_reference.dense.layers.layer import Samples
 

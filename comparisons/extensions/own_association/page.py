@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.extensions.own_association.check import OwnAssociationCheck
-from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines
 from comparisons.report.html.shell import number, sortable
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 
 _MOST_ROWS = 200

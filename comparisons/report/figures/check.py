@@ -6,13 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from comparisons.pipeline.check import ExternalCheck
-from comparisons.report.figures.style import (
-    EKF_COLOUR,
-    draw_landmarks,
-    draw_trajectory,
-    ellipses,
-    estimates_figure,
-)
+from comparisons.report.figures.style import draw_landmarks, draw_trajectory, estimates_figure
+from comparisons.report.marks import EKF_COLOUR, ellipses
 
 
 def check_figure(check: ExternalCheck) -> Figure:

@@ -16,7 +16,7 @@ from comparisons.extensions.dense_maps.figure import (
     thinned,
 )
 from comparisons.pipeline.dense_map import DenseMapping
-from comparisons.report.figures.style import TRUTH_COLOUR
+from comparisons.report.marks import TRUTH_COLOUR
 from comparisons.report.picture import blank
 from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Samples

@@ -7,9 +7,6 @@ from matplotlib.figure import Figure
 from comparisons.arrays import Array
 from comparisons.pipeline.odometry import FrontEnd
 from comparisons.report.figures.style import (
-    EKF_COLOUR,
-    SCANS_COLOUR,
-    SMOOTHER_COLOUR,
     draw_aside,
     draw_cloud,
     draw_reference,
@@ -17,6 +14,7 @@ from comparisons.report.figures.style import (
     entitle,
     plan,
 )
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
 
 
 def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:

@@ -1,8 +1,7 @@
-"""Colours, and what every map is drawn with."""
+"""What every map is drawn with."""
 
 from __future__ import annotations
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -11,12 +10,15 @@ from matplotlib.lines import Line2D
 from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
+from comparisons.report.marks import (
+    EKF_COLOUR,
+    SCANS_COLOUR,
+    SMOOTHER_COLOUR,
+    TRUTH_COLOUR,
+    ellipses,
+)
 from comparisons.report.picture import blank
 
-EKF_COLOUR = "#d1495b"
-SMOOTHER_COLOUR = "#00798c"
-TRUTH_COLOUR = "#444444"
-SCANS_COLOUR = "#edae49"
 _MOST_DRAWN = 100_000
 _MARGINS = {"left": 0.085, "right": 0.985, "bottom": 0.07, "top": 0.93}
 """Of a map; fixed, for finding them takes half as long as drawing."""
@@ -25,21 +27,6 @@ _LOOK = {
     "EKF": (EKF_COLOUR, "o", "--"),
     "smoother on scans": (SCANS_COLOUR, "^", "-."),
 }
-
-
-def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) -> Array:
-    """Outlines (L, points, 2) of the error ellipses of centres (L, 2), covariances (L, 2, 2).
-
-    A covariance that is not finite, as a broken filter leaves it, is drawn as a point.
-    """
-    finite = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
-    covariance = np.where(finite, covariance, 0.0)
-    values, axes = np.linalg.eigh(covariance)
-    angle = np.linspace(0.0, 2.0 * np.pi, points)
-    circle = np.column_stack((np.cos(angle), np.sin(angle)))
-    scaled = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    result: Array = centre[:, None] + sigmas * circle @ scaled.transpose(0, 2, 1)
-    return result
 
 
 def draw_trajectory(axis: Axes, position: Array, colour: str, label: str, style: str = "-") -> None:

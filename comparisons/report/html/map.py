@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from comparisons.report.figures.style import ellipses
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
+from comparisons.report.marks import ellipses
 
 MOST_LANDMARKS = 1000
 """Landmarks that the page has, each with two ellipses, three marks and a row."""
