@@ -254,7 +254,9 @@ class ReportConfig(Section):
     """The output folder."""
 
     figures: tuple[PictureFormat, ...] = Field(
-        default=(), description="Further formats of the figures; PNG is always written"
+        default=(),
+        description="Write map, consistency and correlations as figures, too, in these formats; "
+        "the page has them in any case. pdf: beside a PNG",
     )
     trace: bool = Field(
         default=False,

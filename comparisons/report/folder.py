@@ -54,14 +54,11 @@ def write_job_folder(content: JobFolder, folder: Path, formats: Collection[str] 
     formats: of the pictures; see picture.save. The result's file lists all others, so that the
     next run knows which folder it may replace.
     """
-    from comparisons.report.picture import save  # matplotlib takes long to load
-
     with fresh_folder(folder, known_files(folder)) as work:
         for name, estimate in content.estimates.items():
             (work / name).mkdir()
             write_estimate(estimate, work / name)
-        for name, figure in content.figures.items():
-            save(figure, work / f"{name}.png", formats)
+        _save(content.figures, work, formats)
         (work / CONFIG).write_text(content.config.toml(), encoding="utf-8")
         for name, write in content.files.items():
             write(work / name)
@@ -70,6 +67,14 @@ def write_job_folder(content: JobFolder, folder: Path, formats: Collection[str] 
         files = sorted(p.relative_to(work).as_posix() for p in work.rglob("*") if p.is_file())
         found["files"] = sorted([*files, result.name])
         result.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _save(figures: Mapping[str, Figure], folder: Path, formats: Collection[str]) -> None:
+    if figures:
+        from comparisons.report.picture import save  # matplotlib takes long to load
+
+        for name, figure in figures.items():
+            save(figure, folder / f"{name}.png", formats)
 
 
 def known_files(folder: Path) -> frozenset[str]:

@@ -1,18 +1,18 @@
-"""The folder that a run leaves: result.json, pictures, the page, and all estimates."""
+"""The folder that a run leaves: result.json, the page, all estimates, and figures on request."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.consistency_figure import consistency_figure
-from comparisons.report.figures.run import correlation_figure, map_figure
 from comparisons.report.folder import JobFolder
+from comparisons.report.html.heat_map import heat_maps
 from comparisons.report.html.map import (
     MapContent,
     all_landmarks,
@@ -33,6 +33,10 @@ from comparisons.report.panels import (
 )
 from comparisons.report.result import run_rows
 from comparisons.report.settings import setting_lines
+from ekf_reference.core.state import correlation_coefficients
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _WORDS = {
     "agree": "EKF and smoother agree: the last pose, every landmark and the whole map differ from "
@@ -50,7 +54,7 @@ def run_folder(comparison: Comparison, result: Result) -> JobFolder:
     own = {name: figure for one in found for name, figure in one.figures().items()}
 
     def write_page(path: Path) -> None:
-        pictures = [path.with_name(f"{name}.png") for name in ("correlation", *own)]
+        pictures = [path.with_name(f"{name}.png") for name in own]
         path.write_text(page(run_page(comparison, panels, result, pictures)), encoding="utf-8")
 
     files: dict[str, Callable[[Path], object]] = {"report.html": write_page}
@@ -67,14 +71,21 @@ def run_folder(comparison: Comparison, result: Result) -> JobFolder:
             "smoother": c.smoothed,
             **{name: estimate for one in found for name, estimate in one.estimates.items()},
         },
-        figures={
-            "map": map_figure(comparison),
-            "correlation": correlation_figure(comparison),
-            "consistency": consistency_figure(comparison, panels),
-            **own,
-        },
+        figures={**(_figures(comparison, panels) if config.report.figures else {}), **own},
         files=files,
     )
+
+
+def _figures(comparison: Comparison, panels: ConsistencyPanels) -> dict[str, Figure]:
+    """Return as figures what the page draws in any case, by name."""
+    from comparisons.report.consistency_figure import consistency_figure
+    from comparisons.report.figures.run import correlation_figure, map_figure
+
+    return {
+        "map": map_figure(comparison),
+        "correlation": correlation_figure(comparison),
+        "consistency": consistency_figure(comparison, panels),
+    }
 
 
 def run_page(
@@ -106,10 +117,19 @@ def run_page(
         map=run_map(comparison, marked),
         reported=panels.reported,
         panels=panels.every,
-        curves_file="consistency.png",
+        curves_file="consistency.png" if c.prepared.config.report.figures else "",
         rows=run_rows(comparison, result),
         pictures=pictures,
-        sections=[section for one in found for section in one.sections()],
+        sections=[
+            heat_maps(
+                "Correlation coefficients",
+                {
+                    name: correlation_coefficients(estimate.joint_covariance)
+                    for name, estimate in (("EKF", ekf), ("smoother", c.smoothed))
+                },
+            ),
+            *(section for one in found for section in one.sections()),
+        ],
         landmarks=rows,
         landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
         settings=setting_lines(c.prepared.config, result.settings, c.prepared.ekf),

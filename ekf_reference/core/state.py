@@ -275,8 +275,9 @@ class KalmanState:
         self._mean[:v] = pose
         vehicle = jacobian_pose @ p[:v, :v] @ jacobian_pose.T + noise
         p[:v, :v] = 0.5 * (vehicle + vehicle.T)
-        cross = jacobian_pose @ p[:v, v:n]
-        p[:v, v:n], p[v:n, :v] = cross, cross.T
+        if n > v:
+            cross = jacobian_pose @ p[:v, v:n]
+            p[:v, v:n], p[v:n, :v] = cross, cross.T
 
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array

@@ -56,7 +56,8 @@ def flat(text: str) -> str:
 
 @pytest.mark.slow
 def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
-    done = slamcheck("run", "simulated-loop", "--seed", "3", "--out", "report", cwd=tmp_path)
+    given = "run", "simulated-loop", "--seed", "3", "--out"
+    done = slamcheck(*given, "report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "verdict: agree" in done.stdout
     folder = tmp_path / "report"
@@ -65,9 +66,6 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert names == sorted(
         [
             "config.toml",
-            "consistency.png",
-            "correlation.png",
-            "map.png",
             "report.html",
             "result.json",
             *(f"{e}/{n}" for e in ("ekf", "smoother") for n in estimate),
@@ -79,11 +77,15 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert set(result.seconds) == {"read", "ekf", "frozen", "smoother", "marginals", "checks"}
     assert len(result.agreement.landmarks) == result.ekf.landmarks
     assert "NaN" not in text
-    assert (folder / "map.png").read_bytes().startswith(b"\x89PNG")
+    drawn = slamcheck(*given, "drawn", "--figures", "png", cwd=tmp_path)
+    assert drawn.returncode == 0, drawn.stderr
+    pictures = sorted((tmp_path / "drawn").glob("*.png"))
+    assert [p.name for p in pictures] == ["consistency.png", "correlation.png", "map.png"]
+    assert all(p.read_bytes().startswith(b"\x89PNG") for p in pictures)
     again = read_estimate(folder / "ekf")
     assert again.information == "filtered"
     assert again.landmark[0].tolist() == list(result.agreement.landmarks[0].ekf_m)
-    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["drawn", "report"]
 
 
 @pytest.mark.slow

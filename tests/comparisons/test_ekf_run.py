@@ -27,7 +27,7 @@ class Meddler(NoObserver):
 def test_driving_a_compressed_filter_asks_for_no_global_updates() -> None:
     """There are as many as areas are left, not as many as epochs; a careless reader is told."""
     log = simulated(loop_s=60.0)
-    timeline, choices = build_timeline(log), settle(EkfConfig(filter="compressed"), log)
+    timeline, choices = build_timeline(log), settle(EkfConfig(filter="compressed-suboptimal"), log)
     updates, _ = run_ekf(log, timeline, choices).spared
     beside = FilterSetup(observers=[Meddler()])
     meddled, _ = run_ekf(log, timeline, choices, setup=beside).spared

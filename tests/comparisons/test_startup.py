@@ -28,7 +28,7 @@ NEVER = {
         *SCIPY,
         *(
             "scipy.cluster",
-            "matplotlib.pyplot",
+            "matplotlib",
             "markdown_it",
             "pandas",
             "joblib",
@@ -71,7 +71,7 @@ def test_a_command_loads_only_what_it_needs(words: str, tmp_path: Path) -> None:
     ("words", "before", "found"),
     [
         ("--help", "import comparisons.config", {"pydantic"}),
-        ("run no-such-log", "import comparisons.report.run", {"matplotlib", "scipy.linalg"}),
+        ("run no-such-log", "import comparisons.report.picture", {"matplotlib"}),
         ("run no-such-log", "from scipy.stats import chi2", {"scipy.linalg", *SCIPY}),
     ],
 )
@@ -85,7 +85,7 @@ def test_the_guard_sees_what_is_loaded_too_much(
 def test_pictures_are_loaded_after_the_estimates(tmp_path: Path) -> None:
     """A run that ends within the comparison has not waited for matplotlib."""
     stop = "import comparisons.pipeline.compare as stage\ndef end(*given): sys.exit(1)\n"
-    run = "run simulated-loop --set log.end_s=10"
+    run = "run simulated-loop --set log.end_s=10 --figures png"
     assert "matplotlib" not in loaded(run, tmp_path, f"{stop}stage.compare = end")
 
 
