@@ -28,7 +28,6 @@ from graphslam.initialisation import track
 from graphslam.optimisers import optimise
 from graphslam.optimum import ChiSquareTest, chi_square_test
 from graphslam.problem import SlamProblem
-from graphslam.relocalisation import Options
 from graphslam.smoother import smooth
 
 NAME = "own_association"
