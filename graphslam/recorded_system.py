@@ -139,19 +139,20 @@ def recorded_system(
 
 
 def _compose(steps: RecordedSteps, until: Index) -> RecordedSteps:
-    """Chain the steps between consecutive poses; exact, as nothing is observed in between."""
-    count, p = len(until) - 1, steps.departed.shape[1]
-    departed, arrived = np.empty((count, p)), np.empty((count, p))
-    f, q = np.empty((count, p, p)), np.empty((count, p, p))
-    for i in range(count):
-        begin, end = int(until[i]), int(until[i + 1])
-        total_f, total_q = steps.f[begin], steps.q[begin]
-        offset = np.zeros(p)
-        for k in range(begin + 1, end):
-            step = steps.f[k]
-            offset = step @ (offset + steps.arrived[k - 1] - steps.departed[k])
-            total_f = step @ total_f
-            total_q = step @ total_q @ step.T + steps.q[k]
-        departed[i], arrived[i] = steps.departed[begin], steps.arrived[end - 1] + offset
-        f[i], q[i] = total_f, total_q
-    return RecordedSteps(departed, arrived, f, q)
+    """Chain the steps between consecutive poses; exact, as nothing is observed in between.
+
+    All poses advance together, each by its next step for as long as it has one.
+    """
+    last = until[1:] - 1
+    at = until[:-1].copy()
+    f, q = steps.f[at].copy(), steps.q[at].copy()
+    offset = np.zeros((len(at), steps.departed.shape[1]))
+    while len(left := np.flatnonzero(at < last)):
+        at[left] += 1
+        k = at[left]
+        step, back = steps.f[k], steps.f[k].transpose(0, 2, 1)
+        moved = offset[left] + steps.arrived[k - 1] - steps.departed[k]
+        offset[left] = (step @ moved[:, :, None])[:, :, 0]
+        f[left] = step @ f[left]
+        q[left] = step @ q[left] @ back + steps.q[k]
+    return RecordedSteps(steps.departed[until[:-1]], steps.arrived[last] + offset, f, q)

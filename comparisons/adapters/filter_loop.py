@@ -135,16 +135,17 @@ def run_filter_loop(
     beside = beside or Beside()
     watching, source, recorder = beside.watching, beside.source, beside.recorder
     steps, first = timeline.steps_until(), timeline.measurements_until()
-    begins, first_fix = timeline.step_begin_s(), timeline.positions_until()
+    begins, durations = timeline.step_begin_s().tolist(), timeline.step_duration_s.tolist()
+    first_fix = timeline.positions_until()
     seen, done = log.measurements, 0
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
     reported = beside.reported or measured_attributes(log)
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
-            control, duration = timeline.control[i], float(timeline.step_duration_s[i])
-            watching.before_predict(ekf, float(begins[i]), control, duration)
-            ekf.predict(control, timeline.control_covariance[i], duration)
+            control = timeline.control[i]
+            watching.before_predict(ekf, begins[i], control, durations[i])
+            ekf.predict(control, timeline.control_covariance[i], durations[i])
         done = int(steps[k])
         arrived = ekf.read_pose().pose
         watching.on_predict(ekf)
