@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import peers, ratios
+from benchmarks import peers, ratios, scaling
 from benchmarks.peer_pairs import MissingError, Pair, Side, Spent
 from benchmarks.peer_pairs import run as ran
-from benchmarks.scaling import projected_hours
 from tests.graphslam.skips import pass_on
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -454,19 +453,28 @@ def test_the_peers_scan_is_like_mrpts_example() -> None:
 
 
 @pytest.mark.slow
-def test_scaling_benchmark_runs() -> None:
+def test_scaling_benchmark_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a cluster, which tests/comparisons/montecarlo starts."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
     few = ("--chunks", "1", "--repeat", "1", "--scenario", "nieto-loop", "--price", "2")
-    lines = run("benchmarks/scaling.py", *few)
-    curve = [line.split()[:2] for line in lines if line.startswith(("joblib", "dask"))]
+    monkeypatch.setattr(sys, "argv", ["scaling.py", *few])
+    scaling.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("dask: not installed")
+    curve = [line.split()[:2] for line in lines if line.startswith("joblib ")]
     assert curve[:2] == [["joblib", "1"], ["joblib", "2"]]
     assert "100,000 runs of one filter, projected, not measured" in lines
     assert lines[-1].endswith("at 2.0 a core-hour")
 
 
 def test_a_projection_is_bounded_by_the_process_that_writes() -> None:
-    assert projected_hours(2, 10.0, 0.8, 0.1) == pytest.approx(6.25)
-    assert projected_hours(128, 10.0, 0.8, 0.5) == 0.5
-    assert projected_hours(128, 10.0, 0.8, 0.0) < 0.1  # the broken variant: without the bound
+    assert scaling.projected_hours(2, 10.0, 0.8, 0.1) == pytest.approx(6.25)
+    assert scaling.projected_hours(128, 10.0, 0.8, 0.5) == 0.5
+    assert (
+        scaling.projected_hours(128, 10.0, 0.8, 0.0) < 0.1
+    )  # the broken variant: without the bound
 
 
 @pytest.mark.slow

@@ -132,7 +132,8 @@ def test_without_the_block_a_process_stays(second_core: None) -> None:
 
 
 ORPHAN = """
-import time
+import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the shell ignores it
 from comparisons.pipeline import beside
 beside.cores = lambda: 2
 with beside.Beside(time.sleep, 60.0, seconds=1e9) as work:

@@ -106,10 +106,10 @@ def test_a_watcher_that_writes_would_be_noticed(log: Log) -> None:
             ekf.state.covariance.sum()
             super().on_update(ekf)
 
-    config = settle(EkfConfig(filter="compressed"), log)
+    config = settle(EkfConfig(filter="compressed-suboptimal"), log)
     meddler = Meddler(log, DenseMapsConfig(layers=("points", "occupancy")))
     run = run_ekf(log, build_timeline(log), config, setup=FilterSetup(observers=[meddler]))
-    without, _ = driven(log, "compressed", dense=False)
+    without, _ = driven(log, "compressed-suboptimal", dense=False)
     assert not all(np.array_equal(a, b) for a, b in zip(bits(run), bits(without), strict=True))
 
 

@@ -64,7 +64,8 @@ def test_a_browser_builds_layers_and_curves(report: Path, tmp_path: Path) -> Non
     layers = len(re.findall('<g class="layer', dom))
     assert layers >= 9
     assert dom.count('type="checkbox"') == layers
-    assert dom.count("<figure>") == 6  # east, north, heading, NEES, NIS, whiteness
+    # Curves of east, north, heading, NEES, NIS and whiteness, and two maps of correlations.
+    assert dom.count("<figure>") == 6 + 2
     assert len(re.findall(r'<path d="M[^"]{200,}"[^>]* class="line"', dom)) >= 5
     assert "NaN" not in dom.split("<script", 1)[0]
     assert "<title>owned</title>" not in dom

@@ -5,11 +5,13 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from comparisons.atomic import write_whole
+from comparisons.config import ReportConfig
 from comparisons.errors import InputError
 from comparisons.pipeline.compare import Comparison
 from comparisons.report import viewer
@@ -116,7 +118,10 @@ def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     comparison: Comparison, tmp_path: Path
 ) -> None:
     folder, result = tmp_path / "run", build_result(comparison)
-    write_job_folder(run_folder(comparison, result), folder, ("pdf",))
+    config = comparison.prepared.config
+    asked = config.model_copy(update={"report": ReportConfig(figures=("pdf",))})
+    drawn = replace(comparison, prepared=replace(comparison.prepared, config=asked))
+    write_job_folder(run_folder(drawn, result), folder, ("pdf",))
     pictures = {p.stem for p in folder.glob("*.png")}
     assert (
         pictures == {p.stem for p in folder.glob("*.pdf")} == {"map", "correlation", "consistency"}
@@ -125,7 +130,7 @@ def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     assert all(text.startswith(b"%PDF-") and b"/Type3" not in text for text in said.values())
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert files == known_files(folder)
-    write_job_folder(run_folder(comparison, result), folder, ("pdf",))
+    write_job_folder(run_folder(drawn, result), folder, ("pdf",))
     assert said == {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
     write_job_folder(run_folder(comparison, result), folder)
-    assert not list(folder.glob("*.pdf"))
+    assert not [*folder.glob("*.pdf"), *folder.glob("*.png")]

@@ -23,7 +23,7 @@ def heat_maps(title: str, shares: Mapping[str, Array]) -> str:
         for name, share in shares.items()
     )
     return (
-        f'<section class="heat"><h2>{title}</h2>{drawn}'
+        f'<section class="heat"><h2>{title}</h2><div>{drawn}</div>'
         '<p class="note">White is 0, black 1. Entries: pose, then landmarks in order of arrival.'
         "</p></section>"
     )
