@@ -57,7 +57,7 @@ def rows(*, quick: bool) -> list[Pair]:
             work=f"{steps} steps of a linear filter of 3 entries, 2 measured",
             ours=here(ours),
             theirs=here(theirs),
-            goal=1.0,
+            goal=None,
             parts=(steps, "step"),
             notes=apart,
         )

@@ -17,6 +17,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +150,11 @@ def _unpacked(path: Path) -> bytes:
     return b"".join(chunks)
 
 
+@cache
+def _form(form: str) -> struct.Struct:
+    return struct.Struct("<" + form)
+
+
 class _Stream:
     """The bytes and how far they are read."""
 
@@ -205,7 +211,8 @@ class _Stream:
         return self.data[self.at - count : self.at]
 
     def numbers(self, form: str) -> tuple[Any, ...]:
-        return struct.unpack("<" + form, self.take(struct.calcsize("<" + form)))
+        known = _form(form)
+        return known.unpack(self.take(known.size))
 
     def number(self, form: str) -> Any:
         return self.numbers(form)[0]
