@@ -247,13 +247,13 @@ def _pair(
         return lambda: found.update({who: call()})
 
     def notes() -> list[str]:
-        told = []
+        reported = []
         for who, (poses, landmarks) in found.items():
             accuracy = assess_trajectory(timeline.epoch_time_s, poses, log)
             assert accuracy is not None
             away = accuracy.gps_median_aligned_m
-            told.append(f"{who} {landmarks} landmarks, {away:.2f} m from GPS (median, aligned)")
-        return ["; ".join(told)]
+            reported.append(f"{who} {landmarks} landmarks, {away:.2f} m from GPS (median, aligned)")
+        return ["; ".join(reported)]
 
     length = float(timeline.epoch_time_s[-1] - timeline.epoch_time_s[0])
     measurements = len(timeline.measurement_epoch)

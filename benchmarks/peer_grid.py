@@ -1,6 +1,6 @@
 """A scan into an occupancy grid: MRPT's C++ against our global grid and our layer in regions.
 
-    python -m benchmarks.peer_grid [--repeat 5]
+    python -m benchmarks.peers --only grid
 
 MRPT's `mrpt-performance` puts its example scan into a grid of 40 by 40 m with cells of 5 cm, 3,000
 times from poses within a metre of the origin: 361 beams over half a circle, cut at 15 m, once as
@@ -17,7 +17,6 @@ MRPT's time is the processor time of its program less that of its start.
 
 from __future__ import annotations
 
-import argparse
 import math
 import shutil
 import tempfile
@@ -34,7 +33,6 @@ from benchmarks.peer_pairs import (
     Side,
     Spent,
     here,
-    interleaved,
     median,
     run,
 )
@@ -184,29 +182,3 @@ def rows(*, quick: bool) -> list[Pair]:
         for name, test in TESTS.items()
         for kind, side, goal in kinds
     ]
-
-
-def main() -> None:
-    """Print microseconds a scan and the ratios."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("--quick", action="store_true", help="few scans, once: a test")
-    choices = parser.parse_args()
-    distance = ranges()
-    ground = float(np.square(distance).sum()) * math.radians(0.25)
-    print(f"scan: {len(distance)} beams, {distance.sum():.0f} m of beams, {ground:.0f} m^2 in view")
-    try:
-        pairs = rows(quick=choices.quick)
-    except MissingError as missing:
-        raise SystemExit(f"skipped: {missing}") from None
-    print(f"{'us of the processor per scan':48} {'ours':>7} {'peer':>6}  ratio (least to largest)")
-    for pair in pairs:
-        found = interleaved(pair.ours, pair.theirs, 1 if choices.quick else choices.repeat)
-        mine, other = (1e6 * median(s).cpu_s / SCANS for s in (found.ours, found.theirs))
-        spread = f"{found.ratio:5.2f} ({min(found.ratios):.2f} to {max(found.ratios):.2f})"
-        goal = "" if pair.goal is None else f"  goal {pair.goal:g}"
-        print(f"{pair.name:48} {mine:7.1f} {other:6.1f}  {spread}{goal}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

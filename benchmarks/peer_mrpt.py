@@ -172,13 +172,16 @@ class _Accuracy:
     def __call__(self) -> Sequence[str]:
         """Filter once more, untimed."""
         printed = _kf_slam(self.folder, self.log).printed
-        told = np.array(POSE.findall(printed), dtype=float)
+        printed_pose = np.array(POSE.findall(printed), dtype=float)
         poses, landmarks = filtered(self.log, self.kind)
         truth = rawlog.read(LOG).truth
         assert truth.poses is not None
         assert truth.landmarks is not None
-        true, place = truth.poses.pose[-len(told) :, :2], truth.landmarks.position_m
-        own, other = (_rms(aligned(one[-len(told) :, :2], true), true) for one in (poses, told))
+        true, place = truth.poses.pose[-len(printed_pose) :, :2], truth.landmarks.position_m
+        own, other = (
+            _rms(aligned(one[-len(printed_pose) :, :2], true), true)
+            for one in (poses, printed_pose)
+        )
         nearest = place[np.linalg.norm(landmarks[:, None] - place, axis=2).argmin(axis=1)]
         apart = _rms(aligned(landmarks, nearest), nearest)
         return (

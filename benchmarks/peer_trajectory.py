@@ -1,6 +1,6 @@
 """The trajectory part of `slamcheck check` against evo's `evo_ape`, on 60,000 poses.
 
-    python -m benchmarks.peer_trajectory [--repeat 5]
+    python -m benchmarks.peers --only trajectory
 
 Both read the true and the estimated trajectory (TUM files), pair them by time, and find the
 absolute error as it is after the rigid motion that fits best. Ours reads an estimate folder, whose
@@ -11,7 +11,6 @@ process, imports left out. Both must find the same error to 1e-9 m.
 
 from __future__ import annotations
 
-import argparse
 import re
 import shutil
 import sys
@@ -23,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.peer_pairs import MissingError, Pair, Spent, here, interleaved, median, run
+from benchmarks.peer_pairs import MissingError, Pair, Spent, here, run
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess
 from comparisons.checks.consistency.nees import against_truth
@@ -150,7 +149,7 @@ def rows(*, quick: bool) -> list[Pair]:
         ]
 
     evo()  # the first run writes its settings
-    words = (sys.executable, "-m", "benchmarks.peer_trajectory", "--ours", folder)
+    words = (sys.executable, "-m", "benchmarks.peer_trajectory", folder)
     whole = Pair(
         name="evo_ape -a, whole program",
         work=f"{count:,} poses; ours with relative errors and NEES",
@@ -170,27 +169,9 @@ def rows(*, quick: bool) -> list[Pair]:
 
 
 def main() -> None:
-    """Print seconds and ratios; with --ours do our part once."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("--quick", action="store_true", help="few poses, once: a test")
-    parser.add_argument("--ours", type=Path, metavar="FOLDER", help="check this pair, once")
-    choices = parser.parse_args()
-    if choices.ours is not None:
-        print("aligned error {:.9f} m, mean NEES {:.3f}".format(*check_trajectory(choices.ours)))
-        return
-    try:
-        pairs = rows(quick=choices.quick)
-    except MissingError as missing:
-        raise SystemExit(f"skipped: {missing}") from None
-    print(f"{'s of the processor':30} {'ours':>6} {'peer':>6}  ratio (least to largest)")
-    for pair in pairs:
-        found = interleaved(pair.ours, pair.theirs, 1 if choices.quick else choices.repeat)
-        mine, other = (median(spent).cpu_s for spent in (found.ours, found.theirs))
-        spread = f"{found.ratio:5.2f} ({min(found.ratios):.2f} to {max(found.ratios):.2f})"
-        print(f"{pair.name:30} {mine:6.3f} {other:6.3f}  {spread}  goal 1")
-        for note in pair.notes():
-            print(f"  {note}")
+    """Do our part once, of the pair in the folder that is named."""
+    error, nees = check_trajectory(Path(sys.argv[1]))
+    print(f"aligned error {error:.9f} m, mean NEES {nees:.3f}")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ MOVED_M, MOVED_RAD = 0.1, 0.01
 At 80 m such a turn bends a bearing-range factor by 4 mm, at 5 m such a step by 1 mm.
 """
 _STAYS = 1e-5
-"""A change [m or rad] below this is not carried on to what hangs on the variable."""
+"""A change [m or rad] below this is not carried on to the variables that depend on it."""
 _MOST_STEPS = 6
 _UNFIXED = "the measurements do not fix every pose and landmark"
 

@@ -176,14 +176,14 @@ def _grown(
     parent, which = np.divmod(best, cost.shape[1])
     landmark: Index = np.append(own, -1)[which]
     shift, covariance = beam.shift[parent], beam.covariance[parent]
-    told = np.flatnonzero(landmark >= 0)
-    pair = _entries(landmark[told]).reshape(-1, 2)
-    rows = covariance[told[:, None], pair]
+    paired = np.flatnonzero(landmark >= 0)
+    pair = _entries(landmark[paired]).reshape(-1, 2)
+    rows = covariance[paired[:, None], pair]
     s = np.take_along_axis(rows, pair[:, None], axis=2) + np.diag(noise)
     gain = np.linalg.solve(s, rows)
-    innovation = nu[landmark[told]] - np.take_along_axis(shift[told], pair, axis=1)
-    shift[told] += (innovation[:, None] @ gain)[:, 0]
-    covariance[told] -= rows.transpose(0, 2, 1) @ gain
+    innovation = nu[landmark[paired]] - np.take_along_axis(shift[paired], pair, axis=1)
+    shift[paired] += (innovation[:, None] @ gain)[:, 0]
+    covariance[paired] -= rows.transpose(0, 2, 1) @ gain
     choice = np.column_stack((beam.choice[parent], landmark))
     return _Beam(cost.ravel()[best], choice, shift, covariance)
 

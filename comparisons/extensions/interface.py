@@ -2,7 +2,7 @@
 
 One object serves one comparison. `prepare` comes first, once. `attach` comes before every run of
 the filter, which may be more than one: what it puts beside the filter is made anew each time.
-`begin` comes between the estimators, and `check` after both, once.
+`start` comes between the estimators, and `check` after both, once.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ class Extension:
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         """Put sources, observers or guards beside a filter that is about to run."""
 
-    def begin(self, prepared: Prepared[Any], run: EkfRun) -> Beside[Any] | None:
+    def start(self, prepared: Prepared[Any], run: EkfRun) -> Beside[Any] | None:
         """Start what `check` needs and the smoother does not, in a process beside it.
 
-        Its result is found in `compared.begun`, by the extension's name.
+        Its result is found in `compared.started`, by the extension's name.
         """
         return None
 

@@ -188,9 +188,9 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         run, setup = run_filter(prepared)
     second, unchecked = _second_association(prepared, run)
     asked = prepared.extensions if second is None else (*prepared.extensions, second)
-    with _begun(asked, prepared, run) as begun:
+    with _started(asked, prepared, run) as started:
         gaps = compute_gaps(log, run, options, clock, progress)
-        compared = Compared(prepared=prepared, setup=setup, ekf=run, gaps=gaps, begun=begun)
+        compared = Compared(prepared=prepared, setup=setup, ekf=run, gaps=gaps, started=started)
         findings = {
             one.name: found
             for one in prepared.extensions
@@ -239,17 +239,17 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
 
 
 @contextmanager
-def _begun(
+def _started(
     extensions: Sequence[Extension], prepared: Prepared[Any], run: EkfRun
 ) -> Iterator[dict[str, Beside[Any]]]:
-    """What extensions begin beside the smoother, by name; ended at the latest with the block."""
+    """What extensions start beside the smoother, by name; ended at the latest with the block."""
     with ExitStack() as stack:
-        begun = {}
+        started = {}
         for one in extensions:
-            work = one.begin(prepared, run)
+            work = one.start(prepared, run)
             if work is not None:
-                begun[one.name] = stack.enter_context(work)
-        yield begun
+                started[one.name] = stack.enter_context(work)
+        yield started
 
 
 def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extension | None, str]:

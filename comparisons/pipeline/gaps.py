@@ -109,7 +109,7 @@ def compute_gaps(
             ids = run.estimate.landmark_id
             return result, smoothed_estimate(result, own.epoch_time_s, ids, "the EKF's")
 
-    with _begin_frozen(problem, run, clock, progress) as work:
+    with _start_frozen(problem, run, clock, progress) as work:
         frozen = None if work.elsewhere else _finished(work, clock)
         try:
             result, smoothed = relinearised()
@@ -142,13 +142,13 @@ def solve_frozen(problem: SlamProblem, run: EkfRun) -> Frozen:
     return recorded, model, solve_recorded(recorded, run), solve_model(model, run)
 
 
-def _begin_frozen(
+def _start_frozen(
     problem: SlamProblem,
     run: EkfRun,
     clock: Clock,
     progress: Callable[[str, int, int], None],
 ) -> Beside[Frozen]:
-    """Begin F1 and F2 beside S, none of which needs another, where they take long."""
+    """Start F1 and F2 beside S, none of which needs another, where they take long."""
     size = problem.pose_count, len(problem.z), problem.landmark_count
     with clock.stage("frozen"):
         progress("fixed-linearisation smoothers", 0, 0)
@@ -171,12 +171,12 @@ def _gaussian(estimate: Estimate) -> Gaussian:
 class Compared:
     """What an extension's check is given: both estimators have run.
 
-    setup: what stood beside the filter, with what extensions offered. begun: what extensions have
-    begun beside the smoother, by name.
+    setup: what stood beside the filter, with what extensions offered. started: what extensions have
+    started beside the smoother, by name.
     """
 
     prepared: Prepared[Any]
     setup: FilterSetup
     ekf: EkfRun
     gaps: Gaps
-    begun: Mapping[str, Beside[Any]] = field(default_factory=dict)
+    started: Mapping[str, Beside[Any]] = field(default_factory=dict)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -307,7 +306,7 @@ class KalmanState:
         p = self._covariance[:n, :n]
         gain_left = p[:, columns] @ jacobian.T  # P H^T, (n, m)
         innovation_covariance = jacobian @ gain_left[columns] + noise  # S, 2.39
-        if not math.isfinite(float(innovation_covariance.sum() + innovation.sum())):
+        if not (np.isfinite(innovation_covariance).all() and np.isfinite(innovation).all()):
             raise FilterDivergedError("the innovation or its covariance is not finite")
         try:
             inverse_root = np.linalg.inv(np.linalg.cholesky(innovation_covariance))

@@ -53,15 +53,15 @@ class OwnAssociation(Extension):
         """Whether it does anything."""
         return self._when != "never"
 
-    def begin(self, prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution] | None:
+    def start(self, prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution] | None:
         """Associate and solve beside the smoother; neither needs the other's result."""
-        return begin_own_association(prepared, run) if self.asked else None
+        return start_own_association(prepared, run) if self.asked else None
 
     def check(self, compared: Compared) -> OwnAssociationFinding | None:
         """Associate without the filter, solve, assess, and compare. Raises InputError."""
         if not self.asked:
             return None
-        prepared, work = compared.prepared, compared.begun[self.name]
+        prepared, work = compared.prepared, compared.started[self.name]
         with prepared.clock.stage("own association"):
             prepared.progress("own association", 0, 0)
             found = work.result()
@@ -117,7 +117,7 @@ class OwnSolution:
     optimality: Optimality
 
 
-def begin_own_association(prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution]:
+def start_own_association(prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution]:
     """Begin S'."""
     log = replace(prepared.log, scans=None, clouds=None)
     rows = position_rows(run.timeline, run.positions)
