@@ -1,10 +1,13 @@
 """Scan-SLAM on Nieto's environment (Nieto 2005, section 5.6, Table 5.1): drives without a landmark.
 
-    python benchmarks/scan_slam.py [--seeds 10] [--first 0] [--seconds 176] [--fuse]
+    python benchmarks/scan_slam.py [--seeds 30] [--first 100] [--laser table|2cm] [--seconds 176]
+                                   [--processes 2] [--options landmarks=scans shared_noise=false]
 
-Per drive: errors of filter, smoother and odometry alone; distances of the templates' points to the
-true surfaces before the scan that moved the map the most, a loop's closing, and in the end; NEES of
-the pose over 3; the gaps; processor time. With --fuse landmarks that turn out to be one are fused.
+A row a drive; below, means over the drives with the 95 % interval of the mean, and for NEES the
+two-sided 95 % band of a mean of so many independent drives. NEES are over their degrees of freedom:
+of the pose at the last instant before the map is moved the most (the loop's closing) and at the
+end; of the landmarks' places in the end; of the distances of those seen in one scan. A landmark's
+true axis is where its template fits the noise-free surfaces best.
 """
 
 from __future__ import annotations
@@ -12,93 +15,229 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from comparisons.checks.quantiles import chi2_quantile
+from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.accuracy import error_of_points
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.extensions.scan_landmarks.figure import template_points
+from comparisons.extensions.scan_landmarks.source import LogScans
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.logs.simulate.scan_drive import scan_slam, simulate
+from comparisons.logs.simulate.ray_casting import cast
+from comparisons.logs.simulate.scan_drive import ScanExperiment, scan_slam, simulate
+from comparisons.logs.simulate.scanners import Planar
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.settings import run_config
+from ekf_reference.scan_matching.alignment_covariance import scan_align
+from ekf_reference.scan_matching.scan_shape import of_scan
+from graphslam.scan import planar
+
+Array = NDArray[np.float64]
+
+NEES = {"nees_closing": 3, "nees_end": 3, "nees_places": 2, "nees_distances": 1}
+"""Degrees of freedom of a drive's independent part."""
+LOOK = np.diag((0.3, 0.3, 0.03)) ** 2
+"""Within which a template's true axis is sought."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Row:
-    """One drive. Errors [m]: at all times, of the map before closing and at last, at the end."""
+    """One drive. Lengths [m]: ATE; map before the closing, in the end, and the smoother's.
 
+    scans_per_s: of one core, with both estimators and all checks.
+    """
+
+    verdict: str
     landmarks: int
-    fused: int
     used: int
     ekf_m: float
     smoother_m: float
     wheels_m: float
-    end_m: float
+    ratio: float
     before_m: float
     last_m: float
-    nees: float
+    smoothed_m: float
+    nees_closing: float
+    nees_end: float
+    nees_places: float
+    nees_distances: float
     algebra: float
     model: float
     linearisation: float
-    cpu_s: float
+    scans_per_s: float
+
+
+def experiment(laser: str) -> ScanExperiment:
+    """Table 5.1, or the same drive with a laser as exact as a Sick's."""
+    table = scan_slam()
+    if laser == "table":
+        return table
+    exact = Planar(
+        max_range_m=table.drive.max_range_m, sigma_range_m=0.02, sigma_beam_rad=math.radians(0.1)
+    )
+    return replace(table, name="scan-slam-2cm", scanner=exact)
 
 
 def main() -> None:
-    """Run all, print a table and the medians."""
+    """Run all, print a table and the means."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=30)
+    parser.add_argument("--first", type=int, default=100)
+    parser.add_argument("--laser", choices=("table", "2cm"), default="table")
     parser.add_argument("--seconds", type=float, default=math.inf)
-    parser.add_argument("--fuse", action="store_true")
-    choices = parser.parse_args()
-    names = list(Row.__dataclass_fields__)
-    print("seed ", *(f"{name:>13}" for name in names), "  verdict")
-    rows = []
-    for seed in range(choices.first, choices.first + choices.seeds):
-        row, verdict = measured(seed, choices.seconds, fuse=choices.fuse)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--options", nargs="*", default=["landmarks=scans"])
+    asked = parser.parse_args()
+    options = dict(one.split("=", 1) for one in asked.options)
+    seeds = range(asked.first, asked.first + asked.seeds)
+    names = [f.name for f in fields(Row)]
+    print("seed", *(f"{name:>14}" for name in names))
+    rows: list[Row] = []
+    work = (delayed(measured)(seed, asked.laser, asked.seconds, options) for seed in seeds)
+    drives = Parallel(n_jobs=asked.processes, return_as="generator")(work)
+    for seed, row in zip(seeds, drives, strict=True):
         rows.append(row)
-        shown = (f"{value:13.3g}" for value in vars(row).values())
-        print(f"{seed:4} ", *shown, f"  {verdict}", flush=True)
-    medians = (float(np.median([vars(row)[name] for row in rows])) for name in names)
-    print("median", *(f"{value:13.3g}" for value in medians))
+        print(f"{seed:4}", *(_shown(value) for value in vars(row).values()), flush=True)
+    summary(rows)
 
 
-def measured(seed: int, seconds: float, *, fuse: bool = False) -> tuple[Row, str]:
-    """One drive, and the verdict."""
-    log = simulate(np.random.default_rng(seed), scan_slam())
+def summary(rows: list[Row]) -> None:
+    """Print means with their 95 % intervals, and bands."""
+    count = len(rows)
+    print(f"{'':18} {'mean':>9} {'interval of the mean':>22} {'band':>16} {'largest':>9}")
+    for name in (f.name for f in fields(Row) if f.name != "verdict"):
+        value = np.array([vars(row)[name] for row in rows])
+        half = 1.96 * value.std(ddof=1) / math.sqrt(count) if count > 1 else math.nan
+        interval, band = f"{value.mean() - half:.3g} to {value.mean() + half:.3g}", ""
+        if name in NEES:
+            dof = NEES[name] * count
+            low, high = (chi2_quantile(p, dof) / dof for p in (0.025, 0.975))
+            band = f"{low:.2f} to {high:.2f}"
+        print(f"{name:18} {value.mean():9.3g} {interval:>22} {band:>16} {value.max():9.3g}")
+    below = sum(row.ratio < 0.1 for row in rows)
+    better = sum(row.last_m < row.before_m for row in rows)
+    print(f"below a tenth of dead reckoning's ATE: {below} of {count}")
+    best = sum(row.smoothed_m < row.before_m for row in rows)
+    print(f"map better after the closing than before: {better} of {count}, smoother's {best}")
+    for outcome in sorted({row.verdict for row in rows}):
+        print(f"{outcome}: {sum(row.verdict == outcome for row in rows)} of {count}")
+
+
+def measured(seed: int, laser: str, seconds: float, options: Mapping[str, str]) -> Row:
+    """One drive."""
+    drive = experiment(laser)
+    log = _until(simulate(np.random.default_rng(seed), drive), seconds)
     start = time.process_time()
-    config = run_config(landmarks="scans", merge_landmarks=fuse)
-    c = compare(_until(log, seconds), config)
+    c = compare(log, run_config(**{k: _value(v) for k, v in options.items()}))
     cpu_s = time.process_time() - start
-    found = c.assessment
-    ates = [a.ate_m for a in (found.ekf, found.smoother, found.dead_reckoned) if a]
-    error = _pose_error(c)
-    spread = c.ekf.estimate.pose_covariance[1:]
-    nees = np.einsum("ki,kij,kj->k", error[1:], np.linalg.inv(spread), error[1:]) / 3.0
-    a = c.agreement
-    gaps = (max(g.sigma, g.covariance) for g in (a.algebra, a.model))
-    figures = (
-        *(float(ate or 0.0) for ate in ates),
-        float(np.hypot(*error[-1, :2])),
-        *_map_errors(c),
-        float(nees.mean()),
-        *gaps,
-        a.linearisation.sigma,
-        cpu_s,
+    source = c.find(ScanLandmarksFinding).source
+    ekf, reckoned = c.assessment.ekf, c.assessment.dead_reckoned
+    smoother, gaps = c.assessment.smoother, c.agreement
+    if ekf is None or smoother is None or reckoned is None or source.closing is None:
+        raise ValueError("no scan moved a landmark, or the log has no truth")
+    error = _pose_errors(c)
+    closing = int(np.searchsorted(c.ekf.estimate.time_s, source.closing.time_s)) - 1
+    nees = np.einsum(
+        "ki,kij,kj->k", error, np.linalg.inv(c.ekf.estimate.pose_covariance + 1e-12), error
     )
+    places, distances = landmark_nees(c, drive)
+    before, last, smoothed = _map_errors(c)
+    return Row(
+        verdict=c.verdict.outcome,
+        landmarks=len(c.ekf.estimate.pose_landmarks),
+        used=len(c.ekf.pose_landmarks.measured),
+        ekf_m=float(ekf.ate_m or 0.0),
+        smoother_m=float(smoother.ate_m or 0.0),
+        wheels_m=float(reckoned.ate_m or 0.0),
+        ratio=float(ekf.ate_m or 0.0) / float(reckoned.ate_m or 1.0),
+        before_m=before,
+        last_m=last,
+        smoothed_m=smoothed,
+        nees_closing=float(nees[closing]) / 3.0,
+        nees_end=float(nees[-1]) / 3.0,
+        nees_places=places,
+        nees_distances=distances,
+        algebra=max(gaps.algebra.sigma, gaps.algebra.covariance),
+        model=max(gaps.model.sigma, gaps.model.covariance),
+        linearisation=gaps.linearisation.sigma,
+        scans_per_s=source.found.scans / cpu_s,
+    )
+
+
+def landmark_nees(c: Comparison, drive: ScanExperiment) -> tuple[float, float]:
+    """Mean NEES of the landmarks' places over 2, and of distances of those seen in one scan."""
+    estimate = c.ekf.estimate
+    true = true_axes(c, drive)
+    error = (estimate.pose_landmarks - true)[:, :2]
+    own = estimate.pose_landmark_covariances()[:, :2, :2]
+    places = np.einsum("qi,qij,qj->q", error, np.linalg.inv(own), error) / 2.0
+    pairs = _seen_together(c)
+    joint = _landmark_covariance(estimate)
+    found = []
+    for i, j in pairs:
+        apart = estimate.pose_landmarks[j, :2] - estimate.pose_landmarks[i, :2]
+        length = float(np.hypot(*apart))
+        if length < 1.0:
+            continue
+        rows = np.r_[3 * i : 3 * i + 2, 3 * j : 3 * j + 2]
+        by = np.concatenate((-apart, apart)) / length
+        variance = by @ joint[np.ix_(rows, rows)] @ by
+        off = length - float(np.hypot(*(true[j, :2] - true[i, :2])))
+        found.append(off**2 / variance)
+    return float(places.mean()), float(np.mean(found))
+
+
+def true_axes(c: Comparison, drive: ScanExperiment) -> Array:
+    """(Q, 3) where the templates fit the noise-free surfaces best."""
+    poses, scans = c.log.truth.poses, LogScans(c.log)
+    if poses is None:
+        raise ValueError("the log has no true poses")
+    run, found = c.ekf, c.find(ScanLandmarksFinding).source.found
+    solid, first = drive.world.solids(), {}
+    for row, landmark in enumerate(run.pose_landmarks.landmark.tolist()):
+        first.setdefault(landmark, row)
+    bearing = np.radians(np.arange(-90.0, 90.01, 0.5))
+    axes = []
+    for landmark in run.estimate.pose_landmark_id.tolist():
+        row = first[landmark]
+        vehicle = poses.at(run.estimate.time_s[run.pose_landmarks.pose[row]][None])[0]
+        scanner = planar.compose(vehicle, scans.mount)
+        way = cast(bearing, np.tile(scanner, (len(bearing), 1)), solid)
+        way = np.where(way <= drive.drive.max_range_m, way, np.nan)
+        template = found.template[landmark]
+        exact = of_scan(bearing, way, scans.sensor)
+        axes.append(
+            planar.compose(scanner, scan_align(template.shape, exact, template.pose, LOOK).pose)
+        )
+    return np.array(axes)
+
+
+def _landmark_covariance(estimate: Estimate) -> Array:
+    """(3 Q, 3 Q) of the pose landmarks."""
+    size = 3 * len(estimate.pose_landmarks)
+    return np.asarray(estimate.joint_covariance[-size:, -size:])
+
+
+def _seen_together(c: Comparison) -> list[tuple[int, int]]:
+    """Pairs of landmarks, by their place in the estimate, that one scan measured."""
+    place = {int(k): i for i, k in enumerate(c.ekf.estimate.pose_landmark_id)}
     seen = c.ekf.pose_landmarks
-    row = Row(
-        len(c.ekf.estimate.pose_landmarks), len(seen.merges.first), len(seen.measured), *figures
-    )
-    return row, c.verdict.outcome
+    found = set()
+    for epoch in np.unique(seen.pose).tolist():
+        here = sorted({place[k] for k in seen.landmark[seen.pose == epoch].tolist() if k in place})
+        found |= {(i, j) for n, i in enumerate(here) for j in here[n + 1 :]}
+    return sorted(found)
 
 
-def _pose_error(c: Comparison) -> NDArray[np.float64]:
+def _pose_errors(c: Comparison) -> Array:
     truth = c.log.truth.poses
     if truth is None:
         raise ValueError("the log has no true poses")
@@ -107,18 +246,29 @@ def _pose_error(c: Comparison) -> NDArray[np.float64]:
     return np.asarray(error)
 
 
-def _map_errors(c: Comparison) -> Iterator[float]:
-    """Medians of the templates' distances before the closing and at the end."""
-    source = c.find(ScanLandmarksFinding).source
-    closing, found = source.closing, source.found
-    if closing is None or c.log.truth.surfaces is None:
+def _map_errors(c: Comparison) -> tuple[float, float, float]:
+    """Medians of the templates' distances from the surfaces: before, at the end, smoothed.
+
+    All three of the landmarks that there were before the closing.
+    """
+    source, smoothed = c.find(ScanLandmarksFinding).source, c.gaps.smoothed
+    closing, surfaces = source.closing, c.log.truth.surfaces
+    if closing is None or surfaces is None:
         raise ValueError("no scan moved a landmark, or there are no true surfaces")
-    # Templates of landmarks that were fused later are other landmarks' by now.
-    kept = np.isin(closing.landmark_index, c.ekf.estimate.pose_landmark_id)
-    landmark_indices = closing.landmark_index[kept]
-    for place in (closing.before[kept], c.ekf.pose_landmark_places[landmark_indices]):
-        points = template_points(found, landmark_indices, place)
-        yield error_of_points(points, c.log.truth.surfaces.segment).median_m
+    # Templates of landmarks that were merged later are other landmarks' by now.
+    kept = np.isin(closing.landmark_index, smoothed.pose_landmark_id)
+    index = closing.landmark_index[kept]
+    row = np.searchsorted(smoothed.pose_landmark_id, index)
+    places = (
+        closing.before[kept],
+        c.ekf.pose_landmark_places[index],
+        smoothed.pose_landmarks[row],
+    )
+    before, last, best = (
+        error_of_points(template_points(source.found, index, place), surfaces.segment).median_m
+        for place in places
+    )
+    return before, last, best
 
 
 def _until(log: Log, seconds: float) -> Log:
@@ -130,6 +280,14 @@ def _until(log: Log, seconds: float) -> Log:
     columns = ("time_s", "speed_mps", "steering_rad")
     short = {name: getattr(odometry, name)[:count] for name in columns}
     return replace(log, odometry=replace(odometry, **short))
+
+
+def _value(text: str) -> Any:
+    return {"true": True, "false": False}.get(text, text)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:>14}" if isinstance(value, str) else f"{value:14.3g}"
 
 
 if __name__ == "__main__":

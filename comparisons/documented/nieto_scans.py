@@ -151,6 +151,14 @@ _OBSERVATION = (
         "in both (the first 60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
+        place="N 5.2.1, 5.4",
+        what="returns that several alignments share are counted once (R is of each alone)",
+        value=False,
+        at="scan_landmarks.shared_noise",
+        defaults=(f"{_SLAM}:ScanSlamOptions.shared_noise",),
+        reason="TO BE MEASURED",
+    ),
+    Documented(
         place="N 5.3.1, Fig. 5.6",
         what="iterations of ICP",
         value=20,

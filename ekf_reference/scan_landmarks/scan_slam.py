@@ -21,6 +21,7 @@ from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.segmentation import quality
+from ekf_reference.scan_landmarks.shared_noise import with_persistence, with_shared_returns
 from ekf_reference.scan_landmarks.template_extraction import (
     JoinedSegments,
     Known,
@@ -37,14 +38,14 @@ from ekf_reference.scan_landmarks.templates import (
     View,
     share_in_view,
 )
-from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
+from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions, ScanAlignment
 from ekf_reference.scan_matching.problem import AlignmentOptions
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
 USED = "used"
 GATED = "gated"
 LEFT_OUT = "left out"
-"""In view, but others were longer out of sight and the scan's alignments were spent on them."""
+"""In view, but the scan's alignments were spent on others."""
 MOVES = "where something moves"
 GATE = 11.345
 """Chi-square, 99 % of three degrees of freedom."""
@@ -67,6 +68,7 @@ class ScanSlamOptions:
 
     aligned: most templates that one scan is aligned with, 0 for all in view. extraction: which
     returns become templates. floor_m, floor_rad: least sigma of the prior of an alignment.
+    shared_noise: returns that several alignments share are counted once (see shared_noise).
     """
 
     aligned: int = 5
@@ -74,6 +76,7 @@ class ScanSlamOptions:
     floor_m: float = 0.1
     floor_rad: float = 0.02
     gate: float = GATE
+    shared_noise: bool = True
     observation: ObservationOptions = _OBSERVATION
     alignment: AlignmentOptions = _ALIGNMENT
     belief: CovarianceOptions = _BELIEF
@@ -139,6 +142,7 @@ class ScanSlam:
         self._observer = observer or TemplateObserver()
         self._rng = np.random.default_rng(seed)
         self._last_seen: dict[int, int] = {}
+        self._last_tried: Counter[int] = Counter()
         self._initialised = 0
 
     def step(self, ekf: Ekf, scan: SumOfGaussians, sink: MeasurementSink) -> None:
@@ -173,6 +177,7 @@ class ScanSlam:
     ) -> int:
         """Fuse [z, R] = scan_align(G_L, G_o, z^) of those in view and gate; returns how many."""
         seen: list[tuple[int, Array, Array]] = []
+        alignments: list[ScanAlignment] = []
         for row in self._in_view(predicted, scan):
             landmark_index, z = int(predicted.landmark_index[row]), predicted.z[row]
             spread, o = predicted.covariance[row], self.options
@@ -184,20 +189,32 @@ class ScanSlam:
             what = self._observer.observe(template, place, scan, z, wide, self._matching)
             reason = what.reason or USED
             if what.usable and what.alignment is not None:
-                r = what.alignment.covariance
+                r = (
+                    with_persistence(what.alignment)
+                    if o.shared_noise
+                    else what.alignment.covariance
+                )
                 innovation = what.alignment.pose - z
                 innovation[2] = np.mod(innovation[2] + np.pi, 2.0 * np.pi) - np.pi
                 if innovation @ np.linalg.solve(spread + r, innovation) <= o.gate:
                     seen.append((landmark_index, z + innovation, r))
+                    alignments.append(what.alignment)
                 else:
                     reason = GATED
             self.found.reasons[reason] += 1
         if seen:
-            self._reported(sink, seen)
+            noise = np.array([r for *_, r in seen])
+            if self.options.shared_noise:
+                noise = with_shared_returns(alignments, noise)
+            self._reported(sink, [(*one[:2], r) for one, r in zip(seen, noise, strict=True)])
         return len(seen)
 
     def _in_view(self, predicted: Predicted, scan: SumOfGaussians) -> list[int]:
-        """Rows of the predicted that are in view, the longest unobserved first."""
+        """Rows of the predicted that are to be aligned.
+
+        Of more than may be, most are the last observed, which keep the pose however wrong the
+        odometry is; the others are those whose last trial is the longest ago, which close loops.
+        """
         o, rows = self.options, []
         for row, landmark_index in enumerate(predicted.landmark_index.tolist()):
             if landmark_index in self.found.moving:
@@ -206,10 +223,18 @@ class ScanSlam:
                 rows.append(row)
             else:
                 self.found.reasons[OUT_OF_VIEW if len(scan) else BLANK] += 1
-        rows.sort(key=lambda row: self._last_seen[int(predicted.landmark_index[row])])
         most = o.aligned or len(rows)
         self.found.reasons[LEFT_OUT] += max(len(rows) - most, 0)
-        return rows[:most]
+        if len(rows) > most:
+            index = predicted.landmark_index
+            rows.sort(key=lambda row: -self._last_seen[int(index[row])])
+            rest = sorted(
+                rows[most - most // 2 :], key=lambda row: self._last_tried[int(index[row])]
+            )
+            rows = rows[: most - most // 2] + rest[: most // 2]
+        for row in rows:
+            self._last_tried[int(predicted.landmark_index[row])] = self.found.scans
+        return rows
 
     def _share(self, landmark_index: int, z: Array, scan: SumOfGaussians) -> float:
         """Of a landmark's template that should be seen; of a blank scan nothing is."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -81,7 +82,9 @@ class ScanAlignment:
     pose: (3,) z; where the shape does not fix a direction it is as guessed along it. covariance:
     (3, 3) R, of the error added to x, y and heading, positive definite. curvature: (3, 3) P^-1 of
     eqs. 5.16 and 5.17, of -2 ln Lambda by x, y, heading. open_directions: how many of the three
-    the shape does not fix. alignment: the maximum itself.
+    the shape does not fix. alignment: the maximum itself. by_second: (3, N) one standard deviation
+    of the error that each return of the second sum causes. first_share: of R, what the noise of the
+    first sum causes.
     """
 
     pose: Array
@@ -89,6 +92,8 @@ class ScanAlignment:
     curvature: Array
     open_directions: int
     alignment: Alignment
+    by_second: Array
+    first_share: float
 
 
 def scan_align(
@@ -128,6 +133,8 @@ def scan_align(
         curvature=inverse.T @ (shape.curvature / scale) @ inverse,
         open_directions=shape.loose.shape[1],
         alignment=found,
+        by_second=jacobian @ (unit[:, None] * shape.by_second),
+        first_share=shape.first_share,
     )
 
 
@@ -136,12 +143,15 @@ class _Shape:
     """What the correlation fixes at a pose, scaled.
 
     curvature: (3, 3). fixed: (3, k) and loose: (3, 3 - k) directions. covariance: (3, 3).
+    by_second, first_share: see ScanAlignment.
     """
 
     curvature: Array
     fixed: Array
     loose: Array
     covariance: Array
+    by_second: Array
+    first_share: float
 
     @classmethod
     def at(cls, problem: Problem, peak: Array, about: Array, belief: CovarianceOptions) -> _Shape:
@@ -172,11 +182,14 @@ class _Shape:
         count = int(np.count_nonzero(~met))
         loose, fixed = axes[:, :count], axes[:, count:]
         covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
+        by_second, first_share = np.zeros((3, len(problem.second))), 0.0
         if pairs is not None and met.any():
             flattest = belief.fallen / _along(about, fixed).max()
-            covariance += _sandwich(pairs, peak, unit, curvature, fixed, flattest)
-            covariance += fixed @ (fixed.T @ bent @ fixed) @ fixed.T
-        return cls(curvature, fixed, loose, covariance)
+            error = _sandwich(pairs, peak, unit, curvature, fixed, flattest)
+            covariance += error.covariance + fixed @ (fixed.T @ bent @ fixed) @ fixed.T
+            by_second[:, : error.by_second.shape[1]] = error.by_second
+            first_share = error.first_share
+        return cls(curvature, fixed, loose, covariance, by_second, first_share)
 
 
 def _along(covariance: Array, axes: Array) -> Array:
@@ -250,10 +263,18 @@ def quadratic_form(apart: Array, drop: Array) -> Array:
     return form / np.outer(scale, scale)
 
 
+class _Error(NamedTuple):
+    """Of a maximum, scaled: covariance (3, 3); see ScanAlignment of by_second and first_share."""
+
+    covariance: Array
+    by_second: Array
+    first_share: float
+
+
 def _sandwich(
     pairs: Pairs, peak: Array, unit: Array, curvature: Array, axes: Array, flattest: float
-) -> Array:
-    """(3, 3) C J C on axes (3, k), scaled; positive definite there, no curvature below a least."""
+) -> _Error:
+    """C J C on axes (3, k); positive definite there, no curvature below a least."""
     scale = unit[:, None] / pairs.value(peak)
     score, twice = scale * pairs.scores(peak), scale * pairs.scores_across(peak)
     of_first = np.stack([np.bincount(pairs.row, one) for one in score])
@@ -262,8 +283,9 @@ def _sandwich(
     spread = of_first @ of_first.T + of_second @ of_second.T - twice @ twice.T
     size, own = np.linalg.eigh(axes.T @ curvature @ axes)
     root = axes @ own / np.sqrt(np.maximum(size, flattest))
+    first, second = (root.T @ one for one in (of_first, of_second))
     share, turn = np.linalg.eigh(root.T @ spread @ root)
     share = np.maximum(share, _LEAST / len(np.unique(pairs.row)))
     half = root @ turn
-    spread = (half * share) @ half.T
-    return np.asarray(spread)
+    of_both = np.square(first).sum() + np.square(second).sum()
+    return _Error((half * share) @ half.T, root @ second, float(np.square(first).sum() / of_both))

@@ -104,7 +104,7 @@ def test_as_published_is_the_thesis_form() -> None:
     )
     assert rule_text(rule) == (
         "one segment, 100 returns, trial within 10% with no direction open, 90% in view, "
-        "all aligned, gate 7.815 (Nieto 2005, sections 5.5 and 5.7)"
+        "all aligned, gate 7.815, independent alignments (Nieto 2005, sections 5.5 and 5.7)"
     )
     # broken: a rule that is not the thesis' must not pass for it
     assert "(Nieto 2005, sections 5.5 and 5.7)" not in rule_text(

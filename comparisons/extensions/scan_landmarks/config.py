@@ -90,6 +90,11 @@ class ScanLandmarksConfig(ExtensionConfig):
         le=1e6,
         description="Gate of a template measurement: chi-square of 3 degrees of freedom",
     )
+    shared_noise: bool = Field(
+        True,
+        description="Count the noise of returns that several alignments share once. Off: take all "
+        "alignments for independent",
+    )
 
     def check_with(self, config: Configured) -> None:
         """Raise ValueError for what does not go together."""

@@ -62,6 +62,7 @@ def template_rule(options: ScanSlamOptions) -> TemplateRule:
         every=extraction.every,
         aligned=options.aligned,
         gate=options.gate,
+        shared_noise=options.shared_noise,
     )
 
 
@@ -115,7 +116,8 @@ def in_words(rule: TemplateRule) -> str:
         f"{'one segment' if rule.pieces == 'single' else 'whole scan'}, "
         f"{rule.least_returns} returns, trial within {rule.residual:.0%} with "
         f"{rule.open_directions or 'no'} direction{'s' if rule.open_directions > 1 else ''} open, "
-        f"{rule.in_view:.0%} in view, {aligned}, gate {rule.gate:g}"
+        f"{rule.in_view:.0%} in view, {aligned}, gate {rule.gate:g}, "
+        f"{'shared returns counted once' if rule.shared_noise else 'independent alignments'}"
     )
 
 
@@ -149,6 +151,7 @@ class TemplateRule(Model):
         every: scans from one that may initialise landmarks to the next.
         aligned: most templates that are aligned with a scan; 0 for all in view.
         gate: gate of an alignment, chi-square.
+        shared_noise: returns that several alignments share are counted once.
     """
 
     pieces: str
@@ -161,6 +164,7 @@ class TemplateRule(Model):
     every: int
     aligned: int
     gate: float
+    shared_noise: bool = False
 
 
 class ScanSlamResult(Model):

@@ -88,7 +88,12 @@ def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamO
     ).asking_for(config.least_returns or usual.least_returns)
     if isinstance(asked, SingleSegments):
         asked = replace(asked, tried=config.tried)
-    return ScanSlamOptions(extraction=asked, aligned=config.aligned, gate=config.gate)
+    return ScanSlamOptions(
+        extraction=asked,
+        aligned=config.aligned,
+        gate=config.gate,
+        shared_noise=config.shared_noise,
+    )
 
 
 class LogScans:
