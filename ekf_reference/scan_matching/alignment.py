@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.scan_matching.problem import (
     SLACK,
     AlignmentOptions,
     Problem,
     moved,
-    within_boundaries,
+    on_no_boundary,
 )
 from ekf_reference.scan_matching.search import Lattice, starts
 from ekf_reference.scan_matching.sog import SumOfGaussians
@@ -22,6 +21,8 @@ _COUNTERPART = 9.21
 """Squared Mahalanobis distance, 99 % of two degrees of freedom, of a Gaussian's counterpart."""
 _STIFFEST = 1e-9
 """Least curvature over the greatest that a Newton step divides by."""
+_NOTHING = 1e-300
+"""Least Lambda that has a logarithm."""
 _COARSE = 0.03
 """A step so short, in inflations, ends a stage that another follows."""
 
@@ -43,12 +44,21 @@ class Alignment:
 
 
 @dataclass(frozen=True)
-class Ascent:
-    """Where a trust-region ascent ended. value: Lambda."""
+class Ascents:
+    """Where trust-region ascents ended. pose: (K, 3). value: (K,) Lambda. converged: (K,)."""
 
     pose: Array
-    value: float
-    converged: bool
+    value: Array
+    converged: Mask
+
+    def distinct(self, unit: Array, apart_m: float) -> Index:
+        """Rows, best first, without those within a distance of a better one or empty ones."""
+        kept: list[int] = []
+        for row in np.argsort(-self.value, kind="stable").tolist():
+            apart = (self.pose[kept] - self.pose[row]) / unit
+            if self.value[row] > 0.0 and (np.linalg.norm(apart, axis=1) > apart_m).all():
+                kept.append(row)
+        return np.array(kept, dtype=np.intp)
 
 
 def align(
@@ -72,90 +82,92 @@ def aligned(problem: Problem) -> Alignment:
     if not len(problem.first) or not len(problem.second):
         return _apart(problem)
     o = problem.options
-    coarse = [_thinned(problem, s) for s in o.inflation_m]
+    stages = [_thinned(problem, s) for s in o.inflation_m]
     lattice = Lattice.over(problem.guess, problem.covariance, o.spacing_m, problem.first.lever_m)
-    begin = starts(coarse[0].first, coarse[0].second, lattice, o.inflation_m[0], o.starts)
-    ends = [ascend(coarse[0], pose, o.inflation_m[0]) for pose in begin]
-    ends = _distinct(problem, ends, o.inflation_m[0])[: o.finished]
-    for stage, inflation_m in zip(coarse[1:], o.inflation_m[1:], strict=True):
-        ends = [ascend(stage, end.pose, inflation_m) for end in ends]
-    finished = _distinct(problem, ends, o.spacing_m)
-    if not finished:
+    pose = starts(stages[0].first, stages[0].second, lattice, o.inflation_m[0], o.starts)
+    apart_m, most, runner_up = o.inflation_m[0], o.finished, 0.0
+    for stage, inflation_m in zip(stages, o.inflation_m, strict=True):
+        if len(pose) > 1 or inflation_m > 0.0:
+            ends = ascend(stage, pose, inflation_m)
+            rows = ends.distinct(problem.unit, o.spacing_m if inflation_m == 0.0 else apart_m)
+            pose = ends.pose[rows[:most]]
+            if inflation_m == 0.0 and len(rows) > 1:
+                runner_up = float(ends.value[rows[1]] / ends.value[rows[0]])
+    if not len(pose):
         return _apart(problem)
-    best = finished[0]
-    runner_up = finished[1].value / best.value if len(finished) > 1 else 0.0
-    inside = within_boundaries(problem, best.pose)
-    if len(inside.first):
-        best = ascend(inside, best.pose, 0.0)
-    return evidence(problem, best, runner_up)
+    return evidence(problem, ascend(problem, pose[:1], 0.0, _inside(problem, pose[:1])), runner_up)
 
 
 def ascend(
     problem: Problem,
     start: Array,
     inflation_m: float,
+    counted: Mask | None = None,
     held: Array | None = None,
     iterations: int | None = None,
-) -> Ascent:
-    """The maximum of Lambda uphill of a pose (3,), by Newton's method in a trust region.
+) -> Ascents:
+    """The maxima of Lambda uphill of poses (K, 3), by Newton's method in a trust region, at a time.
 
-    held: (3, k) orthonormal directions, scaled, along which the pose stays. iterations:
-    fewer than the options'.
+    counted: (K, N) which of the first sum. held: (K, 3, k) orthonormal directions, scaled, along
+    which a pose stays. iterations: fewer than the options'.
 
     Where the exact Hessian of ln Lambda bends the wrong way its eigenvalues change sign, so that
-    every step is uphill. In scaled units the step's length is within the region.
+    every step is uphill. In scaled units the step's length is within the region. A step that is
+    short enough to be the last is taken unseen.
     """
-    o, unit = problem.options, problem.unit
-    units = np.outer(unit, unit)
+    o, unit, pose = problem.options, problem.unit, start
     close = max(o.converged_m, _COARSE * inflation_m)
     slack = problem.slack_m(inflation_m)
-    pose, radius, taken = start, slack / SLACK, 0
-    pairs = problem.pairs(pose, inflation_m)
-    looked = pose
-    here = pairs.derivatives(pose)
-    while taken < (iterations or o.iterations) and here.value > 0.0:
-        taken += 1
-        slope = here.gradient / here.value * unit
-        bend = units * here.hessian / here.value - slope[:, None] * slope
+    pairs, looked = problem.pairs(pose, inflation_m, counted), pose
+    here, radius = pairs.derivatives(pose), np.full(len(pose), slack / SLACK)
+    converged, ended = np.zeros(len(pose), dtype=bool), ~(here.value > 0.0)
+    for _ in range(iterations or o.iterations):
+        slope, bend = here.of_logarithm(unit)
         step = _newton(slope, bend, radius)
         if held is not None:
-            step -= held @ (held.T @ step)
-        length = float(np.linalg.norm(step))
-        if length < close:
-            return Ascent(pose, here.value, converged=True)
-        tried = pairs.derivatives(pose + unit * step)
-        expected = float(slope @ step + 0.5 * step @ bend @ step)
-        gained = math.log(tried.value / here.value) if tried.value > 0.0 else -math.inf
-        if gained < 0.25 * expected:
-            radius = 0.25 * length
-        elif length > 0.9 * radius and gained > 0.5 * expected:
-            radius *= 2.0
-        if gained <= 0.0:
-            if length < 100.0 * close:
-                return Ascent(pose, here.value, converged=True)
-            continue
-        pose, here = pose + unit * step, tried
-        if np.abs((pose - looked) / unit).max() > slack:
-            pairs, looked = problem.pairs(pose, inflation_m), pose
+            step -= (held @ (held.transpose(0, 2, 1) @ step[:, :, None]))[:, :, 0]
+        step[ended] = 0.0
+        length = np.linalg.norm(step, axis=1)
+        last = ~ended & (length < close)
+        converged |= last
+        ended |= last
+        there = pose + unit * step
+        pose = np.where(last[:, None], there, pose)
+        if ended.all():
+            break
+        tried = pairs.derivatives(there)
+        expected = ((slope + 0.5 * (bend @ step[:, :, None])[:, :, 0]) * step).sum(axis=1)
+        gained = np.log(np.maximum(tried.value, _NOTHING) / np.maximum(here.value, _NOTHING))
+        further = (length > 0.9 * radius) & (gained > 0.5 * expected)
+        radius = np.where(gained < 0.25 * expected, 0.25 * length, radius * (1.0 + further))
+        better = (gained > 0.0) | last
+        stuck = ~ended & ~better & (length < 100.0 * close)
+        converged |= stuck
+        ended |= stuck
+        pose = np.where(better[:, None], there, pose)
+        here = here.replaced(better, tried)
+        if (np.abs((pose - looked) / unit) > slack).any():
+            pairs, looked = problem.pairs(pose, inflation_m, counted), pose
             here = pairs.derivatives(pose)
-    return Ascent(pose, here.value, converged=False)
+    return Ascents(pose, here.value, converged)
 
 
-def evidence(problem: Problem, best: Ascent, runner_up: float) -> Alignment:
-    """What is said of a maximum."""
-    if not problem.pairs(best.pose).value(best.pose) > 0.0:
+def evidence(problem: Problem, best: Ascents, runner_up: float) -> Alignment:
+    """What is said of one maximum."""
+    pose = best.pose[0]
+    if not problem.pairs(pose).value(pose) > 0.0:
         return _apart(problem)
-    laid = problem.first.transformed(best.pose)
+    laid = problem.first.transformed(pose)
     column = problem.second.tree.query(laid.mean)[1]
     apart = problem.second.mean[column] - laid.mean
     spread = laid.covariance + problem.second.covariance[column]
     square = np.einsum("ni,ni->n", apart, np.linalg.solve(spread, apart[:, :, None])[:, :, 0])
     overlap = float(problem.first.weight[square < _COUNTERPART].sum())
     return Alignment(
-        pose=moved(best.pose, -problem.centre),
+        pose=moved(pose, -problem.centre),
         overlap=overlap,
         runner_up=runner_up,
-        converged=best.converged,
+        converged=bool(best.converged[0]),
     )
 
 
@@ -164,12 +176,21 @@ def _apart(problem: Problem) -> Alignment:
     return Alignment(pose=moved(problem.guess, -problem.centre))
 
 
-def _newton(slope: Array, bend: Array, radius: float) -> Array:
+def _inside(problem: Problem, pose: Array) -> Mask | None:
+    """(1, N) which of the first sum are on no boundary of the second; all where there are none."""
+    inside = on_no_boundary(problem, pose)
+    return inside if inside.any() else None
+
+
+def _newton(slope: Array, bend: Array, radius: Array) -> Array:
+    """(K, 3) steps of no more than radii (K,)."""
     size, axes = np.linalg.eigh(bend)
-    size = np.maximum(np.abs(size), _STIFFEST * np.abs(size).max(initial=1e-300))
-    step: Array = axes @ ((axes.T @ slope) / size)
-    length = float(np.linalg.norm(step))
-    return step * (radius / length) if length > radius else step
+    size = np.abs(size)
+    size = np.maximum(size, _STIFFEST * size.max(axis=1, initial=1e-300, keepdims=True))
+    step = (axes @ ((slope[:, None] @ axes)[:, 0] / size)[:, :, None])[:, :, 0]
+    length = np.linalg.norm(step, axis=1)
+    shorter: Array = step * np.minimum(1.0, radius / np.maximum(length, radius))[:, None]
+    return shorter
 
 
 def _thinned(problem: Problem, inflation_m: float) -> Problem:
@@ -177,13 +198,3 @@ def _thinned(problem: Problem, inflation_m: float) -> Problem:
         return problem
     first, second = (s.thinned(inflation_m) for s in (problem.first, problem.second))
     return replace(problem, first=first, second=second)
-
-
-def _distinct(problem: Problem, ends: list[Ascent], apart_m: float) -> list[Ascent]:
-    """Best first, without those within a distance of a better one, and without empty ones."""
-    kept: list[Ascent] = []
-    for end in sorted(ends, key=lambda e: -e.value):
-        far = (np.linalg.norm((end.pose - k.pose) / problem.unit) > apart_m for k in kept)
-        if end.value > 0.0 and all(far):
-            kept.append(end)
-    return kept

@@ -25,7 +25,6 @@ from ekf_reference.scan_matching.problem import (
     carried,
     moved,
     on_no_boundary,
-    within_boundaries,
 )
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
@@ -112,71 +111,99 @@ def scan_align(
     about = problem.covariance_scaled + belief.neighbourhood_m**2 * np.eye(3)
     peak = moved(found.pose, problem.centre)
     shape = _Shape.at(problem, peak, about, belief)
-    if len(shape.loose.T) and len(shape.fixed.T):
+    split = _Split.of(problem, shape, about, belief)
+    loose = split.loose
+    back = peak - unit * (loose @ (loose.T @ ((peak - problem.guess) / unit)))
+    if loose.shape[1] in (1, 2):
         # What lies across moves a little when the pose goes back along what is not fixed.
-        peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
-        peak = ascend(within_boundaries(problem, peak), peak, 0.0, held=shape.loose).pose
-        shape = _Shape.at(problem, peak, about, belief)
-    peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
+        counted = on_no_boundary(problem, back[None])
+        back = ascend(problem, back[None], 0.0, counted, loose[None]).pose[0]
+        shape = _Shape.at(problem, back, about, belief)
+        back = back - unit * (loose @ (loose.T @ ((back - problem.guess) / unit)))
+    peak = back
     # From the centred sum's pose to that of its frame.
     jacobian = carried(peak, -problem.centre)
     inverse, scale = np.linalg.inv(jacobian), np.outer(unit, unit)
-    spread = jacobian @ (shape.covariance * scale) @ jacobian.T
+    spread = jacobian @ (_covariance(shape, split, unit, about, belief) * scale) @ jacobian.T
     return ScanAlignment(
         pose=moved(peak, -problem.centre),
         covariance=0.5 * (spread + spread.T),
         curvature=inverse.T @ (shape.curvature / scale) @ inverse,
-        open_directions=shape.loose.shape[1],
+        open_directions=loose.shape[1],
         alignment=found,
     )
 
 
 @dataclass(frozen=True)
 class _Shape:
-    """What the correlation fixes at a pose, scaled.
+    """Lambda about a pose (3,). counted: (N,) which of the first sum are on no boundary there.
 
-    curvature: (3, 3). fixed: (3, k) and loose: (3, 3 - k) directions. covariance: (3, 3).
+    pairs: of those. curvature: (3, 3) scaled; zeros where they meet nothing.
     """
 
+    peak: Array
+    counted: Mask
+    pairs: Pairs | None
     curvature: Array
-    fixed: Array
-    loose: Array
-    covariance: Array
 
     @classmethod
     def at(cls, problem: Problem, peak: Array, about: Array, belief: CovarianceOptions) -> _Shape:
-        unit, axes, size, curvature = problem.unit, np.eye(3), np.zeros(3), np.zeros((3, 3))
-        off_boundaries = on_no_boundary(problem, peak)
-        inside = problem.taking(off_boundaries)
-        pairs = inside.pairs(peak) if len(inside.first) and len(problem.second) else None
-        if pairs is not None and pairs.value(peak) > 0.0:
-            curvature = fitted_curvature(pairs, peak, unit, about, belief.sample_sigmas)
-            size, axes = np.linalg.eigh(curvature)
+        counted = on_no_boundary(problem, peak[None])[0]
+        pairs = None
+        if counted.any() and len(problem.second):
+            pairs = problem.pairs(peak, 0.0, counted)
+        if pairs is None or not pairs.value(peak) > 0.0:
+            return cls(peak, counted, None, np.zeros((3, 3)))
+        curvature = fitted_curvature(pairs, peak, problem.unit, about, belief.sample_sigmas)
+        return cls(peak, counted, pairs, curvature)
+
+
+@dataclass(frozen=True)
+class _Split:
+    """Directions, scaled: fixed (3, k) and loose (3, 3 - k).
+
+    bent: (3, 3) covariance of how far the loose ones leave straight lines.
+    """
+
+    fixed: Array
+    loose: Array
+    bent: Array
+
+    @classmethod
+    def of(cls, problem: Problem, shape: _Shape, about: Array, belief: CovarianceOptions) -> _Split:
+        """Those are fixed along which Lambda falls on both edges of the neighbourhood."""
+        bent = np.zeros((3, 3))
+        if shape.pairs is None:
+            return cls(np.zeros((3, 0)), np.eye(3), bent)
+        size, axes = np.linalg.eigh(shape.curvature)
         near = _along(about, axes)
         met = size * near > belief.sharp
-        valley, bent = axes.copy(), np.zeros((3, 3))
-        for k in np.flatnonzero(~met).tolist() if curvature.any() else ():
-            way = math.sqrt(near[k]) * axes[:, k]
-            edges = [_edge(problem, peak, side * way) for side in (-1.0, 1.0)]
-            met[k] = size[k] > 0.0 and all(
-                _falls(problem, peak, edge, belief, off_boundaries) for edge in edges
-            )
-            if not met[k]:
-                low, high = ((edge - peak) / unit for edge in edges)
-                valley[:, k] = high - low
-                bow = 0.5 * (high + low)
-                bent += bow[:, None] * bow
+        asked = np.flatnonzero(~met)
+        if not len(asked):
+            return cls(axes, axes[:, :0], bent)
+        way = (np.sqrt(near[asked]) * axes[:, asked]).T
+        edge = _edges(problem, shape.peak, np.concatenate((-way, way)))
+        falls = _falls(problem, shape, edge, belief).reshape(2, -1).all(axis=0)
+        met[asked] = falls & (size[asked] > 0.0)
+        low, high = ((edge - shape.peak) / problem.unit).reshape(2, -1, 3)[:, ~met[asked]]
+        bow = 0.5 * (high + low)
         # The valley's own direction: the curvature's axis is not as exact.
-        order = np.concatenate((valley[:, ~met], axes[:, met]), axis=1)
-        axes = np.linalg.qr(order)[0]
-        count = int(np.count_nonzero(~met))
-        loose, fixed = axes[:, :count], axes[:, count:]
-        covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
-        if pairs is not None and met.any():
-            flattest = belief.fallen / _along(about, fixed).max()
-            covariance += _sandwich(pairs, peak, unit, curvature, fixed, flattest)
-            covariance += fixed @ (fixed.T @ bent @ fixed) @ fixed.T
-        return cls(curvature, fixed, loose, covariance)
+        order = np.concatenate(((high - low).T, axes[:, met]), axis=1)
+        turned, count = np.linalg.qr(order)[0], len(bow)
+        return cls(turned[:, count:], turned[:, :count], bow.T @ bow)
+
+
+def _covariance(
+    shape: _Shape, split: _Split, unit: Array, about: Array, belief: CovarianceOptions
+) -> Array:
+    """(3, 3) scaled: wide along what is loose, that of the maximum's error along what is fixed."""
+    fixed, loose = split.fixed, split.loose
+    covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
+    if shape.pairs is not None and fixed.shape[1]:
+        flattest = belief.fallen / _along(about, fixed).max()
+        covariance += _sandwich(shape.pairs, shape.peak, unit, shape.curvature, fixed, flattest)
+        covariance += fixed @ (fixed.T @ split.bent @ fixed) @ fixed.T
+    return np.asarray(covariance)
 
 
 def _along(covariance: Array, axes: Array) -> Array:
@@ -185,32 +212,33 @@ def _along(covariance: Array, axes: Array) -> Array:
     return variance
 
 
-def _edge(problem: Problem, peak: Array, way: Array) -> Array:
-    """(3,) the best pose beside the end of a way (3,), scaled."""
+def _edges(problem: Problem, peak: Array, way: Array) -> Array:
+    """(K, 3) the best poses beside the ends of ways (K, 3), scaled."""
     pose = peak + problem.unit * way
-    held = (way / np.linalg.norm(way))[:, None]
+    held = (way / np.linalg.norm(way, axis=1, keepdims=True))[:, :, None]
     # A curved valley may be farther away than the exact correlation feels it.
     for inflation_m in problem.options.inflation_m[-2:]:
-        pose = ascend(within_boundaries(problem, pose), pose, inflation_m, held, iterations=8).pose
+        counted = on_no_boundary(problem, pose)
+        pose = ascend(problem, pose, inflation_m, counted, held, iterations=8).pose
     return pose
 
 
-def _falls(
-    problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions, off_boundaries: Mask
-) -> bool:
-    """Whether Lambda falls from its maximum to an edge (3,), by more than chance.
+def _falls(problem: Problem, shape: _Shape, edge: Array, belief: CovarianceOptions) -> Mask:
+    """(K,) whether Lambda falls from its maximum to edges (K, 3), by more than chance.
 
-    Only what is on no boundary at either pose counts (off_boundaries: at the maximum).
+    Only what is on no boundary at either pose counts.
     """
-    both = off_boundaries & on_no_boundary(problem, edge, _ASIDE)
-    if not both.any():
-        return False
-    common = problem.taking(both)
-    here, there = (common.each(pose) for pose in (peak, edge))
-    lost = here - there
-    fall = -2.0 * math.log(max(there.sum() / here.sum(), _NOTHING)) if here.sum() > 0.0 else 0.0
-    chance = belief.beyond_chance * float(np.linalg.norm(np.minimum(np.abs(lost), _RIPPLE * here)))
-    return fall >= belief.fallen and float(lost.sum()) >= chance
+    both = shape.counted & on_no_boundary(problem, edge, _ASIDE)
+    if shape.pairs is None or not both.any():
+        return np.zeros(len(edge), dtype=bool)
+    here = both * problem.each(shape.pairs, shape.peak[None])
+    there = problem.each(problem.pairs(edge, 0.0, both), edge)
+    lost, before = here - there, here.sum(axis=1)
+    left = there.sum(axis=1) / np.where(before > 0.0, before, 1.0)
+    fall = np.where(before > 0.0, -2.0 * np.log(np.maximum(left, _NOTHING)), 0.0)
+    ripple = np.linalg.norm(np.minimum(np.abs(lost), _RIPPLE * here), axis=1)
+    falls: Mask = (fall >= belief.fallen) & (lost.sum(axis=1) >= belief.beyond_chance * ripple)
+    return falls & (before > 0.0)
 
 
 def fitted_curvature(
@@ -222,13 +250,12 @@ def fitted_curvature(
     leaves by more than a sigma. The samples lie on an ellipsoid of the exact curvature's axes.
     """
     at = pairs.derivatives(peak)
-    slope = unit * at.gradient / at.value
-    bend = np.outer(slope, slope) - np.outer(unit, unit) * at.hessian / at.value
+    bend = -at.of_logarithm(unit)[1]
     size, axes = np.linalg.eigh(bend)
     near = np.sqrt(np.einsum("ik,ij,jk->k", axes, about, axes))
     reach = np.minimum(sample_sigmas / np.sqrt(np.maximum(size, 1e-12)), near)
     sample = _DIRECTIONS * reach
-    value = np.array([pairs.value(peak + unit * (axes @ one)) for one in sample])
+    value = pairs.value((peak + unit * (sample @ axes.T))[:, None])[:, 0]
     form = quadratic_form(sample, -2.0 * np.log(np.maximum(value / at.value, _NOTHING)))
     fitted: Array = axes @ form @ axes.T
     return fitted
