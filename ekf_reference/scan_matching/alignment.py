@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
-    SLACK,
     AlignmentOptions,
     Problem,
     moved,
@@ -23,8 +23,8 @@ _STIFFEST = 1e-9
 """Least curvature over the greatest that a Newton step divides by."""
 _NOTHING = 1e-300
 """Least Lambda that has a logarithm."""
-_COARSE = 0.03
-"""A step so short, in inflations, ends a stage that another follows."""
+COARSE = 0.03
+"""A step so short, in typical sigmas, ends an ascent that need not be exact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +45,15 @@ class Alignment:
 
 @dataclass(frozen=True)
 class Ascents:
-    """Where trust-region ascents ended. pose: (K, 3). value: (K,) Lambda. converged: (K,)."""
+    """Where trust-region ascents ended.
+
+    pose: (K, 3). value: (K,) Lambda. converged: (K,). pairs: that counted.
+    """
 
     pose: Array
     value: Array
     converged: Mask
+    pairs: Pairs
 
     def distinct(self, unit: Array, apart_m: float) -> Index:
         """Rows, best first, without those within a distance of a better one or empty ones."""
@@ -104,24 +108,25 @@ def ascend(
     inflation_m: float,
     counted: Mask | None = None,
     held: Array | None = None,
-    iterations: int | None = None,
+    close_m: float | None = None,
 ) -> Ascents:
     """The maxima of Lambda uphill of poses (K, 3), by Newton's method in a trust region, at a time.
 
     counted: (K, N) which of the first sum. held: (K, 3, k) orthonormal directions, scaled, along
-    which a pose stays. iterations: fewer than the options'.
+    which a pose stays. close_m: a step so short, at the lever's end, is the last; by default the
+    options'.
 
     Where the exact Hessian of ln Lambda bends the wrong way its eigenvalues change sign, so that
     every step is uphill. In scaled units the step's length is within the region. A step that is
     short enough to be the last is taken unseen.
     """
     o, unit, pose = problem.options, problem.unit, start
-    close = max(o.converged_m, _COARSE * inflation_m)
-    slack = problem.slack_m(inflation_m)
+    size, slack = problem.size_m(inflation_m), problem.slack_m(inflation_m)
+    close = close_m or (COARSE * size if inflation_m > 0.0 else o.converged_m)
     pairs, looked = problem.pairs(pose, inflation_m, counted), pose
-    here, radius = pairs.derivatives(pose), np.full(len(pose), slack / SLACK)
+    here, radius = pairs.derivatives(pose), np.full(len(pose), size)
     converged, ended = np.zeros(len(pose), dtype=bool), ~(here.value > 0.0)
-    for _ in range(iterations or o.iterations):
+    for _ in range(o.iterations):
         slope, bend = here.of_logarithm(unit)
         step = _newton(slope, bend, radius)
         if held is not None:
@@ -149,7 +154,7 @@ def ascend(
         if (np.abs((pose - looked) / unit) > slack).any():
             pairs, looked = problem.pairs(pose, inflation_m, counted), pose
             here = pairs.derivatives(pose)
-    return Ascents(pose, here.value, converged)
+    return Ascents(pose, here.value, converged, pairs)
 
 
 def evidence(problem: Problem, best: Ascents, runner_up: float) -> Alignment:

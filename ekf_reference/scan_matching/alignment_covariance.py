@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask
-from ekf_reference.scan_matching.alignment import Alignment, aligned, ascend
+from ekf_reference.scan_matching.alignment import COARSE, Alignment, Ascents, aligned, ascend
 from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
     AlignmentOptions,
@@ -112,15 +112,14 @@ def scan_align(
     peak = moved(found.pose, problem.centre)
     shape = _Shape.at(problem, peak, about, belief)
     split = _Split.of(problem, shape, about, belief)
-    loose = split.loose
-    back = peak - unit * (loose @ (loose.T @ ((peak - problem.guess) / unit)))
-    if loose.shape[1] in (1, 2):
+    if split.loose.shape[1] in (1, 2):
         # What lies across moves a little when the pose goes back along what is not fixed.
-        counted = on_no_boundary(problem, back[None])
-        back = ascend(problem, back[None], 0.0, counted, loose[None]).pose[0]
-        shape = _Shape.at(problem, back, about, belief)
-        back = back - unit * (loose @ (loose.T @ ((back - problem.guess) / unit)))
-    peak = back
+        back = _guessed(problem, peak, split.loose)[None]
+        back = ascend(problem, back, 0.0, on_no_boundary(problem, back), split.loose[None]).pose
+        shape = _Shape.at(problem, back[0], about, belief)
+        split = _Split.of(problem, shape, about, belief, split)
+    loose = split.loose
+    peak = _guessed(problem, shape.peak, loose)
     # From the centred sum's pose to that of its frame.
     jacobian = carried(peak, -problem.centre)
     inverse, scale = np.linalg.inv(jacobian), np.outer(unit, unit)
@@ -170,27 +169,44 @@ class _Split:
     bent: Array
 
     @classmethod
-    def of(cls, problem: Problem, shape: _Shape, about: Array, belief: CovarianceOptions) -> _Split:
-        """Those are fixed along which Lambda falls on both edges of the neighbourhood."""
-        bent = np.zeros((3, 3))
+    def of(
+        cls,
+        problem: Problem,
+        shape: _Shape,
+        about: Array,
+        belief: CovarianceOptions,
+        known: _Split | None = None,
+    ) -> _Split:
+        """Those are fixed along which Lambda falls on both edges of the neighbourhood.
+
+        known: whose loose directions stay loose.
+        """
+        known = known or cls(np.eye(3), np.zeros((3, 0)), np.zeros((3, 3)))
         if shape.pairs is None:
-            return cls(np.zeros((3, 0)), np.eye(3), bent)
-        size, axes = np.linalg.eigh(shape.curvature)
+            return cls(np.zeros((3, 0)), np.eye(3), known.bent)
+        size, own = np.linalg.eigh(known.fixed.T @ shape.curvature @ known.fixed)
+        axes = known.fixed @ own
         near = _along(about, axes)
         met = size * near > belief.sharp
         asked = np.flatnonzero(~met)
         if not len(asked):
-            return cls(axes, axes[:, :0], bent)
+            return cls(axes, known.loose, known.bent)
         way = (np.sqrt(near[asked]) * axes[:, asked]).T
         edge = _edges(problem, shape.peak, np.concatenate((-way, way)))
         falls = _falls(problem, shape, edge, belief).reshape(2, -1).all(axis=0)
         met[asked] = falls & (size[asked] > 0.0)
-        low, high = ((edge - shape.peak) / problem.unit).reshape(2, -1, 3)[:, ~met[asked]]
+        low, high = ((edge.pose - shape.peak) / problem.unit).reshape(2, -1, 3)[:, ~met[asked]]
         bow = 0.5 * (high + low)
         # The valley's own direction: the curvature's axis is not as exact.
-        order = np.concatenate(((high - low).T, axes[:, met]), axis=1)
-        turned, count = np.linalg.qr(order)[0], len(bow)
-        return cls(turned[:, count:], turned[:, :count], bow.T @ bow)
+        order = np.concatenate((known.loose, (high - low).T, axes[:, met]), axis=1)
+        turned, count = np.linalg.qr(order)[0], 3 - int(met.sum())
+        return cls(turned[:, count:], turned[:, :count], known.bent + bow.T @ bow)
+
+
+def _guessed(problem: Problem, pose: Array, loose: Array) -> Array:
+    """(3,) a pose (3,), as guessed along directions (3, k), scaled."""
+    apart = (pose - problem.guess) / problem.unit
+    return np.asarray(pose - problem.unit * (loose @ (loose.T @ apart)))
 
 
 def _covariance(
@@ -212,27 +228,27 @@ def _along(covariance: Array, axes: Array) -> Array:
     return variance
 
 
-def _edges(problem: Problem, peak: Array, way: Array) -> Array:
-    """(K, 3) the best poses beside the ends of ways (K, 3), scaled."""
+def _edges(problem: Problem, peak: Array, way: Array) -> Ascents:
+    """The best poses (K, 3) beside the ends of ways (K, 3), scaled."""
     pose = peak + problem.unit * way
     held = (way / np.linalg.norm(way, axis=1, keepdims=True))[:, :, None]
+    close_m = COARSE * problem.size_m()
     # A curved valley may be farther away than the exact correlation feels it.
-    for inflation_m in problem.options.inflation_m[-2:]:
-        counted = on_no_boundary(problem, pose)
-        pose = ascend(problem, pose, inflation_m, counted, held, iterations=8).pose
-    return pose
+    wide, exact = problem.options.inflation_m[-2:]
+    pose = ascend(problem, pose, wide, on_no_boundary(problem, pose), held, close_m).pose
+    return ascend(problem, pose, exact, on_no_boundary(problem, pose), held, close_m)
 
 
-def _falls(problem: Problem, shape: _Shape, edge: Array, belief: CovarianceOptions) -> Mask:
-    """(K,) whether Lambda falls from its maximum to edges (K, 3), by more than chance.
+def _falls(problem: Problem, shape: _Shape, edge: Ascents, belief: CovarianceOptions) -> Mask:
+    """(K,) whether Lambda falls from its maximum to K edges, by more than chance.
 
     Only what is on no boundary at either pose counts.
     """
-    both = shape.counted & on_no_boundary(problem, edge, _ASIDE)
-    if shape.pairs is None or not both.any():
-        return np.zeros(len(edge), dtype=bool)
+    both = shape.counted & on_no_boundary(problem, edge.pose, _ASIDE)
+    if shape.pairs is None:
+        return np.zeros(len(both), dtype=bool)
     here = both * problem.each(shape.pairs, shape.peak[None])
-    there = problem.each(problem.pairs(edge, 0.0, both), edge)
+    there = both * problem.each(edge.pairs, edge.pose)
     lost, before = here - there, here.sum(axis=1)
     left = there.sum(axis=1) / np.where(before > 0.0, before, 1.0)
     fall = np.where(before > 0.0, -2.0 * np.log(np.maximum(left, _NOTHING)), 0.0)

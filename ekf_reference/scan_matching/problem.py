@@ -13,7 +13,7 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _SHORTEST_M = 0.1
 """Least lever of a sum that is all in one place."""
-SLACK = 0.25
+_SLACK, _SLACK_INFLATED = 0.25, 1.0
 """Pairs are looked up again after a motion by so many typical sigmas."""
 
 
@@ -108,9 +108,13 @@ class Problem:
         wanted = CorrespondenceSearch(most, far, o.reach, inflation_m, slack)
         return Pairs.near(self.first, self.second, pose, wanted, counted)
 
+    def size_m(self, inflation_m: float = 0.0) -> float:
+        """Sigma of a typical Gaussian of the first sum: the scale of what Lambda feels."""
+        return math.sqrt(self.first.typical_variance + inflation_m**2)
+
     def slack_m(self, inflation_m: float = 0.0) -> float:
         """How far, at the lever's end, pairs may move before they are looked up again."""
-        return SLACK * math.sqrt(self.first.typical_variance + inflation_m**2)
+        return (_SLACK_INFLATED if inflation_m > 0.0 else _SLACK) * self.size_m(inflation_m)
 
     def each(self, pairs: Pairs, pose: Array) -> Array:
         """(K, N) what each of the first sum adds to Lambda at poses (K, 3), by their pairs."""
