@@ -160,7 +160,7 @@ def ascend(
 def evidence(problem: Problem, best: Ascents, runner_up: float) -> Alignment:
     """What is said of one maximum."""
     pose = best.pose[0]
-    if not problem.pairs(pose).value(pose) > 0.0:
+    if not best.value[0] > 0.0:
         return _apart(problem)
     laid = problem.first.transformed(pose)
     column = problem.second.tree.query(laid.mean)[1]

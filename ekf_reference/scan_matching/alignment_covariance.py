@@ -192,10 +192,10 @@ class _Split:
         if not len(asked):
             return cls(axes, known.loose, known.bent)
         way = (np.sqrt(near[asked]) * axes[:, asked]).T
-        edge = _edges(problem, shape.peak, np.concatenate((-way, way)))
-        falls = _falls(problem, shape, edge, belief).reshape(2, -1).all(axis=0)
+        edge, falls = _edges(problem, shape, np.concatenate((-way, way)), belief)
+        falls = falls.reshape(2, -1).all(axis=0)
         met[asked] = falls & (size[asked] > 0.0)
-        low, high = ((edge.pose - shape.peak) / problem.unit).reshape(2, -1, 3)[:, ~met[asked]]
+        low, high = ((edge - shape.peak) / problem.unit).reshape(2, -1, 3)[:, ~met[asked]]
         bow = 0.5 * (high + low)
         # The valley's own direction: the curvature's axis is not as exact.
         order = np.concatenate((known.loose, (high - low).T, axes[:, met]), axis=1)
@@ -228,33 +228,48 @@ def _along(covariance: Array, axes: Array) -> Array:
     return variance
 
 
-def _edges(problem: Problem, peak: Array, way: Array) -> Ascents:
-    """The best poses (K, 3) beside the ends of ways (K, 3), scaled."""
-    pose = peak + problem.unit * way
+def _edges(
+    problem: Problem, shape: _Shape, way: Array, belief: CovarianceOptions
+) -> tuple[Array, Mask]:
+    """(K, 3) the best poses beside the ends of ways (K, 3), scaled; (K,) where Lambda has fallen.
+
+    A curved valley may be farther away than the exact correlation feels it, so that the blurred one
+    goes first. Where that has fallen by more than chance could ever do, no closer look is needed.
+    """
+    edge, falls = shape.peak + problem.unit * way, np.zeros(len(way), dtype=bool)
     held = (way / np.linalg.norm(way, axis=1, keepdims=True))[:, :, None]
     close_m = COARSE * problem.size_m()
-    # A curved valley may be farther away than the exact correlation feels it.
-    wide, exact = problem.options.inflation_m[-2:]
-    pose = ascend(problem, pose, wide, on_no_boundary(problem, pose), held, close_m).pose
-    return ascend(problem, pose, exact, on_no_boundary(problem, pose), held, close_m)
+    for inflation_m in problem.options.inflation_m[-2:]:
+        rest = np.flatnonzero(~falls)
+        if len(rest):
+            counted = on_no_boundary(problem, edge[rest])
+            end = ascend(problem, edge[rest], inflation_m, counted, held[rest], close_m)
+            edge[rest], falls[rest] = end.pose, _falls(problem, shape, end, inflation_m, belief)
+    return edge, falls
 
 
-def _falls(problem: Problem, shape: _Shape, edge: Ascents, belief: CovarianceOptions) -> Mask:
+def _falls(
+    problem: Problem, shape: _Shape, edge: Ascents, inflation_m: float, belief: CovarianceOptions
+) -> Mask:
     """(K,) whether Lambda falls from its maximum to K edges, by more than chance.
 
     Only what is on no boundary at either pose counts.
     """
     both = shape.counted & on_no_boundary(problem, edge.pose, _ASIDE)
-    if shape.pairs is None:
+    blurred = inflation_m > 0.0
+    pairs = problem.pairs(shape.peak, inflation_m, shape.counted) if blurred else shape.pairs
+    if pairs is None:
         return np.zeros(len(both), dtype=bool)
-    here = both * problem.each(shape.pairs, shape.peak[None])
+    here = both * problem.each(pairs, shape.peak[None])
     there = both * problem.each(edge.pairs, edge.pose)
     lost, before = here - there, here.sum(axis=1)
     left = there.sum(axis=1) / np.where(before > 0.0, before, 1.0)
-    fall = np.where(before > 0.0, -2.0 * np.log(np.maximum(left, _NOTHING)), 0.0)
-    ripple = np.linalg.norm(np.minimum(np.abs(lost), _RIPPLE * here), axis=1)
-    falls: Mask = (fall >= belief.fallen) & (lost.sum(axis=1) >= belief.beyond_chance * ripple)
-    return falls & (before > 0.0)
+    ripple = _RIPPLE * here
+    if not blurred:
+        ripple = np.minimum(np.abs(lost), ripple)
+    chance = belief.beyond_chance * np.linalg.norm(ripple, axis=1)
+    falls = -2.0 * np.log(np.maximum(left, _NOTHING)) >= belief.fallen
+    return np.asarray(falls & (lost.sum(axis=1) >= chance) & (before > 0.0))
 
 
 def fitted_curvature(

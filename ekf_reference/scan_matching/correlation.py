@@ -117,29 +117,32 @@ class Pairs:
         _, column = second.tree.query(
             plane(place[body]), k=[*range(1, most + 1)], distance_upper_bound=wanted.m
         )
-        found = np.flatnonzero(column < len(second))
-        column, body = column.ravel().take(found), body.take(found // most)
         at, row = np.divmod(body, len(first))
-        apart = second.point.take(column) - place.take(body)
-        spin = np.exp(2j * pose[:, 2])
-        middle = (first.half_trace + wanted.inflation_m**2).take(row) + second.half_trace.take(
-            column
+        # Those that are missing have the tree's size for a number, and are left out below.
+        q, its, middle = (
+            some.take(column, mode="clip")
+            for some in (second.point, second.deviator, second.half_trace)
         )
-        deviator = spin.take(at) * first.deviator.take(row) + second.deviator.take(column)
-        reach, size = middle + wanted.slack_m**2, _square(deviator)
-        square = reach * _square(apart) - _dot(deviator, apart * apart)
-        met = np.flatnonzero(square <= wanted.sigmas**2 * (reach * reach - size))
-        at, row, column = at.take(met), row.take(met), column.take(met)
+        own = first.deviator.take(row)
+        middle += (first.half_trace + wanted.inflation_m**2).take(row)[:, None]
+        turned = np.exp(2j * pose[:, 2]).take(at) * own
+        apart, askew = q - place.take(body)[:, None], its + turned[:, None]
+        reach = middle + wanted.slack_m**2
+        square = reach * _square(apart) - _dot(askew, apart * apart)
+        near = square <= wanted.sigmas**2 * (reach * reach - _square(askew))
+        met = np.flatnonzero(near & (column < len(second)))
+        body, column = met // most, column.ravel().take(met)
+        at, row = at.take(body), row.take(body)
         return cls(
             begin=np.searchsorted(at, np.arange(len(pose))),
             at=at,
             row=row,
             column=column,
             p=first.point.take(row),
-            q=second.point.take(column),
-            own=first.deviator.take(row),
-            its=second.deviator.take(column),
-            middle=middle.take(met),
+            q=q.ravel().take(met),
+            own=own.take(body),
+            its=its.ravel().take(met),
+            middle=middle.ravel().take(met),
             weight=first.weight.take(row) * second.weight.take(column) * (0.5 / np.pi),
         )
 
