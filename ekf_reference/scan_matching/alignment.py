@@ -23,7 +23,9 @@ _STIFFEST = 1e-9
 """Least curvature over the greatest that a Newton step divides by."""
 _NOTHING = 1e-300
 """Least Lambda that has a logarithm."""
-COARSE = 0.03
+_BRIDGED = 1.25
+"""Typical sigmas within which a start finds its maximum."""
+COARSE = 0.1
 """A step so short, in typical sigmas, ends an ascent that need not be exact."""
 
 
@@ -86,17 +88,19 @@ def aligned(problem: Problem) -> Alignment:
     if not len(problem.first) or not len(problem.second):
         return _apart(problem)
     o = problem.options
-    stages = [_thinned(problem, s) for s in o.inflation_m]
     lattice = Lattice.over(problem.guess, problem.covariance, o.spacing_m, problem.first.lever_m)
-    pose = starts(stages[0].first, stages[0].second, lattice, o.inflation_m[0], o.starts)
-    apart_m, most, runner_up = o.inflation_m[0], o.finished, 0.0
-    for stage, inflation_m in zip(stages, o.inflation_m, strict=True):
-        if len(pose) > 1 or inflation_m > 0.0:
-            ends = ascend(stage, pose, inflation_m)
-            rows = ends.distinct(problem.unit, o.spacing_m if inflation_m == 0.0 else apart_m)
-            pose = ends.pose[rows[:most]]
-            if inflation_m == 0.0 and len(rows) > 1:
-                runner_up = float(ends.value[rows[1]] / ends.value[rows[0]])
+    stages = _stages(problem, lattice)
+    blurred = _thinned(problem, stages[0])
+    pose = starts(blurred.first, blurred.second, lattice, stages[0], o.starts)
+    for inflation_m in stages[:-1]:
+        ends = ascend(_thinned(problem, inflation_m), pose, inflation_m)
+        pose = ends.pose[ends.distinct(problem.unit, stages[0])[: o.finished]]
+    runner_up = 0.0
+    if len(pose) > 1:
+        ends = ascend(problem, pose, 0.0)
+        rows = ends.distinct(problem.unit, o.spacing_m)
+        runner_up = float(ends.value[rows[1]] / ends.value[rows[0]]) if len(rows) > 1 else 0.0
+        pose = ends.pose[rows]
     if not len(pose):
         return _apart(problem)
     return evidence(problem, ascend(problem, pose[:1], 0.0, _inside(problem, pose[:1])), runner_up)
@@ -179,6 +183,21 @@ def evidence(problem: Problem, best: Ascents, runner_up: float) -> Alignment:
 def _apart(problem: Problem) -> Alignment:
     """Two sums that do not meet: the guess."""
     return Alignment(pose=moved(problem.guess, -problem.centre))
+
+
+def _stages(problem: Problem, lattice: Lattice) -> tuple[float, ...]:
+    """The inflations of the options from the first that is needed.
+
+    From a single start a later one may bridge the prior on its own.
+    """
+    stages = problem.options.inflation_m
+    while (
+        len(lattice.pose) == 1
+        and len(stages) > 2
+        and lattice.reach_m < _BRIDGED * problem.size_m(stages[1])
+    ):
+        stages = stages[1:]
+    return stages
 
 
 def _inside(problem: Problem, pose: Array) -> Mask | None:

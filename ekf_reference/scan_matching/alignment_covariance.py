@@ -286,7 +286,7 @@ def fitted_curvature(
     near = np.sqrt(np.einsum("ik,ij,jk->k", axes, about, axes))
     reach = np.minimum(sample_sigmas / np.sqrt(np.maximum(size, 1e-12)), near)
     sample = _DIRECTIONS * reach
-    value = pairs.value((peak + unit * (sample @ axes.T))[:, None])[:, 0]
+    value = np.array([pairs.value(peak + unit * (axes @ one)) for one in sample])
     form = quadratic_form(sample, -2.0 * np.log(np.maximum(value / at.value, _NOTHING)))
     fitted: Array = axes @ form @ axes.T
     return fitted

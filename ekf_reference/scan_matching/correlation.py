@@ -167,7 +167,7 @@ class Pairs:
         each[6], each[8] = mixed.real, mixed.imag
         each[9] = turned.gradient**2 + turned.second
         each *= at.term
-        total = self._sums(each).T.reshape(*pose.shape[:-1], -1)
+        total = self._sums(each).T.reshape(*pose.shape[:-1], len(each))
         hessian = np.empty((*pose.shape[:-1], 3, 3))
         hessian[..., _ROWS, _COLUMNS] = hessian[..., _COLUMNS, _ROWS] = total[..., 4:]
         return Derivatives(total[..., 0], total[..., 1:4], hessian)
