@@ -126,6 +126,7 @@ def ascend(
     """
     o, unit, pose = problem.options, problem.unit, start
     size, slack = problem.size_m(inflation_m), problem.slack_m(inflation_m)
+    slack = slack if close_m is None else size
     close = close_m or (COARSE * size if inflation_m > 0.0 else o.converged_m)
     pairs, looked = problem.pairs(pose, inflation_m, counted), pose
     here, radius = pairs.derivatives(pose), np.full(len(pose), size)

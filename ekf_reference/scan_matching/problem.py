@@ -13,7 +13,7 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _SHORTEST_M = 0.1
 """Least lever of a sum that is all in one place."""
-_SLACK, _SLACK_INFLATED = 0.25, 1.0
+_SLACK, _SLACK_INFLATED = 0.25, 0.25
 """Pairs are looked up again after a motion by so many typical sigmas."""
 
 
