@@ -114,35 +114,32 @@ class Pairs:
         place = laid(first.point, pose).ravel()
         body = np.arange(len(place)) if counted is None else np.flatnonzero(counted)
         most = min(wanted.most, len(second))
-        _, column = second.tree.query(
-            plane(place[body]), k=[*range(1, most + 1)], distance_upper_bound=wanted.m
-        )
+        found = second.tree.query(plane(place[body]), k=most, distance_upper_bound=wanted.m)
+        distance, column = (one.reshape(-1, most) for one in found)
+        more = wanted.inflation_m**2 + wanted.slack_m**2
+        own = (first.larger + more).take(body % len(first))
+        # No farther than S reaches along its longer axis; those that are missing are at infinity.
+        longest = own[:, None] + second.larger.take(column, mode="clip")
+        near = np.flatnonzero(distance * distance <= wanted.sigmas**2 * longest)
+        body, column = body.take(near // most), column.ravel().take(near)
         at, row = np.divmod(body, len(first))
-        # Those that are missing have the tree's size for a number, and are left out below.
-        q, its, middle = (
-            some.take(column, mode="clip")
-            for some in (second.point, second.deviator, second.half_trace)
-        )
-        own = first.deviator.take(row)
-        middle += (first.half_trace + wanted.inflation_m**2).take(row)[:, None]
-        turned = np.exp(2j * pose[:, 2]).take(at) * own
-        apart, askew = q - place.take(body)[:, None], its + turned[:, None]
-        reach = middle + wanted.slack_m**2
+        p, q = first.deviator.take(row), second.deviator.take(column)
+        middle = first.half_trace.take(row) + second.half_trace.take(column) + wanted.inflation_m**2
+        apart = second.point.take(column) - place.take(body)
+        askew, reach = np.exp(2j * pose[:, 2]).take(at) * p + q, middle + wanted.slack_m**2
         square = reach * _square(apart) - _dot(askew, apart * apart)
-        near = square <= wanted.sigmas**2 * (reach * reach - _square(askew))
-        met = np.flatnonzero(near & (column < len(second)))
-        body, column = met // most, column.ravel().take(met)
-        at, row = at.take(body), row.take(body)
+        met = np.flatnonzero(square <= wanted.sigmas**2 * (reach * reach - _square(askew)))
+        at, row, column = at.take(met), row.take(met), column.take(met)
         return cls(
             begin=np.searchsorted(at, np.arange(len(pose))),
             at=at,
             row=row,
             column=column,
             p=first.point.take(row),
-            q=q.ravel().take(met),
-            own=own.take(body),
-            its=its.ravel().take(met),
-            middle=middle.ravel().take(met),
+            q=second.point.take(column),
+            own=p.take(met),
+            its=q.take(met),
+            middle=middle.take(met),
             weight=first.weight.take(row) * second.weight.take(column) * (0.5 / np.pi),
         )
 

@@ -82,6 +82,11 @@ class SumOfGaussians:
         return np.asarray(half + 1j * self.covariance[:, 0, 1])
 
     @cached_property
+    def larger(self) -> Array:
+        """(N,) variances along the longer axes [m^2]."""
+        return np.asarray(self.half_trace + np.abs(self.deviator))
+
+    @cached_property
     def _thinned(self) -> dict[float, SumOfGaussians]:
         return {}
 
