@@ -9,6 +9,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
+    SLACK,
     AlignmentOptions,
     Problem,
     moved,
@@ -114,19 +115,19 @@ def ascend(
     held: Array | None = None,
     close_m: float | None = None,
 ) -> Ascents:
-    """The maxima of Lambda uphill of poses (K, 3), by Newton's method in a trust region, at a time.
+    """The maxima of Lambda uphill of poses (K, 3), all at once, by trust-region Newton.
 
     counted: (K, N) which of the first sum. held: (K, 3, k) orthonormal directions, scaled, along
-    which a pose stays. close_m: a step so short, at the lever's end, is the last; by default the
-    options'.
+    which a pose stays. close_m: a step so short, at the lever's end, is the last, where the maximum
+    need not be exact; pairs are then looked up less often, too.
 
     Where the exact Hessian of ln Lambda bends the wrong way its eigenvalues change sign, so that
     every step is uphill. In scaled units the step's length is within the region. A step that is
     short enough to be the last is taken unseen.
     """
     o, unit, pose = problem.options, problem.unit, start
-    size, slack = problem.size_m(inflation_m), problem.slack_m(inflation_m)
-    slack = slack if close_m is None else size
+    size = problem.size_m(inflation_m)
+    slack = SLACK * size if close_m is None else size
     close = close_m or (COARSE * size if inflation_m > 0.0 else o.converged_m)
     pairs, looked = problem.pairs(pose, inflation_m, counted), pose
     here, radius = pairs.derivatives(pose), np.full(len(pose), size)

@@ -193,8 +193,7 @@ class _Split:
             return cls(axes, known.loose, known.bent)
         way = (np.sqrt(near[asked]) * axes[:, asked]).T
         edge, falls = _edges(problem, shape, np.concatenate((-way, way)), belief)
-        falls = falls.reshape(2, -1).all(axis=0)
-        met[asked] = falls & (size[asked] > 0.0)
+        met[asked] = (size[asked] > 0.0) & falls.reshape(2, -1).all(axis=0)
         low, high = ((edge - shape.peak) / problem.unit).reshape(2, -1, 3)[:, ~met[asked]]
         bow = 0.5 * (high + low)
         # The valley's own direction: the curvature's axis is not as exact.

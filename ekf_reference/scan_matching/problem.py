@@ -13,7 +13,7 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _SHORTEST_M = 0.1
 """Least lever of a sum that is all in one place."""
-_SLACK, _SLACK_INFLATED = 0.25, 0.25
+SLACK = 0.25
 """Pairs are looked up again after a motion by so many typical sigmas."""
 
 
@@ -25,8 +25,8 @@ class AlignmentOptions:
     correlation itself. spacing_m: of the starts; the first inflation must bridge it. starts: most
     that are followed; finished: most that are followed to the end. neighbours: most Gaussians of
     the second sum that one of the first is paired with, neighbours_inflated: in stages that only
-    prepare another; reach: within so many sigmas. iterations:
-    most per stage. converged_m: a step so small, at the lever's end, is the last.
+    prepare another; reach: within so many sigmas. iterations: most
+    per stage. converged_m: a step so small, at the lever's end, is the last.
     """
 
     inflation_m: tuple[float, ...] = (0.6, 0.2, 0.0)
@@ -101,20 +101,17 @@ class Problem:
         """Neighbours at poses (K, 3). counted: (K, N) which of the first sum, by default all."""
         o = self.options
         most = o.neighbours_inflated if inflation_m > 0.0 else o.neighbours
-        slack = self.slack_m(inflation_m)
         far = o.reach * math.sqrt(
             self.first.typical_variance + self.second.typical_variance + inflation_m**2
         )
-        wanted = CorrespondenceSearch(most, far, o.reach, inflation_m, slack)
+        wanted = CorrespondenceSearch(
+            most, far, o.reach, inflation_m, SLACK * self.size_m(inflation_m)
+        )
         return Pairs.near(self.first, self.second, pose, wanted, counted)
 
     def size_m(self, inflation_m: float = 0.0) -> float:
         """Sigma of a typical Gaussian of the first sum: the scale of what Lambda feels."""
         return math.sqrt(self.first.typical_variance + inflation_m**2)
-
-    def slack_m(self, inflation_m: float = 0.0) -> float:
-        """How far, at the lever's end, pairs may move before they are looked up again."""
-        return (_SLACK_INFLATED if inflation_m > 0.0 else _SLACK) * self.size_m(inflation_m)
 
     def each(self, pairs: Pairs, pose: Array) -> Array:
         """(K, N) what each of the first sum adds to Lambda at poses (K, 3), by their pairs."""
