@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask
-from ekf_reference.scan_matching.alignment import Alignment, aligned, ascend
+from ekf_reference.scan_matching.alignment import COARSE, Alignment, Ascents, aligned, ascend
 from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
     AlignmentOptions,
@@ -26,7 +26,6 @@ from ekf_reference.scan_matching.problem import (
     carried,
     moved,
     on_no_boundary,
-    within_boundaries,
 )
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
@@ -117,79 +116,128 @@ def scan_align(
     about = problem.covariance_scaled + belief.neighbourhood_m**2 * np.eye(3)
     peak = moved(found.pose, problem.centre)
     shape = _Shape.at(problem, peak, about, belief)
-    if len(shape.loose.T) and len(shape.fixed.T):
+    split = _Split.of(problem, shape, about, belief)
+    if split.loose.shape[1] in (1, 2):
         # What lies across moves a little when the pose goes back along what is not fixed.
-        peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
-        peak = ascend(within_boundaries(problem, peak), peak, 0.0, held=shape.loose).pose
-        shape = _Shape.at(problem, peak, about, belief)
-    peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
+        back = _guessed(problem, peak, split.loose)[None]
+        back = ascend(problem, back, 0.0, on_no_boundary(problem, back), split.loose[None]).pose
+        shape = _Shape.at(problem, back[0], about, belief)
+        split = _Split.of(problem, shape, about, belief, split)
+    loose = split.loose
+    peak = _guessed(problem, shape.peak, loose)
     # From the centred sum's pose to that of its frame.
     jacobian = carried(peak, -problem.centre)
     inverse, scale = np.linalg.inv(jacobian), np.outer(unit, unit)
-    spread = jacobian @ (shape.covariance * scale) @ jacobian.T
+    error = _error(shape, split, problem, about, belief)
+    spread = jacobian @ (error.covariance * scale) @ jacobian.T
     return ScanAlignment(
         pose=moved(peak, -problem.centre),
         covariance=0.5 * (spread + spread.T),
         curvature=inverse.T @ (shape.curvature / scale) @ inverse,
-        open_directions=shape.loose.shape[1],
+        open_directions=loose.shape[1],
         alignment=found,
-        by_second=jacobian @ (unit[:, None] * shape.by_second),
-        first_share=shape.first_share,
+        by_second=jacobian @ (unit[:, None] * error.by_second),
+        first_share=error.first_share,
     )
 
 
 @dataclass(frozen=True)
 class _Shape:
-    """What the correlation fixes at a pose, scaled.
+    """Lambda about a pose (3,). counted: (N,) which of the first sum are on no boundary there.
 
-    curvature: (3, 3). fixed: (3, k) and loose: (3, 3 - k) directions. covariance: (3, 3).
-    by_second, first_share: see ScanAlignment.
+    pairs: of those. curvature: (3, 3) scaled; zeros where they meet nothing.
     """
 
+    peak: Array
+    counted: Mask
+    pairs: Pairs | None
     curvature: Array
+
+    @classmethod
+    def at(cls, problem: Problem, peak: Array, about: Array, belief: CovarianceOptions) -> _Shape:
+        counted = on_no_boundary(problem, peak[None])[0]
+        pairs = None
+        if counted.any() and len(problem.second):
+            pairs = problem.pairs(peak, 0.0, counted)
+        if pairs is None or not pairs.value(peak) > 0.0:
+            return cls(peak, counted, None, np.zeros((3, 3)))
+        curvature = fitted_curvature(pairs, peak, problem.unit, about, belief.sample_sigmas)
+        return cls(peak, counted, pairs, curvature)
+
+
+@dataclass(frozen=True)
+class _Split:
+    """Directions, scaled: fixed (3, k) and loose (3, 3 - k).
+
+    bent: (3, 3) covariance of how far the loose ones leave straight lines.
+    """
+
     fixed: Array
     loose: Array
+    bent: Array
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        shape: _Shape,
+        about: Array,
+        belief: CovarianceOptions,
+        known: _Split | None = None,
+    ) -> _Split:
+        """Those are fixed along which Lambda falls on both edges of the neighbourhood.
+
+        known: whose loose directions stay loose.
+        """
+        known = known or cls(np.eye(3), np.zeros((3, 0)), np.zeros((3, 3)))
+        if shape.pairs is None:
+            return cls(np.zeros((3, 0)), np.eye(3), known.bent)
+        size, own = np.linalg.eigh(known.fixed.T @ shape.curvature @ known.fixed)
+        axes = known.fixed @ own
+        near = _along(about, axes)
+        met = size * near > belief.sharp
+        asked = np.flatnonzero(~met)
+        if not len(asked):
+            return cls(axes, known.loose, known.bent)
+        way = (np.sqrt(near[asked]) * axes[:, asked]).T
+        edge, falls = _edges(problem, shape, np.concatenate((-way, way)), belief)
+        met[asked] = (size[asked] > 0.0) & falls.reshape(2, -1).all(axis=0)
+        low, high = ((edge - shape.peak) / problem.unit).reshape(2, -1, 3)[:, ~met[asked]]
+        bow = 0.5 * (high + low)
+        # The valley's own direction: the curvature's axis is not as exact.
+        order = np.concatenate((known.loose, (high - low).T, axes[:, met]), axis=1)
+        turned, count = np.linalg.qr(order)[0], 3 - int(met.sum())
+        return cls(turned[:, count:], turned[:, :count], known.bent + bow.T @ bow)
+
+
+def _guessed(problem: Problem, pose: Array, loose: Array) -> Array:
+    """(3,) a pose (3,), as guessed along directions (3, k), scaled."""
+    apart = (pose - problem.guess) / problem.unit
+    return np.asarray(pose - problem.unit * (loose @ (loose.T @ apart)))
+
+
+class _Error(NamedTuple):
+    """Of a maximum, scaled: covariance (3, 3); see ScanAlignment of by_second and first_share."""
+
     covariance: Array
     by_second: Array
     first_share: float
 
-    @classmethod
-    def at(cls, problem: Problem, peak: Array, about: Array, belief: CovarianceOptions) -> _Shape:
-        unit, axes, size, curvature = problem.unit, np.eye(3), np.zeros(3), np.zeros((3, 3))
-        off_boundaries = on_no_boundary(problem, peak)
-        inside = problem.taking(off_boundaries)
-        pairs = inside.pairs(peak) if len(inside.first) and len(problem.second) else None
-        if pairs is not None and pairs.value(peak) > 0.0:
-            curvature = fitted_curvature(pairs, peak, unit, about, belief.sample_sigmas)
-            size, axes = np.linalg.eigh(curvature)
-        near = _along(about, axes)
-        met = size * near > belief.sharp
-        valley, bent = axes.copy(), np.zeros((3, 3))
-        for k in np.flatnonzero(~met).tolist() if curvature.any() else ():
-            way = math.sqrt(near[k]) * axes[:, k]
-            edges = [_edge(problem, peak, side * way) for side in (-1.0, 1.0)]
-            met[k] = size[k] > 0.0 and all(
-                _falls(problem, peak, edge, belief, off_boundaries) for edge in edges
-            )
-            if not met[k]:
-                low, high = ((edge - peak) / unit for edge in edges)
-                valley[:, k] = high - low
-                bow = 0.5 * (high + low)
-                bent += bow[:, None] * bow
-        # The valley's own direction: the curvature's axis is not as exact.
-        order = np.concatenate((valley[:, ~met], axes[:, met]), axis=1)
-        axes = np.linalg.qr(order)[0]
-        count = int(np.count_nonzero(~met))
-        loose, fixed = axes[:, :count], axes[:, count:]
-        covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
-        by_second, first_share = np.zeros((3, len(problem.second))), 0.0
-        if pairs is not None and met.any():
-            flattest = belief.fallen / _along(about, fixed).max()
-            error = _sandwich(pairs, peak, unit, curvature, fixed, flattest)
-            covariance += error.covariance + fixed @ (fixed.T @ bent @ fixed) @ fixed.T
-            by_second[:, : error.by_second.shape[1]] = error.by_second
-            first_share = error.first_share
-        return cls(curvature, fixed, loose, covariance, by_second, first_share)
+
+def _error(
+    shape: _Shape, split: _Split, problem: Problem, about: Array, belief: CovarianceOptions
+) -> _Error:
+    """Wide along what is loose, that of the maximum's error along what is fixed."""
+    fixed, loose = split.fixed, split.loose
+    wide = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
+    if shape.pairs is None or not fixed.shape[1]:
+        return _Error(wide, np.zeros((3, len(problem.second))), 0.0)
+    flattest = belief.fallen / _along(about, fixed).max()
+    known = _sandwich(shape.pairs, shape, problem.unit, fixed, flattest)
+    by_second = np.zeros((3, len(problem.second)))
+    by_second[:, : known.by_second.shape[1]] = known.by_second
+    bent = fixed @ (fixed.T @ split.bent @ fixed) @ fixed.T
+    return _Error(wide + known.covariance + bent, by_second, known.first_share)
 
 
 def _along(covariance: Array, axes: Array) -> Array:
@@ -198,32 +246,48 @@ def _along(covariance: Array, axes: Array) -> Array:
     return variance
 
 
-def _edge(problem: Problem, peak: Array, way: Array) -> Array:
-    """(3,) the best pose beside the end of a way (3,), scaled."""
-    pose = peak + problem.unit * way
-    held = (way / np.linalg.norm(way))[:, None]
-    # A curved valley may be farther away than the exact correlation feels it.
+def _edges(
+    problem: Problem, shape: _Shape, way: Array, belief: CovarianceOptions
+) -> tuple[Array, Mask]:
+    """(K, 3) the best poses beside the ends of ways (K, 3), scaled; (K,) where Lambda has fallen.
+
+    A curved valley may be farther away than the exact correlation feels it, so that the blurred one
+    goes first. Where that has fallen by more than chance could ever do, no closer look is needed.
+    """
+    edge, falls = shape.peak + problem.unit * way, np.zeros(len(way), dtype=bool)
+    held = (way / np.linalg.norm(way, axis=1, keepdims=True))[:, :, None]
+    close_m = COARSE * problem.size_m()
     for inflation_m in problem.options.inflation_m[-2:]:
-        pose = ascend(within_boundaries(problem, pose), pose, inflation_m, held, iterations=8).pose
-    return pose
+        rest = np.flatnonzero(~falls)
+        if len(rest):
+            counted = on_no_boundary(problem, edge[rest])
+            end = ascend(problem, edge[rest], inflation_m, counted, held[rest], close_m)
+            edge[rest], falls[rest] = end.pose, _falls(problem, shape, end, inflation_m, belief)
+    return edge, falls
 
 
 def _falls(
-    problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions, off_boundaries: Mask
-) -> bool:
-    """Whether Lambda falls from its maximum to an edge (3,), by more than chance.
+    problem: Problem, shape: _Shape, edge: Ascents, inflation_m: float, belief: CovarianceOptions
+) -> Mask:
+    """(K,) whether Lambda falls from its maximum to K edges, by more than chance.
 
-    Only what is on no boundary at either pose counts (off_boundaries: at the maximum).
+    Only what is on no boundary at either pose counts.
     """
-    both = off_boundaries & on_no_boundary(problem, edge, _ASIDE)
-    if not both.any():
-        return False
-    common = problem.taking(both)
-    here, there = (common.each(pose) for pose in (peak, edge))
-    lost = here - there
-    fall = -2.0 * math.log(max(there.sum() / here.sum(), _NOTHING)) if here.sum() > 0.0 else 0.0
-    chance = belief.beyond_chance * float(np.linalg.norm(np.minimum(np.abs(lost), _RIPPLE * here)))
-    return fall >= belief.fallen and float(lost.sum()) >= chance
+    both = shape.counted & on_no_boundary(problem, edge.pose, _ASIDE)
+    blurred = inflation_m > 0.0
+    pairs = problem.pairs(shape.peak, inflation_m, shape.counted) if blurred else shape.pairs
+    if pairs is None:
+        return np.zeros(len(both), dtype=bool)
+    here = both * problem.each(pairs, shape.peak[None])
+    there = both * problem.each(edge.pairs, edge.pose)
+    lost, before = here - there, here.sum(axis=1)
+    left = there.sum(axis=1) / np.where(before > 0.0, before, 1.0)
+    ripple = _RIPPLE * here
+    if not blurred:
+        ripple = np.minimum(np.abs(lost), ripple)
+    chance = belief.beyond_chance * np.linalg.norm(ripple, axis=1)
+    falls = -2.0 * np.log(np.maximum(left, _NOTHING)) >= belief.fallen
+    return np.asarray(falls & (lost.sum(axis=1) >= chance) & (before > 0.0))
 
 
 def fitted_curvature(
@@ -235,8 +299,7 @@ def fitted_curvature(
     leaves by more than a sigma. The samples lie on an ellipsoid of the exact curvature's axes.
     """
     at = pairs.derivatives(peak)
-    slope = unit * at.gradient / at.value
-    bend = np.outer(slope, slope) - np.outer(unit, unit) * at.hessian / at.value
+    bend = -at.of_logarithm(unit)[1]
     size, axes = np.linalg.eigh(bend)
     near = np.sqrt(np.einsum("ik,ij,jk->k", axes, about, axes))
     reach = np.minimum(sample_sigmas / np.sqrt(np.maximum(size, 1e-12)), near)
@@ -263,25 +326,16 @@ def quadratic_form(apart: Array, drop: Array) -> Array:
     return form / np.outer(scale, scale)
 
 
-class _Error(NamedTuple):
-    """Of a maximum, scaled: covariance (3, 3); see ScanAlignment of by_second and first_share."""
-
-    covariance: Array
-    by_second: Array
-    first_share: float
-
-
-def _sandwich(
-    pairs: Pairs, peak: Array, unit: Array, curvature: Array, axes: Array, flattest: float
-) -> _Error:
+def _sandwich(pairs: Pairs, shape: _Shape, unit: Array, axes: Array, flattest: float) -> _Error:
     """C J C on axes (3, k); positive definite there, no curvature below a least."""
+    peak = shape.peak
     scale = unit[:, None] / pairs.value(peak)
     score, twice = scale * pairs.scores(peak), scale * pairs.scores_across(peak)
     of_first = np.stack([np.bincount(pairs.row, one) for one in score])
     of_second = np.stack([np.bincount(pairs.column, one) for one in score])
     # A pair's own share is in the gradient of both of its returns.
     spread = of_first @ of_first.T + of_second @ of_second.T - twice @ twice.T
-    size, own = np.linalg.eigh(axes.T @ curvature @ axes)
+    size, own = np.linalg.eigh(axes.T @ shape.curvature @ axes)
     root = axes @ own / np.sqrt(np.maximum(size, flattest))
     first, second = (root.T @ one for one in (of_first, of_second))
     share, turn = np.linalg.eigh(root.T @ spread @ root)
