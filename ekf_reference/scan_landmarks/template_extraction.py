@@ -89,8 +89,8 @@ class JoinedSegments(TemplateExtraction):
     """All segments of a scan in one landmark, as far as they stay in view.
 
     enough: a scan in which so many landmarks are observed begins none; one with none always does.
-    ahead_m: returns are taken that stay in view when the vehicle moves so far, or half or a quarter
-    of it where that leaves fewer than `least`. share: less than the thesis' 90 %, since the view
+    ahead_m: returns are taken that stay in view when the vehicle moves so far, or half, a quarter
+    or nothing of it where that leaves fewer than `least`. share: less than the thesis' 90 %, since the view
     changes sooner than what is seen of one object.
     """
 
@@ -124,7 +124,7 @@ class JoinedSegments(TemplateExtraction):
         if not parts:
             return
         rows = np.concatenate(parts)
-        for share in (1.0, 0.5, 0.25):
+        for share in (1.0, 0.5, 0.25, 0.0):
             left = rows[view.sees(scan.mean[rows] - share * self.ahead_m * ahead)]
             if len(left) >= self.least:
                 yield left

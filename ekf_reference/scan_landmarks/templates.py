@@ -24,6 +24,7 @@ OUT_OF_VIEW = "out of view"
 APART = "does not meet the scan"
 AMBIGUOUS = "ambiguous"
 UNFINISHED = "not converged"
+UNDETERMINED = "no direction determined"
 
 
 MOVING_SHARE = 0.2
@@ -132,7 +133,7 @@ class Observation:
     """The observation of a template in a scan.
 
     alignment: z and R with their evidence, None when nothing was tried. reason: why it must not
-    be used, one of BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNFINISHED; empty where it may be.
+    be used, one of BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNDETERMINED, UNFINISHED; empty where it may be.
     """
 
     alignment: ScanAlignment | None
@@ -178,6 +179,8 @@ def observe(
         return Observation(found, APART)
     if evidence.runner_up > o.ambiguous:
         return Observation(found, AMBIGUOUS)
+    if found.open_directions == 3:
+        return Observation(found, UNDETERMINED)
     return Observation(found, "" if evidence.converged else UNFINISHED)
 
 
