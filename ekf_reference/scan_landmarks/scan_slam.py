@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ekf_reference.core.ekf import NEW, Ekf
-from ekf_reference.core.geometry import Array, Index, rotation
+from ekf_reference.core.geometry import Array, Index, rotation, wrap_angle
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.segmentation import quality
@@ -111,6 +111,23 @@ class ScanLandmarks:
     moving: set[int] = field(default_factory=set)
 
 
+class _Seen(NamedTuple):
+    """A measurement before the gate: z^ and z (3,), R and S (3, 3)."""
+
+    landmark_index: int
+    predicted: Array
+    z: Array
+    noise: Array
+    covariance: Array
+    alignment: ScanAlignment
+
+    @property
+    def normalised_squared(self) -> float:
+        """The normalised innovation squared (Nieto 2005, eq. 2.58)."""
+        innovation = self.z - self.predicted
+        return float(innovation @ np.linalg.solve(self.covariance, innovation))
+
+
 class ScanSlam:
     """Measures templates in scans and initialises new ones; the filter is the caller's."""
 
@@ -176,38 +193,42 @@ class ScanSlam:
         self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, sink: MeasurementSink
     ) -> int:
         """Fuse [z, R] = scan_align(G_L, G_o, z^) of those in view and gate; returns how many."""
-        seen: list[tuple[int, Array, Array]] = []
-        alignments: list[ScanAlignment] = []
+        seen: list[_Seen] = []
         for row in self._in_view(predicted, scan):
-            landmark_index, z = int(predicted.landmark_index[row]), predicted.z[row]
-            spread, o = predicted.covariance[row], self.options
-            wide = spread + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
-            template, place = (
-                self.found.template[landmark_index],
-                ekf.state.places(POSE)[landmark_index],
-            )
-            what = self._observer.observe(template, place, scan, z, wide, self._matching)
-            reason = what.reason or USED
-            if what.usable and what.alignment is not None:
-                r = (
-                    with_persistence(what.alignment)
-                    if o.shared_noise
-                    else what.alignment.covariance
-                )
-                innovation = what.alignment.pose - z
-                innovation[2] = np.mod(innovation[2] + np.pi, 2.0 * np.pi) - np.pi
-                if innovation @ np.linalg.solve(spread + r, innovation) <= o.gate:
-                    seen.append((landmark_index, z + innovation, r))
-                    alignments.append(what.alignment)
-                else:
-                    reason = GATED
-            self.found.reasons[reason] += 1
+            one = self._observe(ekf, predicted, row, scan)
+            if one is None:
+                continue
+            within = one.normalised_squared <= self.options.gate
+            self.found.reasons[USED if within else GATED] += 1
+            if within:
+                seen.append(one)
         if seen:
-            noise = np.array([r for *_, r in seen])
+            noise = np.array([one.noise for one in seen])
             if self.options.shared_noise:
-                noise = with_shared_returns(alignments, noise)
-            self._reported(sink, [(*one[:2], r) for one, r in zip(seen, noise, strict=True)])
+                noise = with_shared_returns([one.alignment for one in seen], noise)
+            self._reported(
+                sink, [(one.landmark_index, one.z, r) for one, r in zip(seen, noise, strict=True)]
+            )
         return len(seen)
+
+    def _observe(
+        self, ekf: Ekf, predicted: Predicted, row: int, scan: SumOfGaussians
+    ) -> _Seen | None:
+        """Align a template with the scan; None, and the reason counted, where it is not seen."""
+        o, landmark_index = self.options, int(predicted.landmark_index[row])
+        z, spread = predicted.z[row], predicted.covariance[row]
+        wide = spread + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
+        template = self.found.template[landmark_index]
+        place = ekf.state.places(POSE)[landmark_index]
+        what = self._observer.observe(template, place, scan, z, wide, self._matching)
+        found = what.alignment
+        if not what.usable or found is None:
+            self.found.reasons[what.reason] += 1
+            return None
+        r = with_persistence(found) if o.shared_noise else found.covariance
+        innovation = found.pose - z
+        innovation[2] = wrap_angle(innovation[2])
+        return _Seen(landmark_index, z, z + innovation, r, spread + r, found)
 
     def _in_view(self, predicted: Predicted, scan: SumOfGaussians) -> list[int]:
         """Rows of the predicted that are to be aligned.

@@ -89,8 +89,8 @@ class JoinedSegments(TemplateExtraction):
     """All segments of a scan in one landmark, as far as they stay in view.
 
     enough: a scan in which so many landmarks are observed begins none; one with none always does.
-    ahead_m: returns are taken that stay in view when the vehicle moves so far, or half, a quarter
-    or nothing of it where that leaves fewer than `least`. share: less than the thesis' 90 %, since the view
+    ahead_m: returns are taken that stay in view when the vehicle moves so far, or where that leaves
+    fewer than `least`, half, a quarter or nothing of it. share: less than the thesis' 90 %, since the view
     changes sooner than what is seen of one object.
     """
 

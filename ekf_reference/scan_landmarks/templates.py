@@ -133,7 +133,8 @@ class Observation:
     """The observation of a template in a scan.
 
     alignment: z and R with their evidence, None when nothing was tried. reason: why it must not
-    be used, one of BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNDETERMINED, UNFINISHED; empty where it may be.
+    be used, one of BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNDETERMINED, UNFINISHED; empty where it
+    may be.
     """
 
     alignment: ScanAlignment | None

@@ -1,0 +1,167 @@
+"""Scan-SLAM on the real car park, as recorded and with its inputs moved by 1e-12.
+
+    python benchmarks/scan_car_park.py DATA/acfr_car_park [--runs 20] [--processes 2] [--end 125]
+
+Per run: verdict, landmarks, and of filter and smoother the root mean square and median distance to
+GPS after a rigid alignment, and how far the beacons are off that no estimator saw: each beacon's
+detections are placed from the estimated poses, averaged, aligned to the surveyed places with the
+others, and compared. Below: what differs between the runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import NamedTuple
+
+import numpy as np
+from joblib import Parallel, delayed
+from scan_rounding import perturbed  # type: ignore[import-not-found]
+
+from comparisons.arrays import Array
+from comparisons.checks.accuracy import aligned, rigid_motion
+from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+from comparisons.logs.transforms.time_window import cut_log
+from comparisons.pipeline.compare import compare
+from comparisons.settings import run_config
+
+BEACON_M = 1.5
+"""A detection farther from every surveyed beacon is of something else."""
+LEAST = 5
+"""Detections of a beacon that counts."""
+
+
+class Errors(NamedTuple):
+    """Of one estimate [m]: RMS and median from GPS; beacons: how many, their RMS, the farthest."""
+
+    rms: float
+    median: float
+    beacons: int
+    beacon_rms: float
+    beacon_most: float
+
+
+class Run(NamedTuple):
+    """verdict, landmarks, used: decided. ekf, smoother, wheels. scans_per_s of a core."""
+
+    verdict: str
+    landmarks: int
+    used: int
+    ekf: Errors
+    smoother: Errors
+    wheels_rms: float
+    scans_per_s: float
+
+
+def main() -> None:
+    """Run all and print a line each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("log")
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--end", type=float, default=np.inf)
+    asked = parser.parse_args()
+    work = (delayed(one)(asked.log, number, asked.end) for number in range(asked.runs + 1))
+    runs: list[Run] = []
+    for number, run in enumerate(Parallel(n_jobs=asked.processes, return_as="generator")(work)):
+        runs.append(run)
+        print(
+            f"{number:3} {run.verdict:10} {run.landmarks} landmarks, {run.used} used, "
+            f"{run.scans_per_s:.1f} scans/s; wheels {run.wheels_rms:.3f} m",
+            *(
+                f"\n    {name:8} {_words(e)}"
+                for name, e in (("EKF", run.ekf), ("smoother", run.smoother))
+            ),
+            flush=True,
+        )
+    first, others = runs[0], runs[1:]
+    same = sum(run[:3] == first[:3] for run in others)
+    print(f"verdict, landmarks and measurements as unmoved: {same} of {len(others)}")
+    for name in ("ekf", "smoother"):
+        apart = [
+            np.abs(np.subtract(getattr(run, name), getattr(first, name))).max() for run in others
+        ]
+        print(f"{name}: figures differ by at most {max(apart, default=0.0):.1e} m")
+
+
+def one(path: str, number: int, end_s: float) -> Run:
+    """Run `number`, 0 with the inputs as they are."""
+    log = open_log(path)
+    if np.isfinite(end_s):
+        log = cut_log(log, end_s=end_s)
+    if number:
+        log = perturbed(log, np.random.default_rng(number))
+    start = time.process_time()
+    c = compare(log, run_config(landmarks="scans"))
+    spent = time.process_time() - start
+    found = c.find(ScanLandmarksFinding).source.found
+    reckoned = c.assessment.dead_reckoned
+    if reckoned is None or reckoned.gps_rms_aligned_m is None:
+        raise ValueError("the log has no GPS")
+    return Run(
+        c.verdict.outcome,
+        len(c.ekf.estimate.pose_landmarks),
+        len(c.ekf.pose_landmarks.measured),
+        errors(log, c.ekf.estimate),
+        errors(log, c.gaps.smoothed),
+        float(reckoned.gps_rms_aligned_m),
+        found.scans / spent,
+    )
+
+
+def errors(log: Log, estimate: Estimate) -> Errors:
+    """Compare an estimate with GPS and with the surveyed beacons."""
+    positions = log.positions
+    if positions is None:
+        raise ValueError("the log has no GPS")
+    at = _poses(estimate, positions.time_s)[:, :2]
+    away = np.hypot(*(aligned(at, positions.position_m) - positions.position_m).T)
+    robust = np.hypot(*(aligned(at, positions.position_m, robust=True) - positions.position_m).T)
+    found, true = beacons(log, estimate)
+    off = np.hypot(*(aligned(found, true) - true).T)
+    return Errors(
+        float(np.sqrt(np.square(away).mean())),
+        float(np.median(robust)),
+        len(off),
+        float(np.sqrt(np.square(off).mean())),
+        float(off.max()),
+    )
+
+
+def beacons(log: Log, estimate: Estimate) -> tuple[Array, Array]:
+    """(B, 2) mean places of the beacons' detections from estimated poses, and the surveyed ones."""
+    seen, table, positions = log.measurements, log.truth.landmarks, log.positions
+    if table is None or positions is None:
+        raise ValueError("the log has no surveyed beacons")
+    pose = _poses(estimate, seen.time_s)
+    bearing = pose[:, 2] + seen.bearing_rad
+    place = pose[:, :2] + seen.range_m[:, None] * np.column_stack(
+        (np.cos(bearing), np.sin(bearing))
+    )
+    at = _poses(estimate, positions.time_s)[:, :2]
+    moved = rigid_motion(at, positions.position_m)(place)
+    apart = np.linalg.norm(moved[:, None] - table.position_m, axis=2)
+    nearest, near = apart.argmin(axis=1), apart.min(axis=1) < BEACON_M
+    counted = [k for k in range(len(table.position_m)) if (near & (nearest == k)).sum() >= LEAST]
+    found = np.array([place[near & (nearest == k)].mean(axis=0) for k in counted])
+    return found.reshape(-1, 2), table.position_m[counted]
+
+
+def _poses(estimate: Estimate, time_s: Array) -> Array:
+    heading = np.unwrap(estimate.pose[:, 2])
+    columns = (*estimate.pose[:, :2].T, heading)
+    return np.column_stack([np.interp(time_s, estimate.time_s, column) for column in columns])
+
+
+def _words(e: Errors) -> str:
+    return (
+        f"GPS rms {e.rms:.3f}, median {e.median:.3f} m; {e.beacons} beacons, "
+        f"rms {e.beacon_rms:.3f}, farthest {e.beacon_most:.3f} m"
+    )
+
+
+if __name__ == "__main__":
+    main()
