@@ -96,12 +96,12 @@ def aligned(problem: Problem) -> Alignment:
     for inflation_m in stages[:-1]:
         ends = ascend(_thinned(problem, inflation_m), pose, inflation_m)
         pose = ends.pose[ends.distinct(problem.unit, stages[0])[: o.finished]]
-    runner_up = 0.0
-    if len(pose) > 1:
-        ends = ascend(problem, pose, 0.0)
-        rows = ends.distinct(problem.unit, o.spacing_m)
-        runner_up = float(ends.value[rows[1]] / ends.value[rows[0]]) if len(rows) > 1 else 0.0
-        pose = ends.pose[rows]
+    # A lone maximum only shows what is on a boundary; several are compared.
+    close_m = COARSE * problem.size_m() if len(pose) == 1 else None
+    ends = ascend(problem, pose, 0.0, close_m=close_m)
+    rows = ends.distinct(problem.unit, o.spacing_m)
+    runner_up = float(ends.value[rows[1]] / ends.value[rows[0]]) if len(rows) > 1 else 0.0
+    pose = ends.pose[rows]
     if not len(pose):
         return _apart(problem)
     return evidence(problem, ascend(problem, pose[:1], 0.0, _inside(problem, pose[:1])), runner_up)
