@@ -114,12 +114,13 @@ def ascend(
     counted: Mask | None = None,
     held: Array | None = None,
     close_m: float | None = None,
+    slack: float = SLACK,
 ) -> Ascents:
     """The maxima of Lambda uphill of poses (K, 3), all at once, by trust-region Newton.
 
     counted: (K, N) which of the first sum. held: (K, 3, k) orthonormal directions, scaled, along
-    which a pose stays. close_m: a step so short, at the lever's end, is the last, where the maximum
-    need not be exact; pairs are then looked up less often, too.
+    which a pose stays. close_m: a step so short, at the lever's end, is the last; by default the
+    options'. slack: pairs are looked up again after a motion by so many typical sigmas.
 
     Where the exact Hessian of ln Lambda bends the wrong way its eigenvalues change sign, so that
     every step is uphill. In scaled units the step's length is within the region. A step that is
@@ -127,7 +128,6 @@ def ascend(
     """
     o, unit, pose = problem.options, problem.unit, start
     size = problem.size_m(inflation_m)
-    slack = SLACK * size if close_m is None else size
     close = close_m or (COARSE * size if inflation_m > 0.0 else o.converged_m)
     pairs, looked = problem.pairs(pose, inflation_m, counted), pose
     here, radius = pairs.derivatives(pose), np.full(len(pose), size)
@@ -157,7 +157,7 @@ def ascend(
         ended |= stuck
         pose = np.where(better[:, None], there, pose)
         here = here.replaced(better, tried)
-        if (np.abs((pose - looked) / unit) > slack).any():
+        if (np.abs((pose - looked) / unit) > slack * size).any():
             pairs, looked = problem.pairs(pose, inflation_m, counted), pose
             here = pairs.derivatives(pose)
     return Ascents(pose, here.value, converged, pairs)
