@@ -96,12 +96,12 @@ def aligned(problem: Problem) -> Alignment:
     for inflation_m in stages[:-1]:
         ends = ascend(_thinned(problem, inflation_m), pose, inflation_m)
         pose = ends.pose[ends.distinct(problem.unit, stages[0])[: o.finished]]
-    runner_up = 0.0
-    if len(pose) > 1:
-        ends = ascend(problem, pose, 0.0)
-        rows = ends.distinct(problem.unit, o.spacing_m)
-        runner_up = float(ends.value[rows[1]] / ends.value[rows[0]]) if len(rows) > 1 else 0.0
-        pose = ends.pose[rows]
+    # A lone maximum only shows what is on a boundary; several are compared.
+    close_m = COARSE * problem.size_m() if len(pose) == 1 else None
+    ends = ascend(problem, pose, 0.0, close_m=close_m)
+    rows = ends.distinct(problem.unit, o.spacing_m)
+    runner_up = float(ends.value[rows[1]] / ends.value[rows[0]]) if len(rows) > 1 else 0.0
+    pose = ends.pose[rows]
     if not len(pose):
         return _apart(problem)
     return evidence(problem, ascend(problem, pose[:1], 0.0, _inside(problem, pose[:1])), runner_up)
@@ -114,12 +114,13 @@ def ascend(
     counted: Mask | None = None,
     held: Array | None = None,
     close_m: float | None = None,
+    slack: float = SLACK,
 ) -> Ascents:
     """The maxima of Lambda uphill of poses (K, 3), all at once, by trust-region Newton.
 
     counted: (K, N) which of the first sum. held: (K, 3, k) orthonormal directions, scaled, along
-    which a pose stays. close_m: a step so short, at the lever's end, is the last, where the maximum
-    need not be exact; pairs are then looked up less often, too.
+    which a pose stays. close_m: a step so short, at the lever's end, is the last; by default the
+    options'. slack: pairs are looked up again after a motion by so many typical sigmas.
 
     Where the exact Hessian of ln Lambda bends the wrong way its eigenvalues change sign, so that
     every step is uphill. In scaled units the step's length is within the region. A step that is
@@ -127,7 +128,6 @@ def ascend(
     """
     o, unit, pose = problem.options, problem.unit, start
     size = problem.size_m(inflation_m)
-    slack = SLACK * size if close_m is None else size
     close = close_m or (COARSE * size if inflation_m > 0.0 else o.converged_m)
     pairs, looked = problem.pairs(pose, inflation_m, counted), pose
     here, radius = pairs.derivatives(pose), np.full(len(pose), size)
@@ -157,7 +157,7 @@ def ascend(
         ended |= stuck
         pose = np.where(better[:, None], there, pose)
         here = here.replaced(better, tried)
-        if (np.abs((pose - looked) / unit) > slack).any():
+        if (np.abs((pose - looked) / unit) > slack * size).any():
             pairs, looked = problem.pairs(pose, inflation_m, counted), pose
             here = pairs.derivatives(pose)
     return Ascents(pose, here.value, converged, pairs)

@@ -45,6 +45,8 @@ _ROWS, _COLUMNS = np.triu_indices(3)
 _TWICE = np.where(_ROWS == _COLUMNS, 1.0, 2.0)
 _ASIDE = 7.0
 """Sigmas off a surface beyond which something has left it by its side."""
+_EDGE_SLACK = 1.0
+"""Of pairs at edges, in typical sigmas (see `ascend`): they only tell whether Lambda has fallen."""
 _RIPPLE = 0.5
 """Share of what a return adds that noise alone may take from it."""
 _NOTHING = 1e-100
@@ -261,7 +263,9 @@ def _edges(
         rest = np.flatnonzero(~falls)
         if len(rest):
             counted = on_no_boundary(problem, edge[rest])
-            end = ascend(problem, edge[rest], inflation_m, counted, held[rest], close_m)
+            end = ascend(
+                problem, edge[rest], inflation_m, counted, held[rest], close_m, slack=_EDGE_SLACK
+            )
             edge[rest], falls[rest] = end.pose, _falls(problem, shape, end, inflation_m, belief)
     return edge, falls
 

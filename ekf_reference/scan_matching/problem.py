@@ -37,7 +37,7 @@ class AlignmentOptions:
     neighbours_inflated: int = 12
     reach: float = 3.5
     iterations: int = 30
-    converged_m: float = 1e-5
+    converged_m: float = 1e-6
 
     def __post_init__(self) -> None:
         """Check the stages."""
