@@ -90,8 +90,8 @@ class JoinedSegments(TemplateExtraction):
 
     enough: a scan in which so many landmarks are observed begins none; one with none always does.
     ahead_m: returns are taken that stay in view when the vehicle moves so far, or where that leaves
-    fewer than `least`, half, a quarter or nothing of it. share: less than the thesis' 90 %, since the view
-    changes sooner than what is seen of one object.
+    fewer than `least`, half, a quarter or nothing of it. share: less than the thesis' 90 %, since
+    the view changes sooner than what is seen of one object.
     """
 
     name: ClassVar[str] = "joined"
