@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
+from ekf_reference.scan_landmarks import templates
 from ekf_reference.scan_landmarks.segmentation import (
     Quality,
     SegmentationOptions,
@@ -17,6 +20,7 @@ from ekf_reference.scan_landmarks.templates import (
     APART,
     BLANK,
     OUT_OF_VIEW,
+    UNDETERMINED,
     Template,
     TemplateMatching,
     View,
@@ -164,3 +168,18 @@ def test_identical_templates_see_the_same_and_twins_nothing() -> None:
     template = Template.of_segment(lone, np.arange(len(lone)))
     wide = np.diag((1.5, 1.5, 0.2)) ** 2
     assert observe(template, seen(duplicates), template.pose, wide, MATCHING).reason == AMBIGUOUS
+
+
+def test_an_alignment_that_fixes_no_direction_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would pass any gate, and a scan that saw a landmark starts no other."""
+    scan = seen(STAR)
+    template, found = template_of(scan), templates.scan_align
+    assert observe(template, scan, template.pose, NEAR, MATCHING).usable
+    for free in (2, 3):
+        monkeypatch.setattr(
+            templates,
+            "scan_align",
+            lambda *given, free=free: replace(found(*given), open_directions=free),
+        )
+        what = observe(template, scan, template.pose, NEAR, MATCHING)
+        assert what.reason == (UNDETERMINED if free == 3 else "")
