@@ -285,7 +285,7 @@ def _map_errors(c: Comparison) -> tuple[float, float, float]:
 
 
 def _shapes(c: Comparison, true: Array) -> tuple[float, float]:
-    """RMS of the landmarks there were before the closing, aligned to the true ones; and in the end."""
+    """RMS of landmarks from the true ones, aligned, of those before the closing; at the end."""
     closing = c.find(ScanLandmarksFinding).source.closing
     if closing is None:
         raise ValueError("no scan moved a landmark")

