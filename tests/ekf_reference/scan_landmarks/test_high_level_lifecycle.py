@@ -77,14 +77,14 @@ def test_passive_until_seen_then_in_the_state_then_observed(mount: Array) -> Non
     assert np.allclose(before, [one.place for one in found()], atol=0.05)
     for look in range(2):
         seen = landmarks.look(ekf, glimpse(START, mount, look))
-        assert [one.number for one in seen] == [0, 2]  # of the other too little is in view
+        assert [one.number for one in seen] == [0, 2]  # of the other one wall is in view
         landmark_index = np.array([landmarks.landmark[one.number].landmark_index for one in seen])
         assert (landmark_index == NEW).all() == (look == 0)
         size = len(ekf.state.mean)
         z, noise = np.array([one.z for one in seen]), np.array([one.covariance for one in seen])
         landmarks.initialised(seen, ekf.observe_known(z, noise, landmark_index))
         assert len(ekf.state.mean) == size + (6 if look == 0 else 0)
-    assert landmarks.counts == {"seen": 4, "no counterpart": 2}
+    assert landmarks.counts == {"seen": 4, "a direction is open": 2}
     assert [one.landmark_index for one in landmarks.landmark] == [0, NEW, 1]
     moved = np.abs(landmarks.places(ekf) - before)
     assert moved[:, :2].max() < 0.2
