@@ -45,7 +45,7 @@ NEES per degree of freedom, single measurements within a half with 1.4 (85 landm
 _SHARE = 0.3
 """Of a template, in view: it holds what was seen from several sides, which no scan sees at once.
 What is out of view is left out of the alignment, else it draws the rest towards other returns."""
-_MATCHED = ObservationOptions(overlap=0.4, ambiguous=0.8, visible=True)
+MATCHED = ObservationOptions(overlap=0.4, ambiguous=0.8, visible=True)
 _OBSERVATION = RelativePose()
 
 
@@ -200,7 +200,7 @@ class HighLevelLandmarks:
         turn = there.jacobian_landmark[0]
         prior = turn @ expected.covariance @ turn.T
         view = replace(scan.view, share=_SHARE)
-        matching = TemplateMatching(view, _MATCHED, belief=one.belief)
+        matching = TemplateMatching(view, MATCHED, belief=one.belief)
         seen = observe(one.template, scan.shape, there.z[0], prior, matching)
         if not seen.usable or seen.alignment is None:
             return None, _COUNTED_AS.get(seen.reason, seen.reason)
