@@ -15,8 +15,10 @@ from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks import high_level_lifecycle
 from ekf_reference.scan_landmarks.high_level import Found, search, to_world
 from ekf_reference.scan_landmarks.high_level_lifecycle import (
+    REPEATED,
     Glimpse,
     HighLevelLandmarks,
 )
@@ -77,14 +79,14 @@ def test_passive_until_seen_then_in_the_state_then_observed(mount: Array) -> Non
     assert np.allclose(before, [one.place for one in found()], atol=0.05)
     for look in range(2):
         seen = landmarks.look(ekf, glimpse(START, mount, look))
-        assert [one.number for one in seen] == [0, 2]  # of the other too little is in view
+        assert [one.number for one in seen] == [0, 2]  # of the other one wall is in view
         landmark_index = np.array([landmarks.landmark[one.number].landmark_index for one in seen])
         assert (landmark_index == NEW).all() == (look == 0)
         size = len(ekf.state.mean)
         z, noise = np.array([one.z for one in seen]), np.array([one.covariance for one in seen])
         landmarks.initialised(seen, ekf.observe_known(z, noise, landmark_index))
         assert len(ekf.state.mean) == size + (6 if look == 0 else 0)
-    assert landmarks.counts == {"seen": 4, "no counterpart": 2}
+    assert landmarks.counts == {"seen": 4, "a direction is open": 2}
     assert [one.landmark_index for one in landmarks.landmark] == [0, NEW, 1]
     moved = np.abs(landmarks.places(ekf) - before)
     assert moved[:, :2].max() < 0.2
@@ -147,6 +149,34 @@ def test_what_lies_elsewhere_does_not_pass_the_gate() -> None:
 
     assert looked((0.1, 0.1, 0.02)).counts["seen"] == 0
     assert looked((1.0, 1.0, 0.02)).counts["seen"] > 0
+
+
+def test_a_measurement_has_the_noise_of_a_visit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not of its scan alone: what the template holds wrongly is in all of a visit."""
+
+    def noises() -> Array:
+        seen = kept().look(filter_at(START), glimpse(START, np.zeros(3)))
+        return np.array([one.covariance for one in seen])
+
+    of_a_visit = noises()
+    monkeypatch.setattr(high_level_lifecycle, "REPEATED", 1.0)
+    assert np.allclose(of_a_visit, REPEATED * noises())
+
+
+def test_what_a_scan_cannot_see_of_a_template_does_not_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of the second box one wall is in view; broken: its other walls have no counterpart."""
+
+    def looked() -> HighLevelLandmarks:
+        landmarks = kept()
+        landmarks.look(filter_at(START), glimpse(START, np.zeros(3)))
+        return landmarks
+
+    assert looked().counts == {"seen": 2, "a direction is open": 1}
+    whole = replace(high_level_lifecycle.MATCHED, visible=False)
+    monkeypatch.setattr(high_level_lifecycle, "MATCHED", whole)
+    assert looked().counts == {"seen": 2, "no counterpart": 1}
 
 
 def test_no_landmark_begins_with_an_open_direction() -> None:
