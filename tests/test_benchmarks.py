@@ -221,9 +221,12 @@ def test_dynamic_regions_benchmark_runs() -> None:
 
 @pytest.mark.slow
 def test_scan_slam_benchmark_runs() -> None:
-    lines = run("benchmarks/scan_slam.py", "--seeds", "1", "--seconds", "6")
-    assert [line.split()[0] for line in lines] == ["seed", "0", "median"]
-    assert lines[1].split()[-1] == "agree"
+    lines = run("benchmarks/scan_slam.py", "--seeds", "2", "--seconds", "6", "--processes", "1")
+    assert [line.split()[:2] for line in lines[1:3]] == [["100", "agree"], ["101", "agree"]]
+    figures = dict(zip(lines[0].split(), lines[1].split(), strict=True))
+    assert float(figures["algebra"]) < 1e-6
+    assert float(figures["model"]) < 1e-6
+    assert lines[-1] == "agree: 2 of 2"
 
 
 def test_pieces_benchmark_runs() -> None:
