@@ -10,9 +10,9 @@ bounds the joint covariance, and says no more about the vehicle than one scan ca
 
 Scans that one template is aligned with share its returns. An error that is always the same is none:
 the landmark is the axis at which its template fits the true surface. Which of its returns are in
-view changes, and that error with it, so slowly that successive scans do not average it. The share of R
-that the template causes is counted PERSISTENCE times. White noise of any size is no model of an
-error that stays: distances of landmarks come out a little too sure, poses a little too unsure.
+view changes, and that error with it, so slowly that successive scans do not average it. The share
+of R that the template causes is counted PERSISTENCE times. White noise of any size is no model of
+an error that stays: distances of landmarks come out too sure beside the pose.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from ekf_reference.core.geometry import Array
 from ekf_reference.scan_matching.alignment_covariance import ScanAlignment
 
 PERSISTENCE = 4.0
-"""Over a third of a template's life 2.6, over all of it more: the mean error of its first alignments
-less that of its last has 4.3 times the variance of independent ones without it (845 templates of
-Table 5.1's drives, seeds 0 to 9), and with 2.6 distances of landmarks have an NEES of 1.7."""
+"""The mean error of a template's first alignments less that of its last has 4.3 times the variance
+that independent ones would have (845 templates of Table 5.1's drives, seeds 0 to 9): 2.6 over a
+third of a template's life, more over all of it, where distances have an NEES of 1.7 with 2.6."""
 
 
 def with_persistence(alignment: ScanAlignment) -> Array:
