@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
     SLACK,
     AlignmentOptions,
     Problem,
     moved,
-    within_boundaries,
+    on_no_boundary,
 )
 from ekf_reference.scan_matching.search import Lattice, starts
 from ekf_reference.scan_matching.sog import SumOfGaussians
@@ -22,8 +22,12 @@ _COUNTERPART = 9.21
 """Squared Mahalanobis distance, 99 % of two degrees of freedom, of a Gaussian's counterpart."""
 _STIFFEST = 1e-9
 """Least curvature over the greatest that a Newton step divides by."""
-_COARSE = 0.03
-"""A step so short, in inflations, ends a stage that another follows."""
+_NOTHING = 1e-300
+"""Least Lambda that has a logarithm."""
+_BRIDGED = 1.25
+"""Typical sigmas within which a start finds its maximum."""
+COARSE = 0.1
+"""A step so short, in typical sigmas, ends an ascent that need not be exact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,12 +47,25 @@ class Alignment:
 
 
 @dataclass(frozen=True)
-class Ascent:
-    """Where a trust-region ascent ended. value: Lambda."""
+class Ascents:
+    """Where trust-region ascents ended.
+
+    pose: (K, 3). value: (K,) Lambda. converged: (K,). pairs: that counted.
+    """
 
     pose: Array
-    value: float
-    converged: bool
+    value: Array
+    converged: Mask
+    pairs: Pairs
+
+    def distinct(self, unit: Array, apart_m: float) -> Index:
+        """Rows, best first, without those within a distance of a better one or empty ones."""
+        kept: list[int] = []
+        for row in np.argsort(-self.value, kind="stable").tolist():
+            apart = (self.pose[kept] - self.pose[row]) / unit
+            if self.value[row] > 0.0 and (np.linalg.norm(apart, axis=1) > apart_m).all():
+                kept.append(row)
+        return np.array(kept, dtype=np.intp)
 
 
 def align(
@@ -72,90 +89,96 @@ def aligned(problem: Problem) -> Alignment:
     if not len(problem.first) or not len(problem.second):
         return _apart(problem)
     o = problem.options
-    coarse = [_thinned(problem, s) for s in o.inflation_m]
     lattice = Lattice.over(problem.guess, problem.covariance, o.spacing_m, problem.first.lever_m)
-    begin = starts(coarse[0].first, coarse[0].second, lattice, o.inflation_m[0], o.starts)
-    ends = [ascend(coarse[0], pose, o.inflation_m[0]) for pose in begin]
-    ends = _distinct(problem, ends, o.inflation_m[0])[: o.finished]
-    for stage, inflation_m in zip(coarse[1:], o.inflation_m[1:], strict=True):
-        ends = [ascend(stage, end.pose, inflation_m) for end in ends]
-    finished = _distinct(problem, ends, o.spacing_m)
-    if not finished:
+    stages = _stages(problem, lattice)
+    blurred = _thinned(problem, stages[0])
+    pose = starts(blurred.first, blurred.second, lattice, stages[0], o.starts)
+    for inflation_m in stages[:-1]:
+        ends = ascend(_thinned(problem, inflation_m), pose, inflation_m)
+        pose = ends.pose[ends.distinct(problem.unit, stages[0])[: o.finished]]
+    # A lone maximum only shows what is on a boundary; several are compared.
+    close_m = COARSE * problem.size_m() if len(pose) == 1 else None
+    ends = ascend(problem, pose, 0.0, close_m=close_m)
+    rows = ends.distinct(problem.unit, o.spacing_m)
+    runner_up = float(ends.value[rows[1]] / ends.value[rows[0]]) if len(rows) > 1 else 0.0
+    pose = ends.pose[rows]
+    if not len(pose):
         return _apart(problem)
-    best = finished[0]
-    runner_up = finished[1].value / best.value if len(finished) > 1 else 0.0
-    inside = within_boundaries(problem, best.pose)
-    if len(inside.first):
-        best = ascend(inside, best.pose, 0.0)
-    return evidence(problem, best, runner_up)
+    return evidence(problem, ascend(problem, pose[:1], 0.0, _inside(problem, pose[:1])), runner_up)
 
 
 def ascend(
     problem: Problem,
     start: Array,
     inflation_m: float,
+    counted: Mask | None = None,
     held: Array | None = None,
-    iterations: int | None = None,
-) -> Ascent:
-    """The maximum of Lambda uphill of a pose (3,), by Newton's method in a trust region.
+    close_m: float | None = None,
+    slack: float = SLACK,
+) -> Ascents:
+    """The maxima of Lambda uphill of poses (K, 3), all at once, by trust-region Newton.
 
-    held: (3, k) orthonormal directions, scaled, along which the pose stays. iterations:
-    fewer than the options'.
+    counted: (K, N) which of the first sum. held: (K, 3, k) orthonormal directions, scaled, along
+    which a pose stays. close_m: a step so short, at the lever's end, is the last; by default the
+    options'. slack: pairs are looked up again after a motion by so many typical sigmas.
 
     Where the exact Hessian of ln Lambda bends the wrong way its eigenvalues change sign, so that
-    every step is uphill. In scaled units the step's length is within the region.
+    every step is uphill. In scaled units the step's length is within the region. A step that is
+    short enough to be the last is taken unseen.
     """
-    o, unit = problem.options, problem.unit
-    units = np.outer(unit, unit)
-    close = max(o.converged_m, _COARSE * inflation_m)
-    slack = problem.slack_m(inflation_m)
-    pose, radius, taken = start, slack / SLACK, 0
-    pairs = problem.pairs(pose, inflation_m)
-    looked = pose
-    here = pairs.derivatives(pose)
-    while taken < (iterations or o.iterations) and here.value > 0.0:
-        taken += 1
-        slope = here.gradient / here.value * unit
-        bend = units * here.hessian / here.value - slope[:, None] * slope
+    o, unit, pose = problem.options, problem.unit, start
+    size = problem.size_m(inflation_m)
+    close = close_m or (COARSE * size if inflation_m > 0.0 else o.converged_m)
+    pairs, looked = problem.pairs(pose, inflation_m, counted), pose
+    here, radius = pairs.derivatives(pose), np.full(len(pose), size)
+    converged, ended = np.zeros(len(pose), dtype=bool), ~(here.value > 0.0)
+    for _ in range(o.iterations):
+        slope, bend = here.of_logarithm(unit)
         step = _newton(slope, bend, radius)
         if held is not None:
-            step -= held @ (held.T @ step)
-        length = float(np.linalg.norm(step))
-        if length < close:
-            return Ascent(pose, here.value, converged=True)
-        tried = pairs.derivatives(pose + unit * step)
-        expected = float(slope @ step + 0.5 * step @ bend @ step)
-        gained = math.log(tried.value / here.value) if tried.value > 0.0 else -math.inf
-        if gained < 0.25 * expected:
-            radius = 0.25 * length
-        elif length > 0.9 * radius and gained > 0.5 * expected:
-            radius *= 2.0
-        if gained <= 0.0:
-            if length < 100.0 * close:
-                return Ascent(pose, here.value, converged=True)
-            continue
-        pose, here = pose + unit * step, tried
-        if np.abs((pose - looked) / unit).max() > slack:
-            pairs, looked = problem.pairs(pose, inflation_m), pose
+            step -= (held @ (held.transpose(0, 2, 1) @ step[:, :, None]))[:, :, 0]
+        step[ended] = 0.0
+        length = np.linalg.norm(step, axis=1)
+        last = ~ended & (length < close)
+        converged |= last
+        ended |= last
+        there = pose + unit * step
+        pose = np.where(last[:, None], there, pose)
+        if ended.all():
+            break
+        tried = pairs.derivatives(there)
+        expected = ((slope + 0.5 * (bend @ step[:, :, None])[:, :, 0]) * step).sum(axis=1)
+        gained = np.log(np.maximum(tried.value, _NOTHING) / np.maximum(here.value, _NOTHING))
+        further = (length > 0.9 * radius) & (gained > 0.5 * expected)
+        radius = np.where(gained < 0.25 * expected, 0.25 * length, radius * (1.0 + further))
+        better = (gained > 0.0) | last
+        stuck = ~ended & ~better & (length < 100.0 * close)
+        converged |= stuck
+        ended |= stuck
+        pose = np.where(better[:, None], there, pose)
+        here = here.replaced(better, tried)
+        if (np.abs((pose - looked) / unit) > slack * size).any():
+            pairs, looked = problem.pairs(pose, inflation_m, counted), pose
             here = pairs.derivatives(pose)
-    return Ascent(pose, here.value, converged=False)
+    return Ascents(pose, here.value, converged, pairs)
 
 
-def evidence(problem: Problem, best: Ascent, runner_up: float) -> Alignment:
-    """What is said of a maximum."""
-    if not problem.pairs(best.pose).value(best.pose) > 0.0:
+def evidence(problem: Problem, best: Ascents, runner_up: float) -> Alignment:
+    """What is said of one maximum."""
+    pose = best.pose[0]
+    if not best.value[0] > 0.0:
         return _apart(problem)
-    laid = problem.first.transformed(best.pose)
+    laid = problem.first.transformed(pose)
     column = problem.second.tree.query(laid.mean)[1]
     apart = problem.second.mean[column] - laid.mean
     spread = laid.covariance + problem.second.covariance[column]
     square = np.einsum("ni,ni->n", apart, np.linalg.solve(spread, apart[:, :, None])[:, :, 0])
     overlap = float(problem.first.weight[square < _COUNTERPART].sum())
     return Alignment(
-        pose=moved(best.pose, -problem.centre),
+        pose=moved(pose, -problem.centre),
         overlap=overlap,
         runner_up=runner_up,
-        converged=best.converged,
+        converged=bool(best.converged[0]),
     )
 
 
@@ -164,12 +187,36 @@ def _apart(problem: Problem) -> Alignment:
     return Alignment(pose=moved(problem.guess, -problem.centre))
 
 
-def _newton(slope: Array, bend: Array, radius: float) -> Array:
+def _stages(problem: Problem, lattice: Lattice) -> tuple[float, ...]:
+    """The inflations of the options from the first that is needed.
+
+    From a single start a later one may bridge the prior on its own.
+    """
+    stages = problem.options.inflation_m
+    while (
+        len(lattice.pose) == 1
+        and len(stages) > 2
+        and lattice.reach_m < _BRIDGED * problem.size_m(stages[1])
+    ):
+        stages = stages[1:]
+    return stages
+
+
+def _inside(problem: Problem, pose: Array) -> Mask | None:
+    """(1, N) which of the first sum are on no boundary of the second; all where there are none."""
+    inside = on_no_boundary(problem, pose)
+    return inside if inside.any() else None
+
+
+def _newton(slope: Array, bend: Array, radius: Array) -> Array:
+    """(K, 3) steps of no more than radii (K,)."""
     size, axes = np.linalg.eigh(bend)
-    size = np.maximum(np.abs(size), _STIFFEST * np.abs(size).max(initial=1e-300))
-    step: Array = axes @ ((axes.T @ slope) / size)
-    length = float(np.linalg.norm(step))
-    return step * (radius / length) if length > radius else step
+    size = np.abs(size)
+    size = np.maximum(size, _STIFFEST * size.max(axis=1, initial=1e-300, keepdims=True))
+    step = (axes @ ((slope[:, None] @ axes)[:, 0] / size)[:, :, None])[:, :, 0]
+    length = np.linalg.norm(step, axis=1)
+    shorter: Array = step * np.minimum(1.0, radius / np.maximum(length, radius))[:, None]
+    return shorter
 
 
 def _thinned(problem: Problem, inflation_m: float) -> Problem:
@@ -177,13 +224,3 @@ def _thinned(problem: Problem, inflation_m: float) -> Problem:
         return problem
     first, second = (s.thinned(inflation_m) for s in (problem.first, problem.second))
     return replace(problem, first=first, second=second)
-
-
-def _distinct(problem: Problem, ends: list[Ascent], apart_m: float) -> list[Ascent]:
-    """Best first, without those within a distance of a better one, and without empty ones."""
-    kept: list[Ascent] = []
-    for end in sorted(ends, key=lambda e: -e.value):
-        far = (np.linalg.norm((end.pose - k.pose) / problem.unit) > apart_m for k in kept)
-        if end.value > 0.0 and all(far):
-            kept.append(end)
-    return kept

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask
-from ekf_reference.scan_matching.alignment import Alignment, aligned, ascend
+from ekf_reference.scan_matching.alignment import COARSE, Alignment, Ascents, aligned, ascend
 from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
     AlignmentOptions,
@@ -25,7 +25,6 @@ from ekf_reference.scan_matching.problem import (
     carried,
     moved,
     on_no_boundary,
-    within_boundaries,
 )
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
@@ -45,6 +44,8 @@ _ROWS, _COLUMNS = np.triu_indices(3)
 _TWICE = np.where(_ROWS == _COLUMNS, 1.0, 2.0)
 _ASIDE = 7.0
 """Sigmas off a surface beyond which something has left it by its side."""
+_EDGE_SLACK = 1.0
+"""Of pairs at edges, in typical sigmas (see `ascend`): they only tell whether Lambda has fallen."""
 _RIPPLE = 0.5
 """Share of what a return adds that noise alone may take from it."""
 _NOTHING = 1e-100
@@ -112,71 +113,114 @@ def scan_align(
     about = problem.covariance_scaled + belief.neighbourhood_m**2 * np.eye(3)
     peak = moved(found.pose, problem.centre)
     shape = _Shape.at(problem, peak, about, belief)
-    if len(shape.loose.T) and len(shape.fixed.T):
+    split = _Split.of(problem, shape, about, belief)
+    if split.loose.shape[1] in (1, 2):
         # What lies across moves a little when the pose goes back along what is not fixed.
-        peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
-        peak = ascend(within_boundaries(problem, peak), peak, 0.0, held=shape.loose).pose
-        shape = _Shape.at(problem, peak, about, belief)
-    peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
+        back = _guessed(problem, peak, split.loose)[None]
+        back = ascend(problem, back, 0.0, on_no_boundary(problem, back), split.loose[None]).pose
+        shape = _Shape.at(problem, back[0], about, belief)
+        split = _Split.of(problem, shape, about, belief, split)
+    loose = split.loose
+    peak = _guessed(problem, shape.peak, loose)
     # From the centred sum's pose to that of its frame.
     jacobian = carried(peak, -problem.centre)
     inverse, scale = np.linalg.inv(jacobian), np.outer(unit, unit)
-    spread = jacobian @ (shape.covariance * scale) @ jacobian.T
+    spread = jacobian @ (_covariance(shape, split, unit, about, belief) * scale) @ jacobian.T
     return ScanAlignment(
         pose=moved(peak, -problem.centre),
         covariance=0.5 * (spread + spread.T),
         curvature=inverse.T @ (shape.curvature / scale) @ inverse,
-        open_directions=shape.loose.shape[1],
+        open_directions=loose.shape[1],
         alignment=found,
     )
 
 
 @dataclass(frozen=True)
 class _Shape:
-    """What the correlation fixes at a pose, scaled.
+    """Lambda about a pose (3,). counted: (N,) which of the first sum are on no boundary there.
 
-    curvature: (3, 3). fixed: (3, k) and loose: (3, 3 - k) directions. covariance: (3, 3).
+    pairs: of those. curvature: (3, 3) scaled; zeros where they meet nothing.
     """
 
+    peak: Array
+    counted: Mask
+    pairs: Pairs | None
     curvature: Array
-    fixed: Array
-    loose: Array
-    covariance: Array
 
     @classmethod
     def at(cls, problem: Problem, peak: Array, about: Array, belief: CovarianceOptions) -> _Shape:
-        unit, axes, size, curvature = problem.unit, np.eye(3), np.zeros(3), np.zeros((3, 3))
-        off_boundaries = on_no_boundary(problem, peak)
-        inside = problem.taking(off_boundaries)
-        pairs = inside.pairs(peak) if len(inside.first) and len(problem.second) else None
-        if pairs is not None and pairs.value(peak) > 0.0:
-            curvature = fitted_curvature(pairs, peak, unit, about, belief.sample_sigmas)
-            size, axes = np.linalg.eigh(curvature)
+        counted = on_no_boundary(problem, peak[None])[0]
+        pairs = None
+        if counted.any() and len(problem.second):
+            pairs = problem.pairs(peak, 0.0, counted)
+        if pairs is None or not pairs.value(peak) > 0.0:
+            return cls(peak, counted, None, np.zeros((3, 3)))
+        curvature = fitted_curvature(pairs, peak, problem.unit, about, belief.sample_sigmas)
+        return cls(peak, counted, pairs, curvature)
+
+
+@dataclass(frozen=True)
+class _Split:
+    """Directions, scaled: fixed (3, k) and loose (3, 3 - k).
+
+    bent: (3, 3) covariance of how far the loose ones leave straight lines.
+    """
+
+    fixed: Array
+    loose: Array
+    bent: Array
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        shape: _Shape,
+        about: Array,
+        belief: CovarianceOptions,
+        known: _Split | None = None,
+    ) -> _Split:
+        """Those are fixed along which Lambda falls on both edges of the neighbourhood.
+
+        known: whose loose directions stay loose.
+        """
+        known = known or cls(np.eye(3), np.zeros((3, 0)), np.zeros((3, 3)))
+        if shape.pairs is None:
+            return cls(np.zeros((3, 0)), np.eye(3), known.bent)
+        size, own = np.linalg.eigh(known.fixed.T @ shape.curvature @ known.fixed)
+        axes = known.fixed @ own
         near = _along(about, axes)
         met = size * near > belief.sharp
-        valley, bent = axes.copy(), np.zeros((3, 3))
-        for k in np.flatnonzero(~met).tolist() if curvature.any() else ():
-            way = math.sqrt(near[k]) * axes[:, k]
-            edges = [_edge(problem, peak, side * way) for side in (-1.0, 1.0)]
-            met[k] = size[k] > 0.0 and all(
-                _falls(problem, peak, edge, belief, off_boundaries) for edge in edges
-            )
-            if not met[k]:
-                low, high = ((edge - peak) / unit for edge in edges)
-                valley[:, k] = high - low
-                bow = 0.5 * (high + low)
-                bent += bow[:, None] * bow
+        asked = np.flatnonzero(~met)
+        if not len(asked):
+            return cls(axes, known.loose, known.bent)
+        way = (np.sqrt(near[asked]) * axes[:, asked]).T
+        edge, falls = _edges(problem, shape, np.concatenate((-way, way)), belief)
+        met[asked] = (size[asked] > 0.0) & falls.reshape(2, -1).all(axis=0)
+        low, high = ((edge - shape.peak) / problem.unit).reshape(2, -1, 3)[:, ~met[asked]]
+        bow = 0.5 * (high + low)
         # The valley's own direction: the curvature's axis is not as exact.
-        order = np.concatenate((valley[:, ~met], axes[:, met]), axis=1)
-        axes = np.linalg.qr(order)[0]
-        count = int(np.count_nonzero(~met))
-        loose, fixed = axes[:, :count], axes[:, count:]
-        covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
-        if pairs is not None and met.any():
-            flattest = belief.fallen / _along(about, fixed).max()
-            covariance += _sandwich(pairs, peak, unit, curvature, fixed, flattest)
-            covariance += fixed @ (fixed.T @ bent @ fixed) @ fixed.T
-        return cls(curvature, fixed, loose, covariance)
+        order = np.concatenate((known.loose, (high - low).T, axes[:, met]), axis=1)
+        turned, count = np.linalg.qr(order)[0], 3 - int(met.sum())
+        return cls(turned[:, count:], turned[:, :count], known.bent + bow.T @ bow)
+
+
+def _guessed(problem: Problem, pose: Array, loose: Array) -> Array:
+    """(3,) a pose (3,), as guessed along directions (3, k), scaled."""
+    apart = (pose - problem.guess) / problem.unit
+    return np.asarray(pose - problem.unit * (loose @ (loose.T @ apart)))
+
+
+def _covariance(
+    shape: _Shape, split: _Split, unit: Array, about: Array, belief: CovarianceOptions
+) -> Array:
+    """(3, 3) scaled: wide along what is loose, that of the maximum's error along what is fixed."""
+    fixed, loose = split.fixed, split.loose
+    covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
+    if shape.pairs is not None and fixed.shape[1]:
+        flattest = belief.fallen / _along(about, fixed).max()
+        covariance += _sandwich(shape.pairs, shape.peak, unit, shape.curvature, fixed, flattest)
+        covariance += fixed @ (fixed.T @ split.bent @ fixed) @ fixed.T
+    return np.asarray(covariance)
 
 
 def _along(covariance: Array, axes: Array) -> Array:
@@ -185,32 +229,50 @@ def _along(covariance: Array, axes: Array) -> Array:
     return variance
 
 
-def _edge(problem: Problem, peak: Array, way: Array) -> Array:
-    """(3,) the best pose beside the end of a way (3,), scaled."""
-    pose = peak + problem.unit * way
-    held = (way / np.linalg.norm(way))[:, None]
-    # A curved valley may be farther away than the exact correlation feels it.
+def _edges(
+    problem: Problem, shape: _Shape, way: Array, belief: CovarianceOptions
+) -> tuple[Array, Mask]:
+    """(K, 3) the best poses beside the ends of ways (K, 3), scaled; (K,) where Lambda has fallen.
+
+    A curved valley may be farther away than the exact correlation feels it, so that the blurred one
+    goes first. Where that has fallen by more than chance could ever do, no closer look is needed.
+    """
+    edge, falls = shape.peak + problem.unit * way, np.zeros(len(way), dtype=bool)
+    held = (way / np.linalg.norm(way, axis=1, keepdims=True))[:, :, None]
+    close_m = COARSE * problem.size_m()
     for inflation_m in problem.options.inflation_m[-2:]:
-        pose = ascend(within_boundaries(problem, pose), pose, inflation_m, held, iterations=8).pose
-    return pose
+        rest = np.flatnonzero(~falls)
+        if len(rest):
+            counted = on_no_boundary(problem, edge[rest])
+            end = ascend(
+                problem, edge[rest], inflation_m, counted, held[rest], close_m, slack=_EDGE_SLACK
+            )
+            edge[rest], falls[rest] = end.pose, _falls(problem, shape, end, inflation_m, belief)
+    return edge, falls
 
 
 def _falls(
-    problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions, off_boundaries: Mask
-) -> bool:
-    """Whether Lambda falls from its maximum to an edge (3,), by more than chance.
+    problem: Problem, shape: _Shape, edge: Ascents, inflation_m: float, belief: CovarianceOptions
+) -> Mask:
+    """(K,) whether Lambda falls from its maximum to K edges, by more than chance.
 
-    Only what is on no boundary at either pose counts (off_boundaries: at the maximum).
+    Only what is on no boundary at either pose counts.
     """
-    both = off_boundaries & on_no_boundary(problem, edge, _ASIDE)
-    if not both.any():
-        return False
-    common = problem.taking(both)
-    here, there = (common.each(pose) for pose in (peak, edge))
-    lost = here - there
-    fall = -2.0 * math.log(max(there.sum() / here.sum(), _NOTHING)) if here.sum() > 0.0 else 0.0
-    chance = belief.beyond_chance * float(np.linalg.norm(np.minimum(np.abs(lost), _RIPPLE * here)))
-    return fall >= belief.fallen and float(lost.sum()) >= chance
+    both = shape.counted & on_no_boundary(problem, edge.pose, _ASIDE)
+    blurred = inflation_m > 0.0
+    pairs = problem.pairs(shape.peak, inflation_m, shape.counted) if blurred else shape.pairs
+    if pairs is None:
+        return np.zeros(len(both), dtype=bool)
+    here = both * problem.each(pairs, shape.peak[None])
+    there = both * problem.each(edge.pairs, edge.pose)
+    lost, before = here - there, here.sum(axis=1)
+    left = there.sum(axis=1) / np.where(before > 0.0, before, 1.0)
+    ripple = _RIPPLE * here
+    if not blurred:
+        ripple = np.minimum(np.abs(lost), ripple)
+    chance = belief.beyond_chance * np.linalg.norm(ripple, axis=1)
+    falls = -2.0 * np.log(np.maximum(left, _NOTHING)) >= belief.fallen
+    return np.asarray(falls & (lost.sum(axis=1) >= chance) & (before > 0.0))
 
 
 def fitted_curvature(
@@ -222,8 +284,7 @@ def fitted_curvature(
     leaves by more than a sigma. The samples lie on an ellipsoid of the exact curvature's axes.
     """
     at = pairs.derivatives(peak)
-    slope = unit * at.gradient / at.value
-    bend = np.outer(slope, slope) - np.outer(unit, unit) * at.hessian / at.value
+    bend = -at.of_logarithm(unit)[1]
     size, axes = np.linalg.eigh(bend)
     near = np.sqrt(np.einsum("ik,ij,jk->k", axes, about, axes))
     reach = np.minimum(sample_sigmas / np.sqrt(np.maximum(size, 1e-12)), near)

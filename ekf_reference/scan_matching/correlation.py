@@ -4,18 +4,24 @@ Lambda(x) is the overlap of the first sum, laid at pose x = (x, y, heading) into
 second, with the second. Each pair of Gaussians adds alpha_i beta_j N(q_j - y_i; 0, S_ij) with
 y_i = R p_i + t and S_ij = R P_i R^T + Q_j. Erratum: 5.13 prints the mean p_i - q_j, which has the
 scans part in opposite directions; q_j - p_i holds.
+
+Vectors are complex numbers, so that all pairs take few operations: (x, y) is x + i y, R p is
+e^(i heading) p, and a dot product Re(a* b). A symmetric matrix S is half its trace m and its
+deviator z = (xx - yy) / 2 + i xy: S v = m v + z v*, |S| = m^2 - |z|^2, S^-1 is (m, -z) / |S|, the
+trace of a product 2 (m m' + Re(z* z')), and R S R^T is m and e^(2 i heading) z.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, Index, rotation
-from ekf_reference.scan_matching.sog import SumOfGaussians
+from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.scan_matching.sog import Complex, SumOfGaussians
+
+_ROWS, _COLUMNS = np.triu_indices(3)
 
 
 @dataclass(frozen=True)
@@ -33,37 +39,62 @@ class CorrespondenceSearch:
     slack_m: float = 0.0
 
 
-class Entries(NamedTuple):
-    """Symmetric 2 x 2 matrices (M,) by their entries."""
+class Derivatives(NamedTuple):
+    """value: (...) Lambda. gradient: (..., 3). hessian: (..., 3, 3)."""
 
-    xx: Array
-    xy: Array
-    yy: Array
-
-
-@dataclass(frozen=True)
-class Derivatives:
-    """value: Lambda. gradient: (3,). hessian: (3, 3)."""
-
-    value: float
+    value: Array
     gradient: Array
     hessian: Array
+
+    def of_logarithm(self, unit: Array) -> tuple[Array, Array]:
+        """(..., 3) and (..., 3, 3) those of ln Lambda, by coordinates scaled with units (3,)."""
+        value = np.where(self.value > 0.0, self.value, 1.0)[..., None]
+        slope = unit * self.gradient / value
+        bend = np.multiply.outer(unit, unit) * self.hessian / value[..., None]
+        return slope, bend - slope[..., :, None] * slope[..., None, :]
+
+    def replaced(self, rows: Mask, other: Derivatives) -> Derivatives:
+        """Those of the other in some rows (K,)."""
+        if rows.all():
+            return other
+        return Derivatives(
+            np.where(rows, other.value, self.value),
+            np.where(rows[:, None], other.gradient, self.gradient),
+            np.where(rows[:, None, None], other.hessian, self.hessian),
+        )
+
+
+def laid(point: Complex, pose: Array) -> Complex:
+    """(..., N) points (N,) of a frame that lies at poses (..., 3)."""
+    turn = np.exp(1j * pose[..., 2:])
+    return np.asarray(turn * point + (pose[..., :1] + 1j * pose[..., 1:2]))
+
+
+def plane(point: Complex) -> Array:
+    """(M, 2) coordinates of points of any shape."""
+    return point.reshape(-1, 1).view(np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """Gaussians of the first sum, each with its nearest ones of the second, as they lay at a pose.
+    """Gaussians of the first sum, each with its nearest ones of the second, as they lay at poses.
 
-    row, column: (M,) which of the first and of the second. mean: (2, M) p. own: (M,) entries of P.
-    other: (2, M) q. its: (M,) entries of Q with inflation. weight: (M,) alpha_i beta_j.
+    begin: (K,) first pair of each pose. at, row, column: (M,) which pose, which of the first and of
+    the second. p, q: (M,) means. own, its: (M,) deviators of P and Q. middle: (M,) half the trace
+    of S. weight: (M,) alpha_i beta_j / (2 pi).
+
+    Methods take the K poses (..., K, 3), or one (3,), and return as many.
     """
 
+    begin: Index
+    at: Index
     row: Index
     column: Index
-    mean: Array
-    own: Entries
-    other: Array
-    its: Entries
+    p: Complex
+    q: Complex
+    own: Complex
+    its: Complex
+    middle: Array
     weight: Array
 
     @classmethod
@@ -73,66 +104,76 @@ class Pairs:
         second: SumOfGaussians,
         pose: Array,
         wanted: CorrespondenceSearch,
+        counted: Mask | None = None,
     ) -> Pairs:
-        """At a pose (3,), within reach even after a motion by the slack."""
-        place = first.mean @ rotation(float(pose[2])).T + pose[:2]
-        count = min(wanted.most, len(second))
-        _, column = second.tree.query(
-            place, k=[*range(1, count + 1)], distance_upper_bound=wanted.m
-        )
-        row = np.flatnonzero(column < len(second))
-        column, row = column.ravel().take(row), row // count
-        p, q = first.entries, second.entries
-        q = q + np.array(((wanted.inflation_m**2,), (0.0,), (wanted.inflation_m**2,)))
-        own = np.stack(_turned(Entries(*p), float(pose[2])))
-        own[::2] += wanted.slack_m**2
-        sxx, sxy, syy = own.take(row, axis=1) + q.take(column, axis=1)
-        dx, dy = second.columns.take(column, axis=1) - place.T.take(row, axis=1)
-        square = dx * dx * syy - 2.0 * dx * dy * sxy + dy * dy * sxx
-        met = np.flatnonzero(square <= wanted.sigmas**2 * (sxx * syy - sxy * sxy))
-        row, column = row.take(met), column.take(met)
+        """At poses (K, 3) or (3,), within reach even after a motion by the slack.
+
+        counted: (K, N) which of the first sum, or (N,); by default all.
+        """
+        pose = np.atleast_2d(pose)
+        place = laid(first.point, pose).ravel()
+        body = np.arange(len(place)) if counted is None else np.flatnonzero(counted)
+        most = min(wanted.most, len(second))
+        found = second.tree.query(plane(place[body]), k=most, distance_upper_bound=wanted.m)
+        distance, column = (one.reshape(-1, most) for one in found)
+        more = wanted.inflation_m**2 + wanted.slack_m**2
+        own = (first.larger + more).take(body % len(first))
+        # No farther than S reaches along its longer axis; those that are missing are at infinity.
+        longest = own[:, None] + second.larger.take(column, mode="clip")
+        near = np.flatnonzero(distance * distance <= wanted.sigmas**2 * longest)
+        body, column = body.take(near // most), column.ravel().take(near)
+        at, row = np.divmod(body, len(first))
+        p, q = first.deviator.take(row), second.deviator.take(column)
+        middle = first.half_trace.take(row) + second.half_trace.take(column) + wanted.inflation_m**2
+        apart = second.point.take(column) - place.take(body)
+        askew, reach = np.exp(2j * pose[:, 2]).take(at) * p + q, middle + wanted.slack_m**2
+        square = reach * _square(apart) - _dot(askew, apart * apart)
+        met = np.flatnonzero(square <= wanted.sigmas**2 * (reach * reach - _square(askew)))
+        at, row, column = at.take(met), row.take(met), column.take(met)
         return cls(
+            begin=np.searchsorted(at, np.arange(len(pose))),
+            at=at,
             row=row,
             column=column,
-            mean=first.columns.take(row, axis=1),
-            own=Entries(*p.take(row, axis=1)),
-            other=second.columns.take(column, axis=1),
-            its=Entries(*q.take(column, axis=1)),
-            weight=first.weight.take(row) * second.weight.take(column),
+            p=first.point.take(row),
+            q=second.point.take(column),
+            own=p.take(met),
+            its=q.take(met),
+            middle=middle.take(met),
+            weight=first.weight.take(row) * second.weight.take(column) * (0.5 / np.pi),
         )
 
-    def value(self, pose: Array) -> float:
-        """Lambda at a pose (3,)."""
-        return float(self.terms(pose).sum())
+    def value(self, pose: Array) -> Array:
+        """Lambda (...)."""
+        return self._sums(self.terms(pose)).reshape(pose.shape[:-1])
 
     def terms(self, pose: Array) -> Array:
-        """(M,) what each pair adds at a pose (3,)."""
+        """(..., M) what each pair adds."""
         return _Laid.of(self, pose).term
 
     def derivatives(self, pose: Array) -> Derivatives:
-        """Lambda, its gradient and Hessian by x, y [m] and heading [rad]; exact."""
+        """Lambda, its gradient and Hessian by x, y [m] and heading [rad] at K poses; exact."""
         at = _Laid.of(self, pose)
-        turned = _Turned.of(at)
-        term, (vx, vy), g = at.term, at.v, turned.gradient
-        # dv/dheading is -S^-1 of this; with it the second derivatives of ln gamma by heading.
-        sx, sy = at.u[0] + turned.sv[0], at.u[1] + turned.sv[1]
-        wx, wy = _times(at.inverse, sx, sy)
-        bend = turned.second(at) - (sx * wx + sy * wy)
-        wvx, wvy, wg = term * vx, term * vy, term * g
-        gradient = np.array((wvx.sum(), wvy.sum(), wg.sum()))
-        hessian = np.empty((3, 3))
-        hessian[0, 0] = wvx @ vx - term @ at.inverse.xx
-        hessian[0, 1] = hessian[1, 0] = wvx @ vy - term @ at.inverse.xy
-        hessian[1, 1] = wvy @ vy - term @ at.inverse.yy
-        hessian[0, 2] = hessian[2, 0] = wvx @ g - term @ wx
-        hessian[1, 2] = hessian[2, 1] = wvy @ g - term @ wy
-        hessian[2, 2] = wg @ g + term @ bend
-        return Derivatives(float(term.sum()), gradient, hessian)
+        turned, v = _Turned.of(at), at.v
+        each = np.empty((1 + 3 + len(_ROWS), len(self.at)))
+        each[0], each[1], each[2], each[3] = 1.0, v.real, v.imag, turned.gradient
+        # Second derivatives over gamma: of a place xx, xy and yy, and with the heading.
+        level, askew = 0.5 * _square(v) - at.middle, 0.5 * v * v - at.deviator
+        each[4], each[5], each[7] = level + askew.real, askew.imag, level - askew.real
+        mixed = turned.gradient * v - turned.w
+        each[6], each[8] = mixed.real, mixed.imag
+        each[9] = turned.gradient**2 + turned.second
+        each *= at.term
+        total = self._sums(each).T.reshape(*pose.shape[:-1], len(each))
+        hessian = np.empty((*pose.shape[:-1], 3, 3))
+        hessian[..., _ROWS, _COLUMNS] = hessian[..., _COLUMNS, _ROWS] = total[..., 4:]
+        return Derivatives(total[..., 0], total[..., 1:4], hessian)
 
     def scores(self, pose: Array) -> Array:
-        """(3, M) the gradient of what each pair adds."""
+        """(3, M) the gradient of what each pair adds, each at its pose."""
         at = _Laid.of(self, pose)
-        return np.stack((at.term * at.v[0], at.term * at.v[1], at.term * _Turned.of(at).gradient))
+        v = at.term * at.v
+        return np.stack((v.real, v.imag, at.term * _Turned.of(at).gradient))
 
     def scores_across(self, pose: Array) -> Array:
         """(3, M) the same, by the part of each pair's distance across its longer axis alone.
@@ -140,92 +181,80 @@ class Pairs:
         Along a surface the gradients of one return's pairs are large, and cancel.
         """
         at = _Laid.of(self, pose)
-        i = at.inverse
-        # S's longer axis is the shorter one of its inverse.
-        angle = 0.5 * np.arctan2(-2.0 * i.xy, i.yy - i.xx)
-        cos, sin = np.cos(angle), np.sin(angle)
-        across = at.term * (cos * at.v[1] - sin * at.v[0])
-        x, y = -sin * across, cos * across
-        return np.stack((x, y, at.u[0] * x + at.u[1] * y))
+        across = 1j * np.exp(0.5j * np.angle(-at.deviator))
+        part = at.term * _dot(across, at.v) * across
+        return np.stack((part.real, part.imag, _dot(1j * at.arm, part)))
+
+    def _sums(self, term: Array) -> Array:
+        """(..., K) of terms (..., M), by pose."""
+        total = np.zeros((*term.shape[:-1], len(self.begin)))
+        if len(self.at):
+            some = self.begin < np.append(self.begin[1:], len(self.at))
+            total[..., some] = np.add.reduceat(term, self.begin[some], axis=-1)
+        return total
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Laid:
-    """Pairs at a pose; all (M,).
+    """Pairs at poses; all (..., M).
 
-    over: 1 / |S|. v: S^-1 d. u: dy/dheading. arm: y - t. own: R P R^T.
+    arm: y - t. own: deviator of R P R^T. over: 1 / |S|. middle, deviator: of S^-1. v: S^-1 d.
     """
 
     term: Array
+    arm: Complex
+    own: Complex
     over: Array
-    inverse: Entries
-    v: tuple[Array, Array]
-    u: tuple[Array, Array]
-    arm: tuple[Array, Array]
-    own: Entries
+    middle: Array
+    deviator: Complex
+    v: Complex
 
     @classmethod
     def of(cls, pairs: Pairs, pose: Array) -> _Laid:
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        px, py = pairs.mean
-        ax, ay = cos * px - sin * py, sin * px + cos * py
-        own = _turned(pairs.own, float(pose[2]))
-        sxx, sxy, syy = own.xx + pairs.its.xx, own.xy + pairs.its.xy, own.yy + pairs.its.yy
-        over = 1.0 / (sxx * syy - sxy * sxy)
-        inverse = Entries(syy * over, -sxy * over, sxx * over)
-        dx = pairs.other[0] - ax - pose[0]
-        dy = pairs.other[1] - ay - pose[1]
-        vx, vy = _times(inverse, dx, dy)
-        height = pairs.weight * np.sqrt(over) * (0.5 / math.pi)
-        term = height * np.exp(-0.5 * (dx * vx + dy * vy))
-        return cls(
-            term=term, over=over, inverse=inverse, v=(vx, vy), u=(-ay, ax), arm=(ax, ay), own=own
-        )
+        pose = np.atleast_2d(pose)
+        turn, shift = np.exp(1j * pose[..., 2]), pose[..., 0] + 1j * pose[..., 1]
+        if len(pairs.begin) > 1:
+            turn, shift = turn.take(pairs.at, axis=-1), shift.take(pairs.at, axis=-1)
+        arm, own = turn * pairs.p, turn * turn * pairs.own
+        apart, askew = pairs.q - shift - arm, own + pairs.its
+        over = 1.0 / (pairs.middle**2 - _square(askew))
+        middle, deviator = over * pairs.middle, -over * askew
+        v = middle * apart + deviator * np.conj(apart)
+        term = pairs.weight * np.sqrt(over) * np.exp(-0.5 * _dot(apart, v))
+        return cls(term=term, arm=arm, own=own, over=over, middle=middle, deviator=deviator, v=v)
 
 
 class _Turned(NamedTuple):
     """How ln gamma changes with heading; all (M,).
 
-    S' = J C - C J of C = R P R^T has no trace: it is (-a, b; b, a). sv: S' v. trace: of S^-1 S'.
+    gradient: by heading. w: minus dv/dheading. second: the second derivative by heading.
     """
 
-    a: Array
-    b: Array
-    sv: tuple[Array, Array]
-    trace: Array
     gradient: Array
+    w: Complex
+    second: Array
 
     @classmethod
     def of(cls, at: _Laid) -> _Turned:
-        c, i, (vx, vy), (ux, uy) = at.own, at.inverse, at.v, at.u
-        a, b = 2.0 * c.xy, c.xx - c.yy
-        sx, sy = b * vy - a * vx, b * vx + a * vy
-        trace = 2.0 * b * i.xy - a * (i.xx - i.yy)
-        pull = (ux + 0.5 * sx) * vx + (uy + 0.5 * sy) * vy
-        return cls(a, b, (sx, sy), trace, pull - 0.5 * trace)
+        """R P R^T has the derivatives S' and S'', with the deviators 2 i z and -4 z, no trace.
 
-    def second(self, at: _Laid) -> Array:
-        """(M,) the second derivative without the part that dv brings.
-
-        S'' = J S' - S' J is -2 (b, a; a, -b), and tr (S^-1 S')^2 = tr^2 - 2 det. The second
-        derivative of a rotation is minus the rotation.
+        Those of y are i arm and -arm, and tr (S^-1 S')^2 = tr^2 - 2 |S^-1 S'|.
         """
-        (vx, vy), (ax, ay), a, b, i = at.v, at.arm, self.a, self.b, at.inverse
-        by_b = i.xx - i.yy - vx * vx + vy * vy
-        by_a = 2.0 * (i.xy - vx * vy)
-        square = 0.5 * self.trace * self.trace + at.over * (a * a + b * b)
-        result: Array = b * by_b + a * by_a + square - (vx * ax + vy * ay)
-        return result
+        back = np.conj(at.v)
+        slope, pull = 1j * at.arm, 2j * at.own * back
+        trace = 2.0 * _dot(at.deviator, 2j * at.own)
+        gradient = ((slope + 0.5 * pull) * back).real - 0.5 * trace
+        s = slope + pull
+        w = at.middle * s + at.deviator * np.conj(s)
+        second = 0.5 * trace**2 + 4.0 * at.over * _square(at.own) - _dot(s, w)
+        second += _dot(at.own, 4.0 * at.deviator - 2.0 * at.v * at.v) - _dot(at.arm, at.v)
+        return cls(gradient, w, second)
 
 
-def _turned(p: Entries, heading_rad: float) -> Entries:
-    """R P R^T by the double angle."""
-    cos, sin = math.cos(heading_rad), math.sin(heading_rad)
-    half, mean = 0.5 * (p.xx - p.yy), 0.5 * (p.xx + p.yy)
-    cos2, sin2 = cos * cos - sin * sin, 2.0 * cos * sin
-    along, mixed = cos2 * half - sin2 * p.xy, sin2 * half + cos2 * p.xy
-    return Entries(mean + along, mixed, mean - along)
+def _dot(a: Complex, b: Complex) -> Array:
+    """Re(a* b)."""
+    return np.asarray(a.real * b.real + a.imag * b.imag)
 
 
-def _times(matrix: Entries, x: Array, y: Array) -> tuple[Array, Array]:
-    return matrix.xx * x + matrix.xy * y, matrix.xy * x + matrix.yy * y
+def _square(a: Complex) -> Array:
+    return np.asarray(a.real**2 + a.imag**2)

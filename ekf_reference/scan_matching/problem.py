@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask, rotation
-from ekf_reference.scan_matching.correlation import CorrespondenceSearch, Pairs
+from ekf_reference.scan_matching.correlation import CorrespondenceSearch, Pairs, laid, plane
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _SHORTEST_M = 0.1
@@ -25,8 +25,8 @@ class AlignmentOptions:
     correlation itself. spacing_m: of the starts; the first inflation must bridge it. starts: most
     that are followed; finished: most that are followed to the end. neighbours: most Gaussians of
     the second sum that one of the first is paired with, neighbours_inflated: in stages that only
-    prepare another; reach: within so many sigmas. iterations:
-    most per stage. converged_m: a step so small, at the lever's end, is the last.
+    prepare another; reach: within so many sigmas. iterations: most
+    per stage. converged_m: a step so small, at the lever's end, is the last.
     """
 
     inflation_m: tuple[float, ...] = (0.6, 0.2, 0.0)
@@ -92,39 +92,34 @@ class Problem:
             options=options or AlignmentOptions(),
         )
 
-    def taking(self, rows: Mask) -> Problem:
-        """With those of the first sum (N,) alone; the same where these are all."""
-        return self if rows.all() else replace(self, first=self.first.take(rows))
-
     @property
     def covariance_scaled(self) -> Array:
         """(3, 3) the guess's, in units."""
         return self.covariance / np.outer(self.unit, self.unit)
 
-    def pairs(self, pose: Array, inflation_m: float = 0.0) -> Pairs:
-        """Neighbours at a pose (3,)."""
+    def pairs(self, pose: Array, inflation_m: float = 0.0, counted: Mask | None = None) -> Pairs:
+        """Neighbours at poses (K, 3). counted: (K, N) which of the first sum, by default all."""
         o = self.options
         most = o.neighbours_inflated if inflation_m > 0.0 else o.neighbours
-        slack = self.slack_m(inflation_m)
         far = o.reach * math.sqrt(
             self.first.typical_variance + self.second.typical_variance + inflation_m**2
         )
-        return Pairs.near(
-            self.first,
-            self.second,
-            pose,
-            CorrespondenceSearch(most, far, o.reach, inflation_m, slack),
+        wanted = CorrespondenceSearch(
+            most, far, o.reach, inflation_m, SLACK * self.size_m(inflation_m)
         )
+        return Pairs.near(self.first, self.second, pose, wanted, counted)
 
-    def slack_m(self, inflation_m: float = 0.0) -> float:
-        """How far, at the lever's end, pairs may move before they are looked up again."""
-        return SLACK * math.sqrt(self.first.typical_variance + inflation_m**2)
+    def size_m(self, inflation_m: float = 0.0) -> float:
+        """Sigma of a typical Gaussian of the first sum: the scale of what Lambda feels."""
+        return math.sqrt(self.first.typical_variance + inflation_m**2)
 
-    def each(self, pose: Array) -> Array:
-        """(N,) what each of the first sum adds to Lambda at a pose (3,)."""
-        pairs = self.pairs(pose)
-        added = np.bincount(pairs.row, pairs.terms(pose), minlength=len(self.first))
-        return added.astype(float)
+    def each(self, pairs: Pairs, pose: Array) -> Array:
+        """(K, N) what each of the first sum adds to Lambda at poses (K, 3), by their pairs."""
+        size = len(self.first)
+        added = np.bincount(
+            pairs.at * size + pairs.row, pairs.terms(pose), minlength=len(pose) * size
+        )
+        return added.astype(float).reshape(-1, size)
 
 
 def moved(pose: Array, shift: Array) -> Array:
@@ -140,24 +135,17 @@ def carried(pose: Array, shift: Array) -> Array:
     return jacobian
 
 
-def within_boundaries(problem: Problem, pose: Array) -> Problem:
-    """Leave out those of the first sum on a boundary of the second, or beyond, at a pose (3,).
-
-    Otherwise two views of one wall would correlate best where their ends meet, which only says
-    where the sensors were. (Turk and Levoy 1994 leave out such pairs of meshes.)
-    """
-    return problem.taking(on_no_boundary(problem, pose))
-
-
 def on_no_boundary(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> Mask:
-    """(N,) which of the first sum lie nearest to something of the second that is on no boundary.
+    """(K, N) which of the first sum lie nearest to something of the second that is on no boundary.
 
-    Those farther off the surface at the boundary than so many sigmas count, too.
+    pose: (K, 3). Those farther off the surface at the boundary than so many sigmas count, too.
+    The others must not: two views of one wall would correlate best where their ends meet, which
+    only says where the sensors were. (Turk and Levoy 1994 leave out such pairs of meshes.)
     """
     second = problem.second
     if not second.boundary.any():
-        return np.ones(len(problem.first), dtype=bool)
-    place = problem.first.mean @ rotation(float(pose[2])).T + pose[:2]
+        return np.ones((len(pose), len(problem.first)), dtype=bool)
+    place = plane(laid(problem.first.point, pose))
     near = second.tree.query(place)[1]
     inside: Mask = ~second.boundary[near]
     lost = np.flatnonzero(~inside)
@@ -166,4 +154,4 @@ def on_no_boundary(problem: Problem, pose: Array, across_sigmas: float = math.in
         apart = second.mean[near[lost]] - place[lost]
         across = np.square(np.einsum("ni,ni->n", apart, axes[:, :, 0]))
         inside[lost] = across > across_sigmas**2 * size[:, 0]
-    return inside
+    return inside.reshape(len(pose), -1)

@@ -32,10 +32,11 @@ _APART = 1.8
 
 @dataclass(frozen=True)
 class Lattice:
-    """Poses (n, 3) all over a prior, and the same in steps."""
+    """Poses (n, 3) all over a prior, the same in steps, and how far the prior reaches."""
 
     pose: Array
     step: Array
+    reach_m: float
 
     @classmethod
     def over(cls, guess: Array, covariance: Array, spacing_m: float, lever_m: float) -> Lattice:
@@ -56,7 +57,7 @@ class Lattice:
         step = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
         far = np.square(step * spacing_m / np.maximum(reach, spacing_m)).sum(axis=1)
         step = step[far <= 1.0]
-        return cls(guess + spacing_m * step @ axes.T * unit, step)
+        return cls(guess + spacing_m * step @ axes.T * unit, step, float(reach.max()))
 
 
 def starts(

@@ -6,9 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ekf_reference.core.geometry import Array, Index, Mask, rotation
+
+Complex = NDArray[np.complex128]
+
+_OFF_ROUND = 0.381966
+"""Of a cell, from the origin to the next border: no round coordinate lies on a border, where the
+last digit would tell the cell."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +66,29 @@ class SumOfGaussians:
         return cKDTree(self.mean)
 
     @cached_property
-    def columns(self) -> Array:
-        """(2, N) the means [m], each coordinate in a row of its own."""
-        return np.ascontiguousarray(self.mean.T)
+    def point(self) -> Complex:
+        """(N,) the means as x + i y [m]."""
+        return np.asarray(self.mean[:, 0] + 1j * self.mean[:, 1])
 
     @cached_property
-    def entries(self) -> Array:
-        """(3, N) xx, xy and yy of the covariances [m^2], each in a row of its own."""
-        return self.covariance.reshape(-1, 4).T[[0, 1, 3]]
+    def half_trace(self) -> Array:
+        """(N,) (xx + yy) / 2 of the covariances [m^2]."""
+        return np.asarray(0.5 * (self.covariance[:, 0, 0] + self.covariance[:, 1, 1]))
+
+    @cached_property
+    def deviator(self) -> Complex:
+        """(N,) (xx - yy) / 2 + i xy of the covariances [m^2]: what makes them ellipses."""
+        half = 0.5 * (self.covariance[:, 0, 0] - self.covariance[:, 1, 1])
+        return np.asarray(half + 1j * self.covariance[:, 0, 1])
+
+    @cached_property
+    def larger(self) -> Array:
+        """(N,) variances along the longer axes [m^2]."""
+        return np.asarray(self.half_trace + np.abs(self.deviator))
+
+    @cached_property
+    def _thinned(self) -> dict[float, SumOfGaussians]:
+        return {}
 
     @cached_property
     def centroid(self) -> Array:
@@ -83,7 +105,7 @@ class SumOfGaussians:
     @cached_property
     def typical_variance(self) -> float:
         """The larger one that nine Gaussians in ten stay below [m^2]."""
-        larger = np.sort(self.entries[0] + self.entries[2])
+        larger = np.sort(2.0 * self.half_trace)
         return float(larger[int(0.9 * (len(self) - 1))]) if len(self) else 0.0
 
     def transformed(self, pose: Array) -> SumOfGaussians:
@@ -112,13 +134,16 @@ class SumOfGaussians:
     def thinned(self, cell_m: float) -> SumOfGaussians:
         """One Gaussian for those in each cell of a grid, with their mean, covariance and weight.
 
-        Seams are lost.
+        Worked out once for each size of cells. Boundaries are lost.
         """
-        if not len(self):
-            return self
-        cell = np.floor(self.mean / cell_m).astype(np.int64)
-        _, row = np.unique(cell, axis=0, return_inverse=True)
-        row = row.ravel()
+        if cell_m not in self._thinned:
+            self._thinned[cell_m] = self._in_cells(cell_m) if len(self) else self
+        return self._thinned[cell_m]
+
+    def _in_cells(self, cell_m: float) -> SumOfGaussians:
+        cell = np.floor(self.mean / cell_m + _OFF_ROUND).astype(np.int64)
+        cell -= cell.min(axis=0)
+        _, row = np.unique(cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True)
         total = np.bincount(row, weights=self.weight).astype(float)
 
         def average(value: Array) -> Array:
@@ -127,6 +152,7 @@ class SumOfGaussians:
         mean = np.stack([average(column) for column in self.mean.T], axis=1)
         apart = self.mean - mean[row]
         spread = self.covariance + apart[:, :, None] * apart[:, None, :]
-        flat = np.stack([average(column) for column in spread.reshape(-1, 4).T], axis=1)
+        xx, xy, yy = (average(spread[:, i, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+        flat = np.stack((xx, xy, xy, yy), axis=1)
         none = np.zeros(len(total), dtype=bool)
         return SumOfGaussians(mean, flat.reshape(-1, 2, 2), total, none)

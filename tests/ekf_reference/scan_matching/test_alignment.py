@@ -9,9 +9,9 @@ import pytest
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Scan
-from ekf_reference.scan_matching.alignment import align
+from ekf_reference.scan_matching.alignment import align, ascend
 from ekf_reference.scan_matching.grid_correlation import correlate
-from ekf_reference.scan_matching.problem import AlignmentOptions
+from ekf_reference.scan_matching.problem import AlignmentOptions, Problem
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.scan_matching.scenes import (
@@ -77,6 +77,26 @@ def test_scans_align_from_far(scene: object) -> None:
             to.append(np.abs(found.pose - two.motion) / (0.05, 0.05, np.deg2rad(0.5)))
     assert np.max(error) < 1.0
     assert np.median(np.max(alone, axis=1)) > 1.0
+
+
+def test_many_ascents_end_where_each_ends_alone() -> None:
+    """Free ones all at one maximum; held ones have not moved along what they are held on."""
+    two = pair(np.random.default_rng(8), ELL)
+    problem = Problem.of(two.first, two.second, two.motion, NEAR)
+    rng = np.random.default_rng(9)
+    start = problem.guess + 0.05 * problem.unit * rng.standard_normal((5, 3))
+    axis = rng.standard_normal((5, 3, 1))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    for held in (None, axis):
+        found = ascend(problem, start, 0.0, held=held)
+        assert found.converged.all()
+        for k in range(5):
+            alone = ascend(problem, start[k : k + 1], 0.0, held=None if held is None else held[[k]])
+            np.testing.assert_allclose(found.pose[k], alone.pose[0], atol=2e-4)
+    assert np.ptp(ascend(problem, start, 0.0).pose, axis=0).max() < 1e-3
+    along = np.einsum("ki,ki->k", (found.pose - start) / problem.unit, axis[:, :, 0])
+    assert np.abs(along).max() < 1e-12
+    assert np.ptp(found.pose, axis=0).max() > 0.02
 
 
 def test_exchanged_sums_give_the_inverse() -> None:

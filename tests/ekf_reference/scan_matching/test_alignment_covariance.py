@@ -10,6 +10,7 @@ from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_matching.alignment_covariance import quadratic_form, scan_align
 from ekf_reference.scan_matching.scan_shape import of_scan
+from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.ray_casting import Solids
 from tests.ekf_reference.scan_matching.scenes import (
     BEAMS,
@@ -163,3 +164,22 @@ def test_wrong_maxima_have_covariances_too() -> None:
         found = scan_align(two.first, two.second, guess, PRIOR)
         assert np.isfinite(found.pose).all()
         assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
+
+
+def test_the_last_digit_decides_nothing() -> None:
+    """Means and guess off by 1e-12 of themselves: as many open directions, all else to 1e-8."""
+    rng = np.random.default_rng(18)
+
+    def off(one: SumOfGaussians) -> SumOfGaussians:
+        mean = one.mean * (1.0 + 1e-12 * rng.standard_normal(one.mean.shape))
+        return SumOfGaussians(mean, one.covariance, one.weight, one.boundary)
+
+    for k in range(12):
+        scene = (ELL, COURT, YARD, CORRIDOR)[k % 4]
+        two = pair(rng, scene, (LASER, THESIS)[k % 2])
+        guess = guess_of(rng, two.motion, PRIOR)
+        found = scan_align(two.first, two.second, guess, PRIOR)
+        again = scan_align(off(two.first), off(two.second), guess * (1.0 + 1e-12), PRIOR)
+        assert again.open_directions == found.open_directions
+        np.testing.assert_allclose(again.pose, found.pose, atol=1e-8)
+        np.testing.assert_allclose(again.covariance, found.covariance, rtol=1e-6, atol=1e-8)

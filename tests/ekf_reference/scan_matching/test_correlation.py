@@ -66,6 +66,40 @@ def test_derivatives_equal_central_differences(pose: Array) -> None:
     assert relative_error(turned, gradient) > 1e-2
 
 
+def test_several_poses_at_once_are_each_alone() -> None:
+    """With other Gaussians counted at each; the last pose has no pairs at all."""
+    rng = np.random.default_rng(5)
+    one, other = random_sum(rng, 20), random_sum(rng, 25)
+    pose = np.array((*POSES, (900.0, 0.0, 0.0)))
+    counted, near = rng.random((4, 20)) < 0.7, CorrespondenceSearch(6, 5.0, 3.0)
+    pairs = Pairs.near(one, other, pose, near, counted)
+    found = pairs.derivatives(pose)
+    for k in range(4):
+        alone = Pairs.near(one, other, pose[k], near, counted[k])
+        expected = alone.derivatives(pose[k])
+        assert alone.value(pose[k]) == pytest.approx(found.value[k], rel=1e-12)
+        for of_all, of_one in zip(found, expected, strict=True):
+            np.testing.assert_allclose(of_all[k], of_one, rtol=1e-9, atol=1e-15)
+    assert found.value[3] == 0.0
+    assert (found.value[:3] > 0.0).all()
+    # Each pose is told by its own pairs, in order.
+    assert abs(pairs.value(pose[[1, 0, 2, 3]])[0] / found.value[0] - 1.0) > 0.1
+    # Several times the poses, as for samples about them.
+    np.testing.assert_allclose(pairs.value(np.stack((pose, pose))), [found.value] * 2)
+
+
+def test_derivatives_of_the_logarithm() -> None:
+    rng, pose, unit = np.random.default_rng(6), POSES[0], np.array((1.0, 2.0, 0.3))
+    pairs = Pairs.near(random_sum(rng, 20), random_sum(rng, 25), pose, ALL)
+    slope, bend = pairs.derivatives(pose).of_logarithm(unit)
+    expected = central_difference(lambda x: np.log(np.array([pairs.value(x)])), pose)[0] * unit
+    assert relative_error(slope, expected) < 1e-7
+    by_place = central_difference(
+        lambda x: pairs.derivatives(x).of_logarithm(np.ones(3))[0], pose
+    ) * np.outer(unit, unit)
+    assert relative_error(bend, by_place) < 1e-7
+
+
 def test_inflation_is_a_wider_second_sum() -> None:
     rng, pose = np.random.default_rng(3), POSES[0]
     one, other = random_sum(rng, 10), random_sum(rng, 10)

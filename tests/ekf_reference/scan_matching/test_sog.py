@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Scan
+from ekf_reference.scan_matching import sog
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.numerics import relative_error
@@ -67,6 +68,30 @@ def test_thinning_keeps_mean_covariance_and_weight() -> None:
         return np.append(mean, np.einsum("n,nij->ij", s.weight, second))
 
     assert relative_error(moments(thin), moments(one)) < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_last_digit_tells_no_cell(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Coordinates in whole centimetres, as loggers write them, and 0 along an axis."""
+    rng = np.random.default_rng(seed)
+    mean = np.round(rng.uniform(-5.0, 5.0, (200, 2)), 2)
+    mean[::10, seed % 2] = 0.0
+    spread = np.tile(0.01 * np.eye(2), (200, 1, 1))
+
+    def thin(places: Array) -> Array:
+        return SumOfGaussians.of_equal_height(places, spread).thinned(0.2).mean
+
+    moved = mean + 1e-12 * rng.standard_normal(mean.shape)
+    np.testing.assert_allclose(thin(moved), thin(mean), atol=1e-11)
+    # Broken: a grid with its corner at the origin.
+    monkeypatch.setattr(sog, "_OFF_ROUND", 0.0)
+    assert len(thin(moved)) != len(thin(mean)) or np.abs(thin(moved) - thin(mean)).max() > 1e-3
+
+
+def test_a_sum_is_thinned_once_for_each_cell() -> None:
+    one = random_sum(np.random.default_rng(4), 50)
+    assert one.thinned(1.5) is one.thinned(1.5)
+    assert len(one.thinned(0.5)) > len(one.thinned(1.5))
 
 
 def test_returns_without_surface_are_equations_4_15_and_4_16() -> None:
