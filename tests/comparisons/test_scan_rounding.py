@@ -24,7 +24,7 @@ from comparisons.logs.transforms.time_window import cut_log
 from ekf_reference.scan_landmarks import segmentation, templates
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, segments
 from ekf_reference.scan_landmarks.templates import Template, View, share_in_view
-from ekf_reference.scan_matching import scan_shape
+from ekf_reference.scan_matching import scan_shape, search
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.scan_matching.scenes import BEAMS, COURT, LASER, YARD, ranges
@@ -136,6 +136,14 @@ def told_noise(one: Array, angle_rad: Array) -> object:
     return round(float(np.log(sensor_of(scans).sigma_bearing_rad)), 6)
 
 
+def promised(one: Array, angle_rad: Array) -> object:
+    """By starts of an alignment."""
+    scan = made(recorded_ranges()[0] * one, angle_rad).thinned(0.6)
+    shift = np.linspace(-2.0, 2.0, 9)
+    pose = np.stack((shift, 0.3 * shift, 0.1 * shift), axis=1)
+    return np.round(search._scores(scan, scan, pose, 0.6), 9).tolist()
+
+
 TIES: tuple[tuple[Decision, ModuleType, str, float], ...] = (
     (segments_cut, segmentation, "_TIE", 0.0),
     (in_view, templates, "_TIE", 0.0),
@@ -143,6 +151,7 @@ TIES: tuple[tuple[Decision, ModuleType, str, float], ...] = (
     (hidden_by_the_least, templates, "_TIE", 0.0),
     (boundaries, scan_shape, "_TIE_M", 0.0),
     (told_noise, beam_noise, "_DIGITS", 15),
+    (promised, search, "_BLURRED", 3.0),
 )
 """Decisions, and what keeps them from hanging on a tie, with what would not."""
 
