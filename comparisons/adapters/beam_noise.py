@@ -15,6 +15,8 @@ _MEDIAN = 0.8914
 _CLASSES = 12
 _STEEPEST = 0.9
 """Share of the slopes that are looked at; the rest are mostly edges."""
+_DIGITS = 6
+"""Slopes in metres per radian that are the same in so many decimals stay in their scans' order."""
 _SCANS = 200
 _LEAST_M = 0.02
 _LEAST_RAD = 1e-3
@@ -46,8 +48,10 @@ def _noise(range_m: Array, spacing_rad: float) -> tuple[float, float]:
     basis = np.linalg.qr(np.vander(bearing / bearing[-1], 3))[0]
     left = np.square(piece).sum(axis=1) - np.square(piece @ basis).sum(axis=1)
     variance = np.maximum(left, 0.0) / (_BEAMS - 3)
-    slope = np.square(piece @ bearing / (bearing @ bearing))
-    rank = np.argsort(slope)[: int(_STEEPEST * len(slope))]
+    steepness = np.abs(piece @ bearing / (bearing @ bearing))
+    slope = np.square(steepness)
+    # Recorded ranges are multiples of a step, so many slopes are equal but for rounding.
+    rank = np.argsort(np.round(steepness, _DIGITS), kind="stable")[: int(_STEEPEST * len(slope))]
     classes = np.array_split(rank, _CLASSES)
     seen = np.array([np.median(variance[rows]) for rows in classes]) / _MEDIAN
     steep = np.array([np.median(slope[rows]) for rows in classes])

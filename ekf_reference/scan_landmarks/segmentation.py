@@ -13,6 +13,10 @@ from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions, 
 from ekf_reference.scan_matching.problem import AlignmentOptions
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
+_TIE = 1e-6
+"""Metres or radians; far above rounding. Recorded ranges and bearings are multiples of a step, so
+gaps are often as large as a bound exactly; those always separate."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentationOptions:
@@ -69,7 +73,8 @@ def segments(scan: SumOfGaussians, options: SegmentationOptions | None = None) -
     if not len(scan):
         return []
     bearing, way = np.arctan2(scan.mean[:, 1], scan.mean[:, 0]), np.hypot(*scan.mean.T)
-    cut = (np.abs(np.diff(way)) >= o.range_m) | (np.abs(np.diff(bearing)) >= o.bearing_rad)
+    apart_m, apart_rad = np.abs(np.diff(way)), np.abs(np.diff(bearing))
+    cut = (apart_m >= o.range_m - _TIE) | (apart_rad >= o.bearing_rad - _TIE)
     runs = np.split(np.arange(len(scan)), np.flatnonzero(cut) + 1)
     return [run for run in runs if len(run) >= o.least_points]
 

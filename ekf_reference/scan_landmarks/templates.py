@@ -18,6 +18,11 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _LEAST_POINTS = 3
 _LEAST_LEVER_M = 0.01
+_TIE = 1e-6
+"""Metres or radians; far above rounding. What lies on a bound to so much falls on one side of it:
+recorded ranges and bearings are multiples of a step, and often lie on bounds exactly."""
+_BESIDE = 2.5
+"""Two returns are beside each other when so many beams or fewer apart; no whole number of them."""
 
 BLANK = "blank scan"
 OUT_OF_VIEW = "out of view"
@@ -91,12 +96,17 @@ class View:
     shadow_m: float = 1.0
 
     def sees(self, point: Array) -> Mask:
-        """(N,) which points (N, 2) of the scanner's frame lie in the field of view."""
-        bearing = np.arctan2(point[:, 1], point[:, 0])
+        """(N,) which points (N, 2) of the scanner's frame lie in the field of view.
+
+        What lies on its rims does, what lies at the scanner does not.
+        """
+        bearing, way = np.arctan2(point[:, 1], point[:, 0]), np.hypot(*point.T)
         # Turned by whole circles into the one that begins at the first bearing.
-        after = np.mod(bearing - self.first_rad, 2.0 * np.pi)
-        inside: Mask = (np.hypot(*point.T) <= self.reach_m) & (
-            after <= self.last_rad - self.first_rad
+        after = np.mod(bearing - self.first_rad + _TIE, 2.0 * np.pi)
+        inside: Mask = (
+            (way > _TIE)
+            & (way <= self.reach_m + _TIE)
+            & (after <= self.last_rad - self.first_rad + 2.0 * _TIE)
         )
         return inside
 
@@ -212,11 +222,11 @@ def _hidden(point: Array, scan: SumOfGaussians, shadow_m: float) -> Mask:
     """(N,) points (N, 2) behind the returns on both sides."""
     bearing, way = np.arctan2(scan.mean[:, 1], scan.mean[:, 0]), np.hypot(*scan.mean.T)
     spacing = np.diff(bearing)
-    width = 2.0 * float(np.median(spacing))
+    width = _BESIDE * float(np.median(spacing))
     at = np.arctan2(point[:, 1], point[:, 0])
-    after = np.clip(np.searchsorted(bearing, at), 1, len(bearing) - 1)
+    after = np.clip(np.searchsorted(bearing, at - _TIE), 1, len(bearing) - 1)
     beside = (at >= bearing[0] - width) & (at <= bearing[-1] + width)
     close = beside & (spacing[after - 1] <= width)
-    nearer = np.maximum(way[after - 1], way[after]) + shadow_m < np.hypot(*point.T)
+    nearer = np.maximum(way[after - 1], way[after]) + shadow_m + _TIE < np.hypot(*point.T)
     hidden: Mask = close & nearer
     return hidden

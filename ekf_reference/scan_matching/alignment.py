@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,8 @@ _NOTHING = 1e-300
 """Least Lambda that has a logarithm."""
 _BRIDGED = 1.25
 """Typical sigmas within which a start finds its maximum."""
+_FRESH = 0.025
+"""Typical sigmas from where its pairs were looked up within which an exact maximum may lie."""
 COARSE = 0.1
 """A step so short, in typical sigmas, ends an ascent that need not be exact."""
 
@@ -129,17 +132,24 @@ def ascend(
     o, unit, pose = problem.options, problem.unit, start
     size = problem.size_m(inflation_m)
     close = close_m or (COARSE * size if inflation_m > 0.0 else o.converged_m)
+    # Which pairs count at an exact maximum must not hang on the way there.
+    fresh = math.inf if close_m or inflation_m > 0.0 else _FRESH * size
     pairs, looked = problem.pairs(pose, inflation_m, counted), pose
     here, radius = pairs.derivatives(pose), np.full(len(pose), size)
     converged, ended = np.zeros(len(pose), dtype=bool), ~(here.value > 0.0)
     for _ in range(o.iterations):
         slope, bend = here.of_logarithm(unit)
-        step = _newton(slope, bend, radius)
         if held is not None:
-            step -= (held @ (held.transpose(0, 2, 1) @ step[:, :, None]))[:, :, 0]
+            slope, bend = _across(slope, bend, held)
+        step = _newton(slope, bend, radius)
         step[ended] = 0.0
         length = np.linalg.norm(step, axis=1)
         last = ~ended & (length < close)
+        off = np.abs((pose - looked) / unit).max(axis=1)
+        if (off[last] > fresh).any():
+            pairs, looked = problem.pairs(pose, inflation_m, counted), pose
+            here = pairs.derivatives(pose)
+            continue
         converged |= last
         ended |= last
         there = pose + unit * step
@@ -206,6 +216,17 @@ def _inside(problem: Problem, pose: Array) -> Mask | None:
     """(1, N) which of the first sum are on no boundary of the second; all where there are none."""
     inside = on_no_boundary(problem, pose)
     return inside if inside.any() else None
+
+
+def _across(slope: Array, bend: Array, held: Array) -> tuple[Array, Array]:
+    """Slopes (K, 3) and Hessians (K, 3, 3) of steps with no part along directions (K, 3, k).
+
+    An unconstrained step without that part need not lead uphill.
+    """
+    along = held @ held.transpose(0, 2, 1)
+    free = np.eye(3) - along
+    stiff = np.abs(bend).max(axis=(1, 2), keepdims=True)
+    return (free @ slope[:, :, None])[:, :, 0], free @ bend @ free - stiff * along
 
 
 def _newton(slope: Array, bend: Array, radius: Array) -> Array:

@@ -20,6 +20,9 @@ _BESIDE_BOUNDARY = 3
 """Returns next to where the scan loses a surface that cannot tell where it ends."""
 _FARTHEST = 0.9
 """Share of the greatest range beyond which a surface may go on out of reach."""
+_TIE_M = 1e-6
+"""Far above rounding. Recorded ranges are multiples of a step, so that two are often equal, or one
+is at a bound; to so much they count as equal, and as not beyond it."""
 
 
 def of_scan(bearing_rad: Array, range_m: Array, sensor: Sensor) -> SumOfGaussians:
@@ -74,9 +77,9 @@ def _one_sided(
     beside = np.append(np.diff(bearing_rad), rim_rad - bearing_rad[-1])
     empty = beside > NEXT * sensor.beam_rad
     farther = np.append(range_m[1:], np.inf)
-    behind = ~empty & (farther < range_m)
+    behind = ~empty & (farther < range_m - _TIE_M)
     behind[-1] = not empty[-1]
-    lost = empty & (range_m > _FARTHEST * range_m.max())
+    lost = empty & (range_m > _FARTHEST * range_m.max() + _TIE_M)
     inner = np.maximum(row - _BACK, begin)
     along = point - point[inner]
     across = np.abs(along[:, 0] * point[:, 1] - along[:, 1] * point[:, 0])

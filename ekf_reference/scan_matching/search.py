@@ -19,7 +19,9 @@ _SIGMAS = 2.5
 """How far the lattice of starts goes."""
 _CELL = 0.6
 """Size of a cell over the blur."""
-_BLURRED = 3.0
+_BLURRED = 3.3
+"""How far the picture goes beyond what is drawn in it, over the blur: no whole number of cells, so
+that the outermost means do not lie on a border of cells, where the last digit would tell which."""
 _CELLS = 2**20
 _POSES = 2**13
 _AT_ONCE = 2**18

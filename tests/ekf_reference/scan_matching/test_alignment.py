@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Scan
+from ekf_reference.scan_matching import alignment
 from ekf_reference.scan_matching.alignment import align, ascend
 from ekf_reference.scan_matching.grid_correlation import correlate
 from ekf_reference.scan_matching.problem import AlignmentOptions, Problem
@@ -97,6 +99,55 @@ def test_many_ascents_end_where_each_ends_alone() -> None:
     along = np.einsum("ki,ki->k", (found.pose - start) / problem.unit, axis[:, :, 0])
     assert np.abs(along).max() < 1e-12
     assert np.ptp(found.pose, axis=0).max() > 0.02
+
+
+def test_a_held_ascent_ends_where_nothing_rises_beside_what_is_held(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Broken: the step of a free ascent, without its part along what is held."""
+    two = pair(np.random.default_rng(8), ELL)
+    problem = Problem.of(two.first, two.second, two.motion, NEAR)
+    rng = np.random.default_rng(9)
+    start = problem.guess + 0.05 * problem.unit * rng.standard_normal((8, 3))
+    axis = rng.standard_normal((8, 3, 1))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+
+    newton = alignment._newton
+
+    def steepest(*, broken: bool) -> float:
+        """Slope of ln Lambda at the ends, beside what is held."""
+        left = 0.0
+        for pose, held in zip(start[:, None], axis[:, None], strict=True):
+            free = np.eye(3) - held[0] @ held[0].T
+            if broken:
+                monkeypatch.setattr(alignment, "_across", lambda slope, bend, held: (slope, bend))
+                monkeypatch.setattr(alignment, "_newton", partial(projected, free))
+            found = ascend(problem, pose, 0.0, held=held)
+            slope = found.pairs.derivatives(found.pose).of_logarithm(problem.unit)[0]
+            left = max(left, float(np.abs(slope @ free).max()))
+        return left
+
+    def projected(free: Array, *of: Array) -> Array:
+        return np.asarray(newton(*of) @ free)
+
+    assert steepest(broken=False) < 1e-6
+    assert steepest(broken=True) > 1e-3
+
+
+def test_an_exact_maximum_does_not_hang_on_the_way_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From 20 starts. Broken: with the pairs that were looked up on the way."""
+    two = pair(np.random.default_rng(8), ELL)
+    problem = Problem.of(two.first, two.second, two.motion, NEAR)
+    rng = np.random.default_rng(9)
+    start = problem.guess + 0.05 * problem.unit * rng.standard_normal((20, 3))
+
+    def spread() -> float:
+        ends = [ascend(problem, one[None], 0.0).pose[0] for one in start]
+        return float(np.ptp(np.array(ends) / problem.unit, axis=0).max())
+
+    assert spread() < 2e-5
+    monkeypatch.setattr(alignment, "_FRESH", np.inf)
+    assert spread() > 1e-4
 
 
 def test_exchanged_sums_give_the_inverse() -> None:

@@ -1,0 +1,208 @@
+"""Whether Scan-SLAM's results hang on rounding: runs with inputs moved by 1e-12 beside others.
+
+    python benchmarks/scan_rounding.py [--seeds 10] [--first 0] [--seconds 15] [--fuse] [LOG]
+
+LOG: a recorded log with scans instead of simulated drives; then seeds are those of the inputs'
+motion. Per run: whether all decisions stay; how far z moved, in its sigmas, before the first one
+that does not, and how far final pose and landmarks; and that decision. Processor time of the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+
+from comparisons.arrays import Array
+from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import Odometry, RelativePoses, SteeringOdometry
+from comparisons.logs.transforms.time_window import cut_log
+from comparisons.pipeline.compare import compare
+from comparisons.settings import run_config
+from ekf_reference.scan_landmarks.segmentation import Quality, quality
+from ekf_reference.scan_landmarks.templates import Observation, TemplateObserver
+
+SIZE = 1e-12
+"""Standard deviation of the factors by which inputs are multiplied, about 1."""
+
+
+class Step(NamedTuple):
+    """One alignment: what was decided, and z and R where they are used."""
+
+    decided: tuple[Any, ...]
+    z: Array | None = None
+    covariance: Array | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to.
+
+    decided: verdict, landmarks' indices, counts of reasons and of merges. place: (1 + Q, 3) final
+    pose and landmarks, with standard deviations sigma. steps: all alignments in their order.
+    """
+
+    decided: tuple[Any, ...]
+    place: Array
+    sigma: Array
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Between two runs.
+
+    stays: verdict, landmarks and counts. first: the first decision that differs, in words, empty
+    where none does. z: greatest difference of z in sigmas, until then. result: of final pose and
+    landmarks, in sigmas.
+    """
+
+    stays: bool
+    first: str
+    z: float
+    result: float
+
+
+def main() -> None:
+    """Run all and print a line each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("log", nargs="?", default="")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--fuse", action="store_true")
+    choices = parser.parse_args()
+    name, options = choices.log or "scan-slam", {"merge_landmarks": choices.fuse}
+    decisions, verdicts, base = 0, 0, None
+    for seed in range(choices.first, choices.first + choices.seeds):
+        drive = SimulationChoices(0 if choices.log else seed)
+        log = cut_log(open_log(name, choices=drive), end_s=choices.seconds)
+        if base is None or not choices.log:
+            base = outcome(log, **options)
+        start = time.process_time()
+        other = outcome(perturbed(log, np.random.default_rng(1000 + seed)), **options)
+        spent, found = time.process_time() - start, difference(base, other)
+        decisions += not found.first
+        verdicts += found.stays
+        print(
+            f"{seed:4}  {base.decided[0]:9} decisions {'differ' if found.first else 'stay':6} "
+            f"z {found.z:8.1e} result {found.result:8.1e} sigma {spent:6.1f} s  {found.first}",
+            flush=True,
+        )
+    print(f"decisions stay in {decisions}, verdict and landmarks in {verdicts} of {choices.seeds}")
+
+
+def perturbed(log: Log, rng: np.random.Generator, size: float = SIZE) -> Log:
+    """Return a log with its inputs multiplied by 1 + size times a standard normal, each its own.
+
+    Ranges and bearings of scans, odometry, the prior's pose and positions; times, noise and truth
+    stay.
+    """
+
+    def moved(values: Array) -> Array:
+        return np.asarray(values * (1.0 + size * rng.standard_normal(np.shape(values))))
+
+    scans, positions, odometry = log.scans, log.positions, log.odometry
+    if scans is not None:
+        scans = replace(scans, range_m=moved(scans.range_m), angle_rad=moved(scans.angle_rad))
+    if positions is not None:
+        positions = replace(positions, position_m=moved(positions.position_m))
+    columns = {name: moved(getattr(odometry, name)) for name in _columns(odometry)}
+    return replace(
+        log,
+        scans=scans,
+        positions=positions,
+        prior=replace(log.prior, pose=moved(log.prior.pose)),
+        odometry=replace(odometry, **columns),  # type: ignore[arg-type]
+    )
+
+
+def _columns(odometry: Odometry) -> tuple[str, ...]:
+    if isinstance(odometry, RelativePoses):
+        return ("displacement",)
+    turn = "steering_rad" if isinstance(odometry, SteeringOdometry) else "yaw_rate_radps"
+    return ("speed_mps", turn)
+
+
+def outcome(log: Log, **options: Any) -> Outcome:
+    """Run Scan-SLAM and the smoother over a log. options: as run_config takes them."""
+    with recorded() as steps:
+        c = compare(log, run_config(landmarks="scans", **options))
+    source, estimate = c.find(ScanLandmarksFinding).source, c.ekf.estimate
+    return Outcome(
+        decided=(
+            c.verdict.outcome,
+            tuple(np.asarray(estimate.pose_landmark_id).tolist()),
+            tuple(sorted(source.found.reasons.items())),
+            source.found.rejected,
+            source.merged,
+        ),
+        place=np.vstack((estimate.pose[-1:], estimate.pose_landmarks)),
+        sigma=np.sqrt(np.diag(estimate.joint_covariance)).reshape(-1, 3),
+        steps=tuple(steps),
+    )
+
+
+@contextmanager
+def recorded() -> Iterator[list[Step]]:
+    """Record the alignments of Scan-SLAM that are made meanwhile."""
+    steps, observe = list[Step](), TemplateObserver.observe
+
+    def observing(*args: Any) -> Observation:
+        seen = observe(*args)
+        if seen.alignment is None or not seen.usable:
+            steps.append(Step(("observed", seen.reason)))
+        else:
+            found = seen.alignment
+            steps.append(
+                Step(("observed", found.open_directions, "open"), found.pose, found.covariance)
+            )
+        return seen
+
+    def trying(*args: Any) -> Quality:
+        found = quality(*args)
+        kept = (np.zeros(3), found.covariance) if found.accepted else ()
+        steps.append(Step(("tried", len(args[0]), "returns", "accepted" * found.accepted), *kept))
+        return found
+
+    with (
+        patch.object(TemplateObserver, "observe", observing),
+        patch("ekf_reference.scan_landmarks.scan_slam.quality", trying),
+    ):
+        yield steps
+
+
+def difference(one: Outcome, other: Outcome) -> Difference:
+    """Compare two runs."""
+    moved, first = 0.0, ""
+    for number, (a, b) in enumerate(zip(one.steps, other.steps, strict=False)):
+        if a.decided != b.decided:
+            first = f"alignment {number}: {a.decided}, {b.decided}"
+            break
+        if a.z is not None and b.z is not None and a.covariance is not None:
+            moved = max(moved, _apart(a.z, b.z, np.sqrt(np.diag(a.covariance))))
+    if not first and (one.decided, len(one.steps)) != (other.decided, len(other.steps)):
+        first = f"{one.decided}, {other.decided}"
+    result = np.inf
+    if one.place.shape == other.place.shape:
+        result = _apart(one.place, other.place, one.sigma)
+    return Difference(one.decided == other.decided, first, moved, result)
+
+
+def _apart(one: Array, other: Array, sigma: Array) -> float:
+    """Greatest difference of poses (..., 3), in sigmas."""
+    apart = other - one
+    apart[..., 2] = np.mod(apart[..., 2] + np.pi, 2.0 * np.pi) - np.pi
+    return float(np.max(np.abs(apart) / sigma))
+
+
+if __name__ == "__main__":
+    main()
