@@ -214,7 +214,8 @@ def true_axes(c: Comparison, drive: ScanExperiment) -> Array:
     if poses is None:
         raise ValueError("the log has no true poses")
     run, found = c.ekf, c.find(ScanLandmarksFinding).source.found
-    solid, first = drive.world.solids(), {}
+    solid = drive.world.solids()
+    first: dict[int, int] = {}
     for row, landmark in enumerate(run.pose_landmarks.landmark.tolist()):
         first.setdefault(landmark, row)
     bearing = np.radians(np.arange(-90.0, 90.01, 0.5))

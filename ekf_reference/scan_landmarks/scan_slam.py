@@ -157,7 +157,7 @@ class ScanSlam:
         self.found = ScanLandmarks()
         self.guard: DynamicPlaces | None = None
         self._observer = observer or TemplateObserver()
-        self._rng = np.random.default_rng(seed)
+        self._seed = seed
         self._last_seen: dict[int, int] = {}
         self._last_tried: Counter[int] = Counter()
         self._initialised = 0
@@ -277,9 +277,11 @@ class ScanSlam:
                 if self._share(int(landmark_index), z, scan) >= self.view.share
             ]
 
+        # Anew for each scan: one trial more or less must not change the noise of all later ones.
+        rng = np.random.default_rng((self._seed, self.found.scans))
         for rows in o.extraction.found(scan, self.view, self._out()[0, :2], known):
             segment, trial = scan.take(rows), o.extraction.segmentation
-            found = quality(segment, self.sensor, self._rng, trial, o.alignment, o.belief)
+            found = quality(segment, self.sensor, rng, trial, o.alignment, o.belief)
             if not found.accepted:
                 self.found.rejected += 1
                 continue

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.scan_landmarks import templates
 from ekf_reference.scan_landmarks.segmentation import (
     Quality,
     SegmentationOptions,
@@ -27,6 +26,7 @@ from ekf_reference.scan_landmarks.templates import (
     observe,
     share_in_view,
 )
+from ekf_reference.scan_matching.alignment_covariance import scan_align
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.scan_matching.scenes import (
@@ -173,13 +173,12 @@ def test_identical_templates_see_the_same_and_twins_nothing() -> None:
 def test_an_alignment_that_fixes_no_direction_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """It would pass any gate, and a scan that saw a landmark starts no other."""
     scan = seen(STAR)
-    template, found = template_of(scan), templates.scan_align
+    template = template_of(scan)
     assert observe(template, scan, template.pose, NEAR, MATCHING).usable
     for free in (2, 3):
         monkeypatch.setattr(
-            templates,
-            "scan_align",
-            lambda *given, free=free: replace(found(*given), open_directions=free),
+            "ekf_reference.scan_landmarks.templates.scan_align",
+            lambda *given, free=free: replace(scan_align(*given), open_directions=free),
         )
         what = observe(template, scan, template.pose, NEAR, MATCHING)
         assert what.reason == (UNDETERMINED if free == 3 else "")
