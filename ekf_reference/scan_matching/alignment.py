@@ -29,6 +29,8 @@ _BRIDGED = 1.25
 """Typical sigmas within which a start finds its maximum."""
 _FRESH = 0.025
 """Typical sigmas from where its pairs were looked up within which an exact maximum may lie."""
+_ANEW = 5
+"""Most times that they are looked up for that: along an open direction it may never end."""
 COARSE = 0.1
 """A step so short, in typical sigmas, ends an ascent that need not be exact."""
 
@@ -137,6 +139,7 @@ def ascend(
     pairs, looked = problem.pairs(pose, inflation_m, counted), pose
     here, radius = pairs.derivatives(pose), np.full(len(pose), size)
     converged, ended = np.zeros(len(pose), dtype=bool), ~(here.value > 0.0)
+    anew, length = _ANEW, np.full(len(pose), np.inf)
     for _ in range(o.iterations):
         slope, bend = here.of_logarithm(unit)
         if held is not None:
@@ -146,7 +149,8 @@ def ascend(
         length = np.linalg.norm(step, axis=1)
         last = ~ended & (length < close)
         off = np.abs((pose - looked) / unit).max(axis=1)
-        if (off[last] > fresh).any():
+        if anew and (off[last] > fresh).any():
+            anew -= 1
             pairs, looked = problem.pairs(pose, inflation_m, counted), pose
             here = pairs.derivatives(pose)
             continue
@@ -170,6 +174,8 @@ def ascend(
         if (np.abs((pose - looked) / unit) > slack * size).any():
             pairs, looked = problem.pairs(pose, inflation_m, counted), pose
             here = pairs.derivatives(pose)
+    # Out of iterations, so near to the end that no decision is another.
+    converged |= ~ended & (length < 100.0 * close)
     return Ascents(pose, here.value, converged, pairs)
 
 
