@@ -3,9 +3,9 @@
 A landmark is the axis at which its template fits the true surface best. So the error of the first
 measurement, at the template's own pose, comes from the template's noise alone; its R is that of
 aligning the segment with a noisy copy of itself. Errors of later measurements come from the noise
-of their own scans. R is the alignment's covariance, which holds the template's noise too: it is too
-large by chi-square, and the pose's NEES is consistent with it as long as no loop is missed. The
-state does not hold what measurements share through one template, so a smoother may be too sure.
+of their own scans, and from the template's as far as its view changes. What measurements share
+through one scan or one template is not in the state: R counts it (see shared_noise), and one
+alignment alone is better than its R by chi-square.
 """
 
 from __future__ import annotations
