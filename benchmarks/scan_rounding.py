@@ -1,4 +1,4 @@
-"""Whether Scan-SLAM's results hang on rounding: runs with inputs moved by 1e-12 beside others.
+"""Whether Scan-SLAM's results depend on rounding: runs with inputs moved by 1e-12 beside others.
 
     python benchmarks/scan_rounding.py [--seeds 10] [--first 0] [--seconds 15] [--fuse] [LOG]
 

@@ -134,7 +134,7 @@ def ascend(
     o, unit, pose = problem.options, problem.unit, start
     size = problem.size_m(inflation_m)
     close = close_m or (COARSE * size if inflation_m > 0.0 else o.converged_m)
-    # Which pairs count at an exact maximum must not hang on the way there.
+    # Which pairs count at an exact maximum must not depend on the way there.
     fresh = math.inf if close_m or inflation_m > 0.0 else _FRESH * size
     pairs, looked = problem.pairs(pose, inflation_m, counted), pose
     here, radius = pairs.derivatives(pose), np.full(len(pose), size)

@@ -1,7 +1,7 @@
-"""Scan-SLAM does not hang on rounding: inputs moved by 1e-12 change no decision and no figure.
+"""Scan-SLAM does not depend on rounding: inputs moved by 1e-12 change no decision and no figure.
 
-What hung on it were ties: recorded ranges and bearings are multiples of a step, so that they lie on
-bounds exactly, and the last digit told on which side.
+What depended on it were ties: recorded ranges and bearings are multiples of a step, so that they lie on
+bounds exactly, and the last digit decided on which side.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def recorded_ranges() -> Array:
     return np.asarray(np.round(seen, 2))
 
 
-def told_noise(one: Array, angle_rad: Array) -> object:
+def estimated_noise(one: Array, angle_rad: Array) -> object:
     """Of the scanner, by its scans."""
     seen = recorded_ranges()
     time_s = np.arange(float(len(seen)))
@@ -150,10 +150,10 @@ TIES: tuple[tuple[Decision, ModuleType, str, float], ...] = (
     (hidden, templates, "_BESIDE", 2.0),
     (hidden_by_the_least, templates, "_TIE", 0.0),
     (boundaries, scan_shape, "_TIE_M", 0.0),
-    (told_noise, beam_noise, "_DIGITS", 15),
+    (estimated_noise, beam_noise, "_DIGITS", 15),
     (promised, search, "_BLURRED", 3.0),
 )
-"""Decisions, and what keeps them from hanging on a tie, with what would not."""
+"""Decisions, and what keeps them the same at a tie, and what would not."""
 
 
 @pytest.mark.parametrize(("decision", "module", "name", "broken"), TIES)

@@ -134,7 +134,7 @@ def test_a_held_ascent_ends_where_nothing_rises_beside_what_is_held(
     assert steepest(broken=True) > 1e-3
 
 
-def test_an_exact_maximum_does_not_hang_on_the_way_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exact_maximum_does_not_depend_on_the_way_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """From 20 starts. Broken: with the pairs that were looked up on the way."""
     two = pair(np.random.default_rng(8), ELL)
     problem = Problem.of(two.first, two.second, two.motion, NEAR)

@@ -82,7 +82,7 @@ def test_several_poses_at_once_are_each_alone() -> None:
             np.testing.assert_allclose(of_all[k], of_one, rtol=1e-9, atol=1e-15)
     assert found.value[3] == 0.0
     assert (found.value[:3] > 0.0).all()
-    # Each pose is told by its own pairs, in order.
+    # Each pose has its own pairs, in order.
     assert abs(pairs.value(pose[[1, 0, 2, 3]])[0] / found.value[0] - 1.0) > 0.1
     # Several times the poses, as for samples about them.
     np.testing.assert_allclose(pairs.value(np.stack((pose, pose))), [found.value] * 2)
