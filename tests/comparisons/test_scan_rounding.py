@@ -1,7 +1,7 @@
 """Scan-SLAM does not depend on rounding: inputs moved by 1e-12 change no decision and no figure.
 
-What depended on it were ties: recorded ranges and bearings are multiples of a step, so that they lie on
-bounds exactly, and the last digit decided on which side.
+What depended on it were ties: recorded ranges and bearings are multiples of a step, so that they
+lie on bounds exactly, and the last digit decided on which side.
 """
 
 from __future__ import annotations
