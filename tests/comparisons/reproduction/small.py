@@ -159,7 +159,7 @@ def high_level_drives() -> nieto_high_level.HighLevelDrives:
 
 def scan_maps() -> nieto_scan_maps.ScanMaps:
     """The first seconds of a drive; what closes there is not a loop."""
-    log = first_seconds(open_log("scan-slam-maps"), 12.0)
+    log = first_seconds(open_log("scan-slam-maps"), 18.0)
     return nieto_scan_maps.of_logs([log], "the beginning of a drive")
 
 
