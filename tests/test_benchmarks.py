@@ -229,6 +229,17 @@ def test_scan_slam_benchmark_runs() -> None:
     assert lines[-1] == "agree: 2 of 2"
 
 
+@pytest.mark.slow
+def test_scan_car_park_benchmark_runs(shared_data: Path) -> None:
+    log = str(shared_data / "acfr_car_park")
+    lines = run(
+        "benchmarks/scan_car_park.py", log, "--runs", "1", "--processes", "1", "--end", "12"
+    )
+    assert lines[0].split()[0] == "0"
+    assert lines[1].startswith("    EKF")
+    assert lines[-3:-2] == ["verdict, landmarks and measurements as unmoved: 1 of 1"]
+
+
 def test_pieces_benchmark_runs() -> None:
     lines = run("benchmarks/pieces.py", "--repeat", "2")
     assert len(lines) == 2
