@@ -81,14 +81,19 @@ def test_scans_align_from_far(scene: object) -> None:
     assert np.median(np.max(alone, axis=1)) > 1.0
 
 
-def test_many_ascents_end_where_each_ends_alone() -> None:
-    """Free ones all at one maximum; held ones have not moved along what they are held on."""
+def starts_with_axes(count: int) -> tuple[Problem, Array, Array]:
+    """A room's problem, poses (K, 3) about its guess, and directions (K, 3, 1) to hold them on."""
     two = pair(np.random.default_rng(8), ELL)
     problem = Problem.of(two.first, two.second, two.motion, NEAR)
     rng = np.random.default_rng(9)
-    start = problem.guess + 0.05 * problem.unit * rng.standard_normal((5, 3))
-    axis = rng.standard_normal((5, 3, 1))
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    start = problem.guess + 0.05 * problem.unit * rng.standard_normal((count, 3))
+    axis = rng.standard_normal((count, 3, 1))
+    return problem, start, axis / np.linalg.norm(axis, axis=1, keepdims=True)
+
+
+def test_many_ascents_end_where_each_ends_alone() -> None:
+    """Free ones all at one maximum; held ones have not moved along what they are held on."""
+    problem, start, axis = starts_with_axes(5)
     for held in (None, axis):
         found = ascend(problem, start, 0.0, held=held)
         assert found.converged.all()
@@ -105,12 +110,7 @@ def test_a_held_ascent_ends_where_nothing_rises_beside_what_is_held(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Broken: the step of a free ascent, without its part along what is held."""
-    two = pair(np.random.default_rng(8), ELL)
-    problem = Problem.of(two.first, two.second, two.motion, NEAR)
-    rng = np.random.default_rng(9)
-    start = problem.guess + 0.05 * problem.unit * rng.standard_normal((8, 3))
-    axis = rng.standard_normal((8, 3, 1))
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    problem, start, axis = starts_with_axes(8)
 
     newton = alignment._newton
 
