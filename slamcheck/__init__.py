@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from slamcheck._packages import check_packages
 
 if TYPE_CHECKING:
+    from comparisons.audit.recorder import Recorder as Recorder
     from comparisons.config import CheckConfig as CheckConfig
     from comparisons.config import JobConfig
     from comparisons.config import MapConfig as MapConfig
@@ -74,6 +75,7 @@ _PLACES = {
     "MapConfig": "comparisons.config",
     "MonteCarlo": "comparisons.experiments.montecarlo.study:Outcome",
     "OdometryConfig": "comparisons.config",
+    "Recorder": "comparisons.audit.recorder",
     "RunConfig": "comparisons.config",
     "Solution": "comparisons.pipeline.solve",
     "SolveConfig": "comparisons.config",
@@ -101,6 +103,7 @@ __all__ = [
     "MapConfig",
     "MonteCarlo",
     "OdometryConfig",
+    "Recorder",
     "RunConfig",
     "Solution",
     "SolveConfig",
