@@ -58,6 +58,10 @@ class Layout:
             self._columns[blocks] = found
         return found
 
+    def entries(self, name: str) -> slice:
+        """Return the entries of one block."""
+        return slice(self.start[name], self.start[name] + self.dims[name])
+
     def add(self, name: str, dim: int) -> None:
         """Append a block."""
         self.dims[name] = dim
@@ -120,7 +124,7 @@ class Replay:
             case Augment():
                 self.augment(event)
             case Clone():
-                self.clone(event.name, event.source)
+                self.clone(event.source, event.name)
             case Remove():
                 self.remove(event.blocks)
             case Reset():
@@ -141,7 +145,7 @@ class Replay:
         p[at] = f @ p[at]
         p[:, at] = p[:, at] @ f.T
         if noise is not None:
-            p[at if isinstance(at, slice) else np.ix_(at, at)] += noise
+            p[(at, at) if isinstance(at, slice) else np.ix_(at, at)] += noise
         mean[at] = f @ mean[at]
 
     def update(self, event: Update) -> Fused:
@@ -192,7 +196,7 @@ class Replay:
         mean = event.jacobian @ self.mean[at]
         self._append(event.name, across, own, mean)
 
-    def clone(self, name: str, source: str) -> None:
+    def clone(self, source: str, name: str) -> None:
         """Append a copy of a block."""
         at = self.layout.columns((source,))
         across = self.covariance[at]
