@@ -44,8 +44,8 @@ from graphslam.marginals import Marginal
 FALSE_ALARMS = 1e-3
 """Share of sound traces that any of the statistical checks calls faulty."""
 NO_SENSOR = Sensor(None, ())
-MOST_LOCALISED = 20
-"""Faults of the algebra whose cause is sought; more are counted."""
+MOST_SEARCHED = 20
+"""Faults of the algebra whose cause is sought; more of other causes are counted."""
 MOST_KEPT = 5_000
 """Events since the last snapshot that are kept for this."""
 MOST_ANCHORS = 200
@@ -144,7 +144,8 @@ class _Pass:
         self.gaps: list[AlgebraGap] = []
         self.largest: AlgebraGap | None = None
         self.first_open: AlgebraGap | None = None
-        self.agreement, self.gains, self.causes, self.snapshots = 0.0, 0, 0, 0
+        self.agreement, self.gains, self.searched, self.snapshots = 0.0, 0, 0, 0
+        self.known: set[str] = set()
         self.sound = self.optimal = True
         self.broken: set[str] = set()
         self.unlike: dict[str, tuple[Finding, int]] = {}
@@ -323,15 +324,22 @@ class _Pass:
 
     def _localise(self, snapshot: Snapshot) -> None:
         """Say where and how a snapshot became wrong."""
-        self.causes += 1
-        if self.start is None or self.causes > MOST_LOCALISED:
-            self._confirm(None)
+        if self.start is None or self.searched > MOST_SEARCHED:
+            self.pending = []
             text = f"the covariance at event {snapshot.number} is not that of the events before it"
             self._add(Finding("algebra", True, text, snapshot.number, None, ()), "unknown")
             return
-        cause = localise(self.start, self.kept, snapshot, self.tolerance)
-        self._confirm(cause.event)
-        self._add(self._finding(cause, snapshot), f"{cause.what}{cause.known}")
+        cause = localise(self.start, self.kept, snapshot, self.tolerance, self.known)
+        if cause.what not in self.known:
+            self.searched += 1
+        if cause.known:
+            self.known.add(cause.what)
+        finding = self._finding(cause, snapshot)
+        if cause.event is None and self.pending:
+            first = self.pending[0]
+            finding = finding._replace(event=first.event, sensor=first.sensor)
+        self._confirm(finding.event)
+        self._add(finding, cause.what if cause.known else "unknown")
 
     def _finding(self, cause: Cause, snapshot: Snapshot) -> Finding:
         check = "gain" if cause.sound else "algebra"
@@ -346,11 +354,11 @@ class _Pass:
         text = f"{name_of(event)}: {cause.what}{tail}"
         return Finding(check, not cause.sound, text, event.number, sensor, cause.blocks)
 
-    def _confirm(self, until: Event | None) -> None:
+    def _confirm(self, until: int | None) -> None:
         """Accept what gains were found unlike, up to an event that made the covariance wrong."""
         for finding in self.pending:
             assert finding.event is not None  # noqa: S101 - gains are of updates
-            if until is None or finding.event <= until.number:
+            if until is None or finding.event <= until:
                 key = finding.text.split(" ", 2)[2] if finding.sensor else finding.text
                 self._add(finding, key)
         self.pending = []

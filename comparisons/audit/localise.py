@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -66,7 +66,13 @@ def name_of(event: Event) -> str:
             return f"event {event.number}"
 
 
-def localise(start: Replay, events: Sequence[Event], snapshot: Snapshot, tolerance: float) -> Cause:
+def localise(
+    start: Replay,
+    events: Sequence[Event],
+    snapshot: Snapshot,
+    tolerance: float,
+    before: Collection[str] = (),
+) -> Cause:
     """Return the cause of a snapshot that is not as the events before it say.
 
     Args:
@@ -74,6 +80,7 @@ def localise(start: Replay, events: Sequence[Event], snapshot: Snapshot, toleran
         events: Those between the two.
         snapshot: The wrong one.
         tolerance: What rounding explains, in sigmas.
+        before: Errors that explained earlier ones; they are tried first.
     """
     changing = [e for e in events if not isinstance(e, Snapshot | Directions | Prior)]
     plain = start.copy()
@@ -83,9 +90,11 @@ def localise(start: Replay, events: Sequence[Event], snapshot: Snapshot, toleran
     expected = plain.covariance[at][:, at]
     scaled = apart(snapshot.covariance, expected)
     allowed = max(tolerance, _SHARE * float(scaled.max()))
-    best = _search(start, changing, snapshot, allowed)
-    if best is not None:
-        return best
+    tries: list[Collection[str] | None] = [before, None] if before else [None]
+    for only in tries:
+        found = _search(start, changing, snapshot, allowed, only)
+        if found is not None:
+            return found
     dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
     pair = largest_pair(np.where(np.isfinite(scaled), scaled, np.inf), snapshot.blocks, dims)
     of = f"block {pair[0]}" if pair[0] == pair[1] else f"block {pair[0]} with {pair[1]}"
@@ -95,17 +104,23 @@ def localise(start: Replay, events: Sequence[Event], snapshot: Snapshot, toleran
 
 
 def _search(
-    start: Replay, events: Sequence[Event], snapshot: Snapshot, allowed: float
+    start: Replay,
+    events: Sequence[Event],
+    snapshot: Snapshot,
+    allowed: float,
+    only: Collection[str] | None,
 ) -> Cause | None:
     """Try every known error at every event, and at all like it from there on; the first that fits.
 
-    An error at a single event goes before the same at several.
+    An error at a single event goes before the same at several. only: none but these.
     """
     replayed, before = 0, start.copy()
     several: Cause | None = None
     for i, event in enumerate(events):
         like = _like(event, events[i + 1 :])
         for fault in known_faults(event, before):
+            if only is not None and fault.what not in only:
+                continue
             for repeated in (False, True) if like else (False,):
                 if repeated and several is not None:
                     continue
