@@ -42,7 +42,6 @@ class Window(NamedTuple):
 
     first: int
     last: int
-    time_s: float
     mean: float
     low: float
     high: float
@@ -174,7 +173,6 @@ class _Series:
             Window(
                 int(self.event[part[0]]),
                 int(self.event[part[-1]]),
-                float(self.time_s[part].mean()),
                 float(self.nis[part].mean()),
                 *_band(self.dof[part]),
             )
