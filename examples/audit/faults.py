@@ -119,6 +119,10 @@ class Bug:
         fault = self._of(sensor)
         return gate if fault is None or fault.gate is None else fault.gate
 
+    def strikes(self, place: str) -> bool:
+        """Return whether the fault is in the next event of a place."""
+        return self._of(place) is not None
+
     def _of(self, place: str) -> Fault | None:
         """The fault, where it is in the next event of a place."""
         fault, nth = self.fault, self.counts[place]
@@ -146,10 +150,13 @@ def _place(event: Event) -> str:
     return event.sensor if isinstance(event, Update) else type(event).__name__.lower()
 
 
+def not_updated(step: Step, at: list[slice]) -> Array:
+    """P stays as it was."""
+    return step.before
+
+
 def stale(step: Step, at: list[slice]) -> Array:
-    """Nothing of P is updated, or none but the one block's own covariance stays as it was."""
-    if not at:
-        return step.before
+    """The covariance of one block, or the cross-covariance of two, stays as it was."""
     after = step.after.copy()
     after[at[0], at[-1]] = step.before[at[0], at[-1]]
     after[at[-1], at[0]] = step.before[at[-1], at[0]]
@@ -221,10 +228,14 @@ def wrong_sign(correction: Array, at: list[slice]) -> Array:
     return _scaled(correction, at, -1.0)
 
 
+def kalman_gain(p: Array, h: Array, r: Array) -> Array:
+    """Return P H' (H P H' + R)^-1, (n, m)."""
+    return np.asarray(np.linalg.solve(h @ p @ h.T + r, h @ p.T).T, dtype=np.float64)
+
+
 def updated(p: Array, h: Array, r: Array) -> Array:
-    """P after an update: P - K S K'."""
-    gain = np.linalg.solve(h @ p @ h.T + r, h @ p)
-    return np.asarray(p - p @ h.T @ gain)
+    """Return P after an update, by the short form."""
+    return np.asarray(p - kalman_gain(p, h, r) @ h @ p)
 
 
 def _scaled(correction: Array, at: list[slice], by: float) -> Array:

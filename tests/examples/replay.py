@@ -70,7 +70,8 @@ class Replay:
         s = h @ self.covariance @ h.T + event.noise
         gain = np.linalg.solve(s, h @ self.covariance).T
         sigmas = np.sqrt(np.diag(self.covariance))
-        self.covariance = self.covariance - gain @ s @ gain.T
+        left = np.eye(len(h.T)) - gain @ h
+        self.covariance = left @ self.covariance @ left.T + gain @ event.noise @ gain.T
         if event.correction is None:
             return 0.0
         return float(np.abs((event.correction - gain @ event.residual) / sigmas).max())

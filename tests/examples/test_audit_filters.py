@@ -16,7 +16,7 @@ from comparisons.audit.trace_file import Trace
 from examples.audit.faults import Planted
 from tests.examples.replay import departures
 
-NAMES = ("filterpy_ekf",)
+NAMES = ("filterpy_ekf", "filterpy_ukf", "gtsam_filters")
 PACKAGES = {"filterpy_ekf": "filterpy", "filterpy_ukf": "filterpy", "navlie_se3": "navlie"}
 ROUNDING, SEEN = 1e-9, 1e-5
 
@@ -67,7 +67,8 @@ def test_every_fault_shows_at_its_event(module: ModuleType, tmp_path: Path) -> N
         assert planted is not None
         assert _first_difference(tmp_path / "sound", tmp_path / name) == planted.event, name
         departed = [event for event, apart in departures(tmp_path / name) if apart > SEEN]
-        assert departed[:1] == ([] if fault.statistical else [planted.event]), name
+        seen = () if fault.statistical else _seen(tmp_path / name, planted.event)
+        assert departed[0] in seen if seen else not departed, name
         _names_what_is_there(planted, tmp_path / name)
 
 
@@ -80,6 +81,12 @@ def _first_difference(sound: Path, faulty: Path) -> int | None:
         if not _equal(one, other):
             return number
     return None
+
+
+def _seen(path: Path, event: int) -> range:
+    """Events that no snapshot separates from one: where its effect may be noticed first."""
+    after = (e.number for e in Trace(path) if isinstance(e, Snapshot) and e.number > event)
+    return range(event, next(after))
 
 
 def _equal(one: Event, other: Event) -> bool:
