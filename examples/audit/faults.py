@@ -7,7 +7,7 @@ gain or a correction. What is recorded stays as it is: the matrices that the fil
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -17,9 +17,6 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.audit.events import Event, Update
 from comparisons.audit.trace_file import Trace
-
-Blocks = Mapping[str, int]
-"""Names and dimensions of an error state's blocks, in its order."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ class Bug:
     """What a fault, or none, does to a filter that passes its steps through here, in order."""
 
     fault: Fault | None
-    blocks: Blocks
+    blocks: dict[str, int]
     counts: Counter[str] = field(default_factory=Counter)
 
     def covariance(self, place: str, step: Step) -> Array:
@@ -168,6 +165,27 @@ def dropped(step: Step, at: list[slice]) -> Array:
     after = step.after.copy()
     after[at[0], at[1]] = after[at[1], at[0]] = 0.0
     return after
+
+
+def isolated(step: Step, at: list[slice]) -> Array:
+    """A block is correlated with no other."""
+    after = step.after.copy()
+    after[at[0]] = after[:, at[0]] = 0.0
+    after[at[0], at[0]] = step.after[at[0], at[0]]
+    return after
+
+
+def conditioned(step: Step, at: list[slice]) -> Array:
+    """What is removed is taken for known: information, and not covariance, is cut down."""
+    gone = ~step.jacobian.any(axis=0)
+    p = step.before
+    return updated(p, np.eye(len(p))[gone], np.zeros((gone.sum(),) * 2))[np.ix_(~gone, ~gone)]
+
+
+def last_removed(step: Step, at: list[slice]) -> Array:
+    """The last rows and columns are removed, whatever block was to be."""
+    n = len(step.jacobian)
+    return step.before[:n, :n]
 
 
 def one_sided(step: Step, at: list[slice]) -> Array:

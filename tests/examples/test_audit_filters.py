@@ -16,7 +16,7 @@ from comparisons.audit.trace_file import Trace
 from examples.audit.faults import Planted
 from tests.examples.replay import departures
 
-NAMES = ("filterpy_ekf", "filterpy_ukf", "gtsam_filters")
+NAMES = ("filterpy_ekf", "filterpy_ukf", "gtsam_filters", "msckf")
 PACKAGES = {"filterpy_ekf": "filterpy", "filterpy_ukf": "filterpy", "navlie_se3": "navlie"}
 ROUNDING, SEEN = 1e-9, 1e-5
 
