@@ -130,7 +130,11 @@ class Bug:
     def _entries(self, fault: Fault) -> list[slice]:
         """Where the fault's blocks stand."""
         ends = dict(zip(self.blocks, np.cumsum(list(self.blocks.values())), strict=True))
-        return [slice(ends[name] - self.blocks[name], ends[name]) for name in fault.blocks]
+        return [
+            slice(ends[name] - self.blocks[name], ends[name])
+            for name in fault.blocks
+            if name in ends
+        ]
 
 
 def where(path: Path, fault: Fault | None) -> Planted | None:

@@ -46,7 +46,8 @@ FAULTS = {
         *("clone", 12, ("clone 12",), faults.isolated),
     ),
     "conditioned": Fault(
-        "a clone is removed by conditioning on it", "remove", 10, ALL, faults.conditioned
+        "a clone is removed by conditioning on it",
+        *("remove", 10, ("clone 10", *ALL), faults.conditioned),
     ),
     "wrong-removed": Fault(
         "the newest clone's rows are removed in place of the oldest's",
