@@ -160,7 +160,8 @@ class EventSmoother:
         parts: list[Any] = [x for key, a in terms.items() if self._dims[key] for x in (key, a)]
         if not parts:
             return
-        self._graph.push_back(gtsam.JacobianFactor(*parts, b, _unit(len(b))))
+        factor: Any = gtsam.JacobianFactor
+        self._graph.push_back(factor(*parts, b, _unit(len(b))))
         self._numbers += sum(a.size for a in terms.values())
 
     def _flush(self) -> None:

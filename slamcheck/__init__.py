@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from slamcheck._packages import check_packages
 
 if TYPE_CHECKING:
+    from comparisons.audit.audit import Audit as Audit
     from comparisons.audit.recorder import Recorder as Recorder
     from comparisons.config import CheckConfig as CheckConfig
     from comparisons.config import JobConfig
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     Progress = Callable[[str, int, int], None]
 
 _PLACES = {
+    "Audit": "comparisons.audit.audit",
     "CheckConfig": "comparisons.config",
     "Comparison": "comparisons.pipeline.compare",
     "CompressedEkf": "ekf_reference.filters.compressed",
@@ -88,6 +90,7 @@ _PLACES = {
 """Where each name is defined, with its name there if that differs."""
 
 __all__ = [
+    "Audit",
     "CheckConfig",
     "Comparison",
     "CompressedEkf",
@@ -107,6 +110,7 @@ __all__ = [
     "RunConfig",
     "Solution",
     "SolveConfig",
+    "audit",
     "check",
     "compare",
     "dense_map",
@@ -314,20 +318,47 @@ def dense_map(
     return map_log(log, settings, progress or no_progress)
 
 
-def write_report(result: Comparison | ExternalCheck | Solution, folder: str | Path) -> None:
+def audit(trace: str | Path, *, tolerance: float = 1e-6, progress: Progress | None = None) -> Audit:
+    """Audit a trace of any Kalman filter, recorded by `Recorder`.
+
+    Args:
+        trace: The file.
+        tolerance: Largest difference of covariances and estimates that counts as rounding, in
+            standard deviations.
+        progress: Called with the stage, how many events are done, and of how many.
+
+    Returns:
+        The findings, faults first; whether the filter is sound; and the figures.
+
+    Raises:
+        InputError: The file is no trace, is damaged, or an event cannot be what it says.
+    """
+    check_packages()
+    from comparisons.audit.audit import audit as audit_trace
+
+    return audit_trace(trace, tolerance, progress)
+
+
+def write_report(result: Comparison | ExternalCheck | Solution | Audit, folder: str | Path) -> None:
     """Write the folder that the command line writes: JSON, estimates, pictures, `report.html`.
 
     Args:
-        result: Of `compare`, `check` or `solve`.
+        result: Of `compare`, `check`, `solve` or `audit`.
         folder: New or empty, or one that an earlier job has written, which is replaced.
 
     Raises:
         InputError: The folder holds other files, or cannot be written.
     """
+    from comparisons.audit.audit import Audit
     from comparisons.pipeline.check import ExternalCheck
     from comparisons.pipeline.compare import Comparison
     from comparisons.report.folder import JobFolder, write_job_folder
 
+    if isinstance(result, Audit):
+        from comparisons.report.audit import write_audit
+
+        write_audit(result, Path(folder))
+        return
     content: JobFolder
     if isinstance(result, Comparison):
         from comparisons.report.result import build_result

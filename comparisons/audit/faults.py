@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -185,7 +186,7 @@ def _of_pairs(event: Event, replay: Replay) -> Iterator[KnownFault]:
         yield KnownFault(
             f"the covariance of block {a} with {b} was set to zero",
             (a, b),
-            _then(lambda replay, a=a, b=b: _set(replay, a, b, 0.0)),
+            _then(partial(_set, a=a, b=b, value=0.0)),
         )
 
 

@@ -31,6 +31,7 @@ PANELS = {
         "new-log": "new_log:new_log",
         "convert": "logs:convert",
         "check": "check:check",
+        "audit": "audit:audit",
         "baseline": "baseline:baseline",
         "export": "export:export",
     },

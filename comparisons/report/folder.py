@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONFIG = "config.toml"
-_RESULTS = ("result", "solution", "check", "odometry", "map")
+_RESULTS = ("result", "solution", "check", "odometry", "map", "audit")
 _BESIDE = ("job", "report", "cloud")
 """Settings that decide what else is written, not the results."""
 _LONG = 60

@@ -1,0 +1,75 @@
+"""`slamcheck audit`: a trace of any Kalman filter."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from comparisons.cli.flags import OUTPUT, argument, set_parameters
+from comparisons.cli.support import (
+    AGREE,
+    DISAGREE,
+    chosen_output,
+    guarded,
+    print_result,
+    progress_bar,
+)
+
+
+def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> None:
+    """Audit a trace of any Kalman filter: its algebra, gains and consistency.
+
+    A trace is recorded by slamcheck.Recorder, or in C++ by cpp/slamcheck_recorder.hpp. Exit code
+    0: the filter is sound; 1: a fault was found.
+
+    \b
+    Examples:
+      slamcheck audit run.trace
+      slamcheck audit run.trace --verbose           every figure
+      slamcheck audit float.trace --tolerance 1e-3  a filter in single precision
+    """
+    with guarded():
+        chosen = chosen_output(**output)
+        from comparisons.atomic import folder_name
+        from comparisons.report.folder import check_free
+
+        folder = out or Path(f"slamcheck-audit-{folder_name(trace.stem)}")
+        check_free(folder)
+        from comparisons.audit.audit import audit as audit_trace
+        from comparisons.report.audit import RESULT, audit_summary, write_audit
+
+        with progress_bar(chosen) as progress:
+            found = audit_trace(trace, tolerance, progress)
+            progress("report", 0, 0)
+            write_audit(found, folder)
+        print_result(audit_summary(found), folder / RESULT, chosen)
+        raise SystemExit(AGREE if found.sound else DISAGREE)
+
+
+_TOLERANCE = typer.Option(
+    metavar="SIGMAS",
+    min=0.0,
+    help="Largest difference of covariances and estimates that counts as rounding, in standard "
+    "deviations.",
+)
+_OUT = typer.Option(metavar="DIR", help="Output folder. [slamcheck-audit-TRACE]")
+set_parameters(
+    audit,
+    argument("trace", Path, "TRACE", "Trace of a filter, an SQLite file."),
+    inspect.Parameter(
+        "tolerance",
+        inspect.Parameter.KEYWORD_ONLY,
+        default=1e-6,
+        annotation=Annotated[float, _TOLERANCE],
+    ),
+    inspect.Parameter(
+        "out",
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None,
+        annotation=Annotated[Path | None, _OUT],
+    ),
+    *OUTPUT.values(),
+)

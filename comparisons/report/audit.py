@@ -1,0 +1,443 @@
+"""What `slamcheck audit` reports: audit.json, what is printed, and its folder with a page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from pydantic import Field
+
+from comparisons.atomic import fresh_folder
+from comparisons.audit.audit import Audit, Finding
+from comparisons.audit.innovations import SensorFigures
+from comparisons.audit.smoothing import Averaged
+from comparisons.extensions.interface import Row
+from comparisons.report.consistency_figure import draw_panel
+from comparisons.report.folder import known_files
+from comparisons.report.html.curves import data_block, panel_data
+from comparisons.report.html.look import script
+from comparisons.report.html.shell import document, prose
+from comparisons.report.html.tables import figures
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.model import Model, finite
+from comparisons.report.panels import Band, Curve, Panel
+from comparisons.report.picture import blank, save
+from comparisons.report.sections import package_versions
+from comparisons.report.terminal import STYLES, Summary
+
+RESULT = "audit.json"
+_SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
+_LEAST = 1e-17
+"""What a gap of nothing is drawn as, on a logarithmic axis."""
+
+
+class FindingResult(Model):
+    """One finding.
+
+    Attributes:
+        check: algebra, covariance, correction, gain, innovations, smoother, nees or spurious.
+        fault: whether it makes the trace faulty; what is only named does not.
+        text: the finding as a sentence.
+        event: number of the event where it is first seen.
+        sensor: the sensor it is of.
+        blocks: the blocks it is of.
+    """
+
+    check: str
+    fault: bool
+    text: str
+    event: int | None
+    sensor: str | None
+    blocks: list[str]
+
+
+class GapResult(Model):
+    """A snapshot against least squares over all events before it.
+
+    Attributes:
+        event: number of the snapshot.
+        time_s: its time, if recorded.
+        sigma: largest difference of the estimate, in standard deviations.
+        covariance: largest relative difference along any direction, or the largest asymmetry.
+    """
+
+    event: int
+    time_s: float | None
+    sigma: float | None
+    covariance: float | None
+
+
+class AveragedResult(Model):
+    """Squared errors per degree of freedom over snapshots.
+
+    Attributes:
+        mean: the average; 1 is right.
+        band: of 95 % of sound runs.
+        p_value: two-sided.
+        snapshots: how many.
+    """
+
+    mean: float | None
+    band: tuple[float, float]
+    p_value: float | None
+    snapshots: int
+
+
+class NisFigure(Model):
+    """An average of normalised innovations squared.
+
+    Attributes:
+        name: sensor or component.
+        dof: degrees of freedom of one.
+        count: how many.
+        mean: their average.
+        band: of 95 % of sound runs.
+    """
+
+    name: str
+    dof: int
+    count: int
+    mean: float
+    band: tuple[float, float]
+
+
+class SensorResult(Model):
+    """One sensor.
+
+    Attributes:
+        sensor: its name.
+        nis: of the whole vector, and of each component.
+        whiteness: p-values of the Ljung-Box statistic, by component.
+        measured: measurements with a valid innovation covariance.
+        rejected: those of them that the filter's gate rejected.
+        nominal_rejected: the share that it rejects of sound ones, if it has a gate.
+    """
+
+    sensor: str
+    nis: list[NisFigure]
+    whiteness: dict[str, float]
+    measured: int
+    rejected: int
+    nominal_rejected: float | None
+
+
+class AuditResult(Model):
+    """Everything that the audit says of a trace.
+
+    Attributes:
+        trace: the file's name.
+        events: how many.
+        updates: of them.
+        snapshots: of them.
+        blocks: dimensions of all blocks that there ever were, by name; at most 200.
+        tolerance: largest difference that counts as rounding, in standard deviations.
+        verdict: `sound` or `faulty`.
+        findings: faults first.
+        largest_gap: the snapshot that is farthest from least squares.
+        first_open: the first that is farther than the tolerance.
+        gaps: of snapshots, thinned.
+        oracle_agreement: largest difference of the two solutions, in standard deviations.
+        gains_compared: how many updates recorded a gain or a correction.
+        sensors: innovations by sensor.
+        smoother: filter against smoother.
+        nees: errors by the recorded truth.
+        versions: of packages.
+        files: in the folder.
+    """
+
+    trace: str
+    events: int
+    updates: int
+    snapshots: int
+    blocks: dict[str, int]
+    tolerance: float
+    verdict: str
+    findings: list[FindingResult]
+    largest_gap: GapResult | None
+    first_open: GapResult | None
+    gaps: list[GapResult]
+    oracle_agreement: float
+    gains_compared: int
+    sensors: list[SensorResult]
+    smoother: AveragedResult | None
+    nees: AveragedResult | None
+    versions: dict[str, str]
+    files: list[str] = Field(default_factory=list)
+
+
+def build_audit_result(audit: Audit) -> AuditResult:
+    """Return the findings as they are stored."""
+    gaps = [_gap(*gap) for gap in audit.gaps]
+    return AuditResult(
+        trace=audit.trace.name,
+        events=audit.counts.events,
+        updates=audit.counts.updates,
+        snapshots=audit.counts.snapshots,
+        blocks=dict(list(audit.blocks.items())[:200]),
+        tolerance=audit.tolerance,
+        verdict="sound" if audit.sound else "faulty",
+        findings=[_finding(one) for one in audit.findings],
+        largest_gap=None if audit.largest is None else _gap(*audit.largest),
+        first_open=None if audit.first_open is None else _gap(*audit.first_open),
+        gaps=gaps,
+        oracle_agreement=audit.agreement,
+        gains_compared=audit.gains,
+        sensors=[_sensor(one) for one in audit.sensors],
+        smoother=_averaged(audit.smoother),
+        nees=_averaged(audit.nees),
+        versions=package_versions(),
+    )
+
+
+def _finding(one: Finding) -> FindingResult:
+    return FindingResult(**{**one._asdict(), "blocks": list(one.blocks)})
+
+
+def _gap(event: int, time_s: float | None, sigma: float, covariance: float) -> GapResult:
+    return GapResult(event=event, time_s=time_s, sigma=finite(sigma), covariance=finite(covariance))
+
+
+def _averaged(one: Averaged | None) -> AveragedResult | None:
+    if one is None:
+        return None
+    return AveragedResult(
+        mean=finite(one.mean),
+        band=one.band,
+        p_value=finite(one.p_value),
+        snapshots=one.snapshots,
+    )
+
+
+def _sensor(one: SensorFigures) -> SensorResult:
+    nis = [
+        NisFigure(
+            name=n.name, dof=n.dof, count=n.count, mean=n.mean, band=(n.band.low, n.band.high)
+        )
+        for n in one.nis
+    ]
+    return SensorResult(
+        sensor=one.sensor,
+        nis=nis,
+        whiteness={w.component: w.p_value for w in one.whiteness},
+        measured=one.measured,
+        rejected=one.rejected,
+        nominal_rejected=None if one.nominal is None else 1.0 - one.nominal,
+    )
+
+
+def audit_summary(audit: Audit) -> Summary:
+    """Return what the command prints."""
+    named = [one.text for one in audit.findings if not one.fault]
+    wrong = [one.text for one in audit.findings if one.fault]
+    headline = "verdict: sound"
+    if wrong:
+        headline = f"verdict: faulty ({len(wrong)} finding{'s' if len(wrong) > 1 else ''})"
+    counts = audit.counts
+    lines = [
+        (
+            "trace",
+            f"{counts.events:,} events, {counts.updates:,} updates, {counts.snapshots:,} snapshots",
+        ),
+        ("algebra", _algebra_line(audit)),
+        ("gains", _gains_line(audit)),
+        *(("sensor", _sensor_line(one)) for one in audit.sensors[:3]),
+    ]
+    for name, found in (("smoother", audit.smoother), ("NEES", audit.nees)):
+        if found is not None:
+            low, high = found.band
+            text = f"{found.mean:.3g} per degree of freedom ({low:.3g} to {high:.3g} expected)"
+            lines.append((name, text))
+    return Summary(
+        headline=headline,
+        style=STYLES["disagree" if wrong else "agree"],
+        reasons=wrong,
+        remarks=named,
+        lines=lines,
+        rows=audit_rows(audit),
+    )
+
+
+def _algebra_line(audit: Audit) -> str:
+    if audit.largest is None:
+        return "not checked: the trace has no snapshot"
+    gap = audit.first_open
+    if gap is None:
+        worst = max(audit.largest.sigma, audit.largest.covariance)
+        return f"equal to least squares at every snapshot, to {worst:.1g}"
+    return (
+        f"gap opens at event {gap.event:,}: {gap.sigma:.2g} sigma, {gap.covariance:.2g} in "
+        "covariance"
+    )
+
+
+def _gains_line(audit: Audit) -> str:
+    if not audit.gains:
+        return "not recorded"
+    unlike = sum(one.check == "gain" for one in audit.findings)
+    return f"{audit.gains:,} compared, {'all Kalman' if not unlike else 'some are not Kalman'}'s"
+
+
+def _sensor_line(one: SensorFigures) -> str:
+    if not one.nis:
+        return f"{one.sensor}: no innovation"
+    nis = one.nis[0]
+    text = (
+        f"{one.sensor}: NIS {nis.mean:.3g} of {nis.dof} ({nis.band.low:.3g} to "
+        f"{nis.band.high:.3g} expected)"
+    )
+    if one.rejected or one.nominal is not None:
+        text += f", {one.rejected:,} of {one.measured:,} rejected"
+    return text
+
+
+def audit_rows(audit: Audit) -> list[Row]:
+    """Return all figures."""
+    rows = [
+        Row("Trace", "events", f"{audit.counts.events:,}"),
+        Row("Trace", "updates", f"{audit.counts.updates:,}"),
+        Row("Trace", "snapshots", f"{audit.counts.snapshots:,}"),
+        Row("Trace", "blocks, ever", f"{len(audit.blocks):,}"),
+    ]
+    most = f"at most {audit.tolerance:.0e}"
+    if audit.largest is not None:
+        gap = audit.largest
+        for what, value in (("estimate [sigma]", gap.sigma), ("covariance", gap.covariance)):
+            inside = value <= audit.tolerance
+            rows.append(Row("Algebra", f"largest gap of the {what}", f"{value:.2g}", most, inside))
+        text = f"{audit.agreement:.1g} sigma^2"
+        rows.append(Row("Algebra", "recursion against least squares, until a fault", text))
+    for one in audit.sensors:
+        rows += _sensor_rows(one)
+    for name, found in (
+        ("filter minus smoother, per dof (1)", audit.smoother),
+        ("NEES per dof (1)", audit.nees),
+    ):
+        if found is not None:
+            low, high = found.band
+            inside = low <= found.mean <= high
+            band = f"{low:.3g} to {high:.3g}"
+            rows.append(Row("Consistency", name, f"{found.mean:.3g}", band, inside))
+    return rows
+
+
+def _sensor_rows(one: SensorFigures) -> list[Row]:
+    group = f"Sensor {one.sensor}"
+    rows = [
+        Row(
+            group,
+            f"NIS of {nis.name} ({nis.dof})",
+            f"{nis.mean:.4g}",
+            f"{nis.band.low:.4g} to {nis.band.high:.4g}",
+            nis.band.holds(nis.mean),
+        )
+        for nis in one.nis
+    ]
+    rows += [
+        Row(group, f"{w.component}: p of whiteness", f"{w.p_value:.2g}", "at least 0.001",
+            w.p_value >= 0.001)
+        for w in one.whiteness
+    ]  # fmt: skip
+    rejected = f"{one.rejected:,} of {one.measured:,}"
+    if one.rejected_band is None:
+        return [*rows, Row(group, "rejected by the gate", rejected)]
+    low, high = (100.0 * x for x in one.rejected_band)
+    share = one.rejected / max(one.measured, 1)
+    inside = one.rejected_band[0] <= share <= one.rejected_band[1]
+    band = f"{low:.2g} to {high:.2g} %"
+    return [*rows, Row(group, "rejected by the gate", rejected, band, inside)]
+
+
+def audit_panels(audit: Audit) -> list[Panel]:
+    """Return what is drawn: the algebra gap, and NIS by sensor, over events or time."""
+    panels = []
+    timed = all(gap.time_s is not None for gap in audit.gaps)
+    label = "time [s]" if timed else "event"
+    if audit.gaps:
+        x = np.array([gap.time_s if timed else gap.event for gap in audit.gaps], dtype=float)
+        sigma, covariance = (
+            np.maximum(np.array(values, dtype=float), _LEAST)
+            for values in zip(*(gap[2:] for gap in audit.gaps), strict=True)
+        )
+        curves = (
+            Curve("estimate [sigma]", EKF_COLOUR, x, sigma),
+            Curve("covariance", SMOOTHER_COLOUR, x, covariance),
+        )
+        panels.append(
+            Panel(
+                title="gap from least squares",
+                x_label=label,
+                curves=curves,
+                bands=(),
+                logarithmic=True,
+                level=audit.tolerance,
+            )
+        )
+    return panels + [_nis_panel(one, label) for one in audit.sensors if len(one.windows) > 1]
+
+
+def _nis_panel(one: SensorFigures, label: str) -> Panel:
+    time_s, mean, low, high = (
+        np.array([getattr(w, name) for w in one.windows])
+        for name in ("time_s", "mean", "low", "high")
+    )
+    return Panel(
+        title=f"NIS of {one.sensor}",
+        x_label=label,
+        curves=(Curve("mean of a window", EKF_COLOUR, time_s, mean),),
+        bands=(Band("95 %", "#999999", time_s, low, high),),
+        level=float(one.nis[0].dof) if one.nis else None,
+    )
+
+
+def audit_figure(panels: Sequence[Panel]) -> Figure:
+    """Draw all panels, one below the other."""
+    figure = blank(8.0, 0.6 + 2.0 * len(panels))
+    axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for axis, panel in zip(axes, panels, strict=True):
+        draw_panel(axis, panel)
+        axis.set_xlabel(panel.x_label)
+        axis.legend(fontsize=7, loc="best")
+    return figure
+
+
+def write_audit(audit: Audit, folder: Path) -> None:
+    """Write audit.json, report.html and a picture of the curves. Raises InputError."""
+    result, panels = build_audit_result(audit), audit_panels(audit)
+    with fresh_folder(folder, known_files(folder)) as work:
+        if panels:
+            save(audit_figure(panels), work / "curves.png")
+        (work / "report.html").write_text(_page(audit, panels), encoding="utf-8")
+        files = sorted([*(p.name for p in work.iterdir()), RESULT])
+        found = result.model_copy(update={"files": files}).model_dump(mode="json")
+        text = json.dumps(found, indent=2, allow_nan=False) + "\n"
+        (work / RESULT).write_text(text, encoding="utf-8")
+
+
+def _page(audit: Audit, panels: Sequence[Panel]) -> str:
+    summary = audit_summary(audit)
+    colour = "agree" if audit.sound else "disagree"
+    start = min((float(panel.curves[0].x[0]) for panel in panels), default=0.0)
+    facts = "".join(f"<dt>{escape(n)}</dt><dd>{prose(t)}</dd>" for n, t in summary.lines)
+    data = {"start": start, "panels": [panel_data(panel, start) for panel in panels]}
+    parts = [
+        f"<header><h1>{escape(audit.trace.name)}</h1><p>"
+        f'<span class="verdict {colour}">{escape(summary.headline)}</span></p></header>',
+        *(_listed("Faults", summary.reasons), _listed("Named, not faults", summary.remarks)),
+        f"<dl>{facts}</dl>",
+        '<noscript><p class="note">Curves need JavaScript; they are in curves.png, too.</p>'
+        '</noscript><section id="when"><h2>Curves <span id="now"></span></h2>'
+        '<div id="curves"></div></section>',
+        "<h2>Figures</h2>",
+        figures(summary.rows),
+        data_block(data),
+    ]
+    return document(f"{audit.trace.name}: {summary.headline}", parts, script(_SCRIPTS))
+
+
+def _listed(title: str, texts: Sequence[str]) -> str:
+    items = "".join(f"<li>{prose(text)}</li>" for text in texts)
+    return f"<h2>{escape(title)}</h2><ul>{items}</ul>" if texts else ""
