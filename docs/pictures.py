@@ -40,6 +40,7 @@ PICTURES = {
     },
     "scans": {"scans-map.png": "scans/map.png", "scans-motion.png": "motion/map.png"},
     "monte-carlo": {"monte-carlo-curves.png": "study/curves.png"},
+    "audit": {"audit.png": "slamcheck-audit-bug/report.html"},
 }
 """Pages, their pictures, and what each shows: an image or a page of the commands' folders.
 

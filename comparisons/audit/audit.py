@@ -247,7 +247,6 @@ class _Pass:
         sigma: Array = np.sqrt(np.maximum(self.replay.covariance.diagonal(), 0.0))
         layout = self.replay.layout
         for one in check_gain(event, fused, sigma, layout, self.tolerance):
-            self.optimal = self.optimal and event.gain is None
             text = f"{name_of(event)} {one.what}"
             check = "correction" if one.fault else "gain"
             self.pending.append(
@@ -359,6 +358,7 @@ class _Pass:
         for finding in self.pending:
             assert finding.event is not None  # noqa: S101 - gains are of updates
             if until is None or finding.event <= until:
+                self.optimal = self.optimal and finding.fault
                 key = finding.text.split(" ", 2)[2] if finding.sensor else finding.text
                 self._add(finding, key)
         self.pending = []
@@ -389,13 +389,17 @@ class _Pass:
             self._add(Finding("innovations", True, text, None, name, ()), "unusable")
         for one in figures.departures:
             text = f"sensor `{name}`: {one.what} (p = {one.p_value:.1g})"
-            self._add(Finding("innovations", True, text, one.event, name, ()), one.what)
+            if not self.optimal:
+                text += "; its bands are those of Kalman's gain"
+            finding = Finding("innovations", self.optimal, text, one.event, name, ())
+            self._add(finding, one.what)
 
     def _judge_average(self, check: str, what: str, found: Averaged | None, level: float) -> None:
         if found is not None and found.p_value < level:
             low, high = found.band
             text = f"{what} is {found.mean:.3g}, expected {low:.3g} to {high:.3g}"
-            self._add(Finding(check, True, text, found.worst, None, ()), what)
+            fault = check == "nees" or self.optimal
+            self._add(Finding(check, fault, text, found.worst, None, ()), what)
 
     def _ordered(self) -> tuple[Finding, ...]:
         """Return findings, faults first, those of one event's algebra before what follows."""

@@ -45,7 +45,7 @@ def known_faults(event: Event, replay: Replay) -> Iterator[KnownFault]:
     """
     match event:
         case Update():
-            yield from _of_update(event, tuple(replay.layout.dims))
+            yield from _of_update(event, replay)
         case Predict():
             yield from _of_predict(event)
         case Augment():
@@ -69,7 +69,7 @@ def known_faults(event: Event, replay: Replay) -> Iterator[KnownFault]:
     yield from _of_pairs(event, replay)
 
 
-def _of_update(event: Update, blocks: Blocks) -> Iterator[KnownFault]:
+def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
     if not event.used:
         yield KnownFault(
             "the rejected measurement was fused all the same",
@@ -86,18 +86,28 @@ def _of_update(event: Update, blocks: Blocks) -> Iterator[KnownFault]:
             lambda replay, e: _short(replay, _update(e), _recorded_gain(e)),
         )
     yield from _of_noise(event)
-    for block in blocks:
-        yield KnownFault(
-            f"block {block} is not corrected, and its variance kept (Schmidt)",
-            (block,),
-            _schmidt((block,)),
-            sound=True,
-        )
+    if event.gain is None:
+        yield from _of_schmidt(event, replay)
     for block in event.blocks:
         if len(event.blocks) > 1:
             yield KnownFault(
                 f"H was taken as zero on block {block}", (block,), _without_jacobian(block)
             )
+
+
+def _of_schmidt(event: Update, replay: Replay) -> Iterator[KnownFault]:
+    """Of blocks whose variance stays: an error, unless the estimate is not corrected either."""
+    for block in replay.layout.dims:
+        part = replay.layout.entries(block)
+        if event.correction is not None and not event.correction[part].any():
+            what = f"block {block} is not corrected, and its variance kept (Schmidt)"
+            yield KnownFault(what, (block,), _schmidt((block,)), sound=True)
+        elif event.correction is None:
+            what = (
+                f"the variance of block {block} was kept, which is right only where the estimate "
+                "is kept, too (Schmidt): record gains to tell"
+            )
+            yield KnownFault(what, (block,), _schmidt((block,)))
 
 
 def _of_noise(event: Update) -> Iterator[KnownFault]:

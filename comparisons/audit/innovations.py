@@ -42,7 +42,6 @@ class Window(NamedTuple):
 
     first: int
     last: int
-    time_s: float
     mean: float
     low: float
     high: float
@@ -108,7 +107,7 @@ class InnovationLog:
             found, white, departures = series.judge(components, sensor.components, level)
         band = None
         if sensor.gate is not None and measured:
-            departures += _gating(name, rejected, measured, 1.0 - sensor.gate, level)
+            departures += _gating(name, events[usable], ~used[usable], 1.0 - sensor.gate, level)
             band = _share_band(measured, 1.0 - sensor.gate)
         return SensorFigures(
             sensor=name,
@@ -174,7 +173,6 @@ class _Series:
             Window(
                 int(self.event[part[0]]),
                 int(self.event[part[-1]]),
-                float(self.time_s[part].mean()),
                 float(self.nis[part].mean()),
                 *_band(self.dof[part]),
             )
@@ -219,23 +217,14 @@ class _Series:
             return []
         (part, p), last = out[0], out[-1][0]
         mean, right = float(self.nis[part].mean()), float(self.dof[part].mean())
-        start = self._onset(part, mean, right)
+        first = max(0, int(part[0]) - len(part))  # it may have begun in the window before
+        start = first + _onset(self.nis[first : part[-1] + 1], mean, right)
         high = "too high" if mean > right else "too low"
         text = (
             f"NIS is {high} from {self.time_s[start]:.6g} to {self.time_s[last[-1]]:.6g}: "
             f"{mean:.3g}, expected {right:.3g}"
         )
         return [Departure(self.name, text, p, int(self.event[start]), int(self.event[last[-1]]))]
-
-    def _onset(self, part: Index, mean: float, right: float) -> int:
-        """Return where the mean most likely changes, in the window or the one before it.
-
-        The least cumulative sum of the differences from halfway between the two means.
-        """
-        first = max(0, int(part[0]) - len(part))
-        apart = self.nis[first : part[-1] + 1] - 0.5 * (mean + right)
-        total = np.concatenate(([0.0], np.cumsum(apart if mean > right else -apart)))
-        return first + int(np.argmin(total[:-1]))
 
 
 def _squared(values: Array, row: Index, count: int) -> Array:
@@ -273,15 +262,29 @@ def _band(dof: Index) -> Band:
     return Band(float(low), float(high))
 
 
-def _gating(name: str, rejected: int, n: int, nominal: float, level: float) -> list[Departure]:
-    """The rate of rejections against its nominal, by the binomial distribution."""
+def _gating(
+    name: str, event: Index, out: NDArray[np.bool_], nominal: float, level: float
+) -> list[Departure]:
+    """The rate of rejections (n,) against its nominal, by the binomial distribution."""
+    n, rejected = len(out), int(np.count_nonzero(out))
     upper = 1.0 if rejected == 0 else float(bdtrc(rejected - 1, n, nominal))
     p = min(1.0, 2.0 * min(float(bdtr(rejected, n, nominal)), upper))
     if p >= level:
         return []
-    share = f"{100.0 * rejected / n:.2g} %, nominal {100.0 * nominal:.2g} %"
-    text = f"rejects {rejected:,} of {n:,} ({share})"
-    return [Departure(name, text, p)]
+    rate = rejected / n
+    start = int(event[_onset(out.astype(float), rate, nominal)])
+    text = f"rejects {rejected:,} of {n:,} ({100.0 * rate:.2g} %, nominal {100.0 * nominal:.2g} %)"
+    return [Departure(name, text, p, start)]
+
+
+def _onset(values: Array, mean: float, right: float) -> int:
+    """Return where a series most likely changes from one mean to another.
+
+    The least cumulative sum of the differences from halfway between the two.
+    """
+    apart = values - 0.5 * (mean + right)
+    total = np.concatenate(([0.0], np.cumsum(apart if mean > right else -apart)))
+    return int(np.argmin(total[:-1]))
 
 
 def _share_band(n: int, nominal: float) -> tuple[float, float]:

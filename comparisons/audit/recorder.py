@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from comparisons.arrays import Array
 from comparisons.audit.trace_file import APPLICATION, TABLES, VERSION
+from comparisons.audit.trace_rows import MOST_ENTRIES
 from comparisons.errors import InputError
 
 _INSERT = "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 PAGE_BYTES = 32768
-COMMIT_EVENTS = 2000
+COMMIT_EVENTS, COMMIT_BYTES = 2000, 1 << 24
 """A recording that is killed is valid up to its last commit."""
 _DTYPE = np.dtype("<f8")
+_NO_COLUMNS = tuple((None,) * (11 - count) for count in range(12))
+"""NULL for the columns behind those that an event has, by their count."""
 
 
 class Recorder:
@@ -35,7 +41,9 @@ class Recorder:
             record.update("gps", residual, H, R, ["position"])
             record.snapshot(P)
 
-    Matrices are checked for their shape alone; what they say is the audit's business.
+    Matrices are checked for their shape alone; what they say is the audit's business. A call that
+    raises InputError records nothing, and the recording goes on; where the file cannot be written
+    it ends, and what was committed before stays. Calls from several threads must not overlap.
     """
 
     def __init__(
@@ -56,32 +64,25 @@ class Recorder:
 
         Raises:
             InputError: The file exists already, or cannot be written; or append is set, and there
-                is none that is a trace.
+                is none that is a trace; or a gate is no probability.
         """
         self._path = Path(path)
         self._dims: dict[str, int] = {}
-        self._number = 0
+        self._first = 0
         self._time_s: float | None = None
         self._rows: list[tuple[Any, ...]] = []
+        self._bytes = 0
         self._sizes: dict[tuple[str, ...] | None, tuple[str, int]] = {}
-        self._last: dict[tuple[str, str | None, str], list[bytes | None]] = {}
+        self._last: dict[tuple[str, str | None], tuple[str, int, tuple[bytes, ...]]] = {}
+        self._ended: str | None = None
+        self._process = os.getpid()
+        sensors = self._sensors(gates or {}, components or {})
         if append:
             self._follow()
-        elif self._path.exists():
-            raise InputError(f"{path}: exists already; give a new name, or append=True")
+        else:
+            self._create()
         try:
-            self._file = sqlite3.connect(self._path)
-            if not append:
-                self._file.execute(f"PRAGMA page_size = {PAGE_BYTES}")
-                self._file.execute(f"PRAGMA application_id = {APPLICATION}")
-                self._file.execute(f"PRAGMA user_version = {VERSION}")
-                for table in TABLES.values():
-                    self._file.execute(table)
-            for name in {**(gates or {}), **(components or {})}:
-                gate, parts = (gates or {}).get(name), (components or {}).get(name)
-                row = name, gate, None if parts is None else json.dumps(list(parts))
-                self._file.execute("INSERT OR REPLACE INTO sensor VALUES (?, ?, ?)", row)
-            self._file.commit()
+            self._open(sensors, new=not append)
         except sqlite3.Error as error:
             raise InputError(f"{path}: cannot be written ({error})") from None
 
@@ -100,17 +101,31 @@ class Recorder:
 
     def close(self) -> None:
         """Commit what is recorded and close the file."""
-        self.commit()
-        self._file.close()
+        if self._ended is None and self._process == os.getpid():
+            self.commit()
+            self._end("is closed")
 
     def commit(self) -> None:
-        """Write what is recorded so far; it is done by itself every two thousand events."""
-        rows, self._rows = self._rows, []
+        """Write what is recorded so far; it is done by itself every 2,000 events or 16 MiB."""
+        self._check_open()
+        if self._process != os.getpid():
+            raise InputError(
+                f"{self._path}: was opened by another process; after a fork only the parent records"
+            )
+        rows, first = self._rows, self._first
         try:
+            self._file.execute("BEGIN IMMEDIATE")
             self._file.executemany(_INSERT, rows)
-            self._file.commit()
+            self._rows, self._first, self._bytes = [], first + len(rows), 0
+            self._file.execute("COMMIT")
         except sqlite3.Error as error:
-            raise InputError(f"{self._path}: cannot be written ({error})") from None
+            self._end(f"cannot be written ({error}); the recording ends before event {first}")
+            self._check_open()
+        except BaseException:  # an interrupt: the events stay for the next commit
+            if self._file.in_transaction:
+                self._file.execute("ROLLBACK")
+                self._rows, self._first = rows, first
+            raise
 
     def at(self, time_s: float) -> None:
         """Set the time of the events that follow.
@@ -118,7 +133,10 @@ class Recorder:
         Args:
             time_s: In the filter's own clock.
         """
-        self._time_s = float(time_s)
+        time_s = float(time_s)
+        if not math.isfinite(time_s):
+            self._refuse("time_s is not finite")
+        self._time_s = time_s
 
     def prior(self, blocks: Mapping[str, int], covariance: ArrayLike) -> None:
         """Record the first covariance.
@@ -127,12 +145,17 @@ class Recorder:
             blocks: Names and dimensions of all blocks, in the state's order.
             covariance: (n, n).
         """
-        self._dims = {name: int(dim) for name, dim in blocks.items()}
-        self._sizes.clear()
-        text, n = self._size(None)
-        note = json.dumps(list(self._dims.values()))
+        if self._dims:
+            self._refuse("is a second prior; a filter that begins anew has a new trace")
+        dims = {_name(name): self._dim(dim) for name, dim in blocks.items()}
+        n = sum(dims.values())
+        if not 0 < n <= MOST_ENTRIES:
+            self._refuse(f"the state has {n} entries, expected 1 to {MOST_ENTRIES}")
         p = self._blob("P", covariance, (n, n))
-        self._put("prior", None, text, covariance=p, note=note)
+        note = json.dumps(list(dims.values()))
+        self._put("prior", None, json.dumps(list(dims)), *[None] * 7, p, None, None, note)
+        self._dims = dims
+        self._sizes.clear()
 
     def predict(
         self,
@@ -149,7 +172,7 @@ class Recorder:
         """
         text, n = self._size(blocks)
         f, q = self._blob("F", F, (n, n)), self._blob("Q", Q, (n, n))
-        self._put("predict", None, text, *self._new("predict", None, text, f, q))
+        self._put("predict", None, text, None, *self._new("predict", None, text, n, f, q))
 
     def update(
         self,
@@ -173,18 +196,13 @@ class Recorder:
             correction: (N,) what was added to the estimate of all blocks, if it is to be checked.
             gain: (N, m) likewise.
         """
-        whole = self._size(None)[1]
-        m = np.size(residual)
-        self._measured(
-            sensor,
-            residual,
-            H,
-            R,
-            blocks,
-            used=1,
-            correction=None if correction is None else self._blob("c", correction, (whole,)),
-            gain=None if gain is None else self._blob("K", gain, (whole, m)),
-        )
+        if correction is None and gain is None:
+            self._measured(1, sensor, residual, H, R, blocks)
+            return
+        whole, m = self._size(None)[1], np.size(residual)
+        added = None if correction is None else self._vector("correction", correction, whole)
+        by = None if gain is None else self._blob("gain", gain, (whole, m))
+        self._measured(1, sensor, residual, H, R, blocks, added, by)
 
     def reject(
         self,
@@ -203,23 +221,26 @@ class Recorder:
             R: (m, m).
             blocks: Those that H stands on.
         """
-        self._measured(sensor, residual, H, R, blocks, used=0)
+        self._measured(0, sensor, residual, H, R, blocks)
 
     def _measured(
         self,
+        used: int,
         sensor: str,
         residual: ArrayLike,
         h: ArrayLike,
         r: ArrayLike,
         blocks: Iterable[str] | None,
-        **others: Any,
+        *gained: bytes | None,
     ) -> None:
         text, n = self._size(blocks)
-        z = np.atleast_1d(np.asarray(residual, _DTYPE))
-        m = len(z)
+        m = np.size(residual)
+        if not m:
+            self._refuse("residual is empty")
+        z = self._vector("residual", residual, m)
         by_state, noise = self._blob("H", h, (m, n)), self._blob("R", r, (m, m))
-        repeated = self._new("update", sensor, text, by_state, noise)
-        self._put("update", sensor, text, *repeated, residual=z.tobytes(), **others)
+        new = self._new("update", _name(sensor), text, n, by_state, noise)
+        self._put("update", sensor, text, used, *new, None, z, *gained)
 
     def augment(
         self,
@@ -234,20 +255,22 @@ class Recorder:
         Args:
             name: Of the block.
             G_x: (d, n) on the blocks.
-            G_z: (d, m).
+            G_z: (d, m); m may be 0 where nothing is added to what the other blocks tell.
             R: (m, m).
             blocks: Those that it is initialised from.
         """
         text, n = self._size(blocks)
-        self._unused(name)
-        by_noise, noise = np.atleast_2d(np.asarray(G_z, _DTYPE)), np.asarray(R, _DTYPE)
+        by_noise = self._numbers("G_z", G_z)
+        if by_noise.ndim == 0:
+            by_noise = by_noise.reshape(1, 1)
+        if by_noise.ndim != 2 or not len(by_noise):
+            self._refuse("G_z is not a matrix")
         d, m = by_noise.shape
-        g_x, r = self._blob("G_x", G_x, (d, n)), self._blob("R", noise, (m, m))
-        found = self._new("augment", None, text, g_x, r, by_noise.tobytes())
-        note = json.dumps([name, d])
-        self._put("augment", None, text, *found[:2], noise_jacobian=found[2], note=note)
-        self._dims[name] = d
-        self._sizes.clear()
+        self._check_new(name, d)
+        g_x, r = self._blob("G_x", G_x, (d, n)), self._blob("R", R, (m, m))
+        new = self._new("augment", None, text, n, g_x, r, by_noise.tobytes())
+        self._put("augment", None, text, None, *new, *[None] * 6, json.dumps([name, d]))
+        self._add(name, d)
 
     def clone(self, source: str, name: str) -> None:
         """Record a copy of a block, behind all others.
@@ -256,11 +279,10 @@ class Recorder:
             source: The block that is copied.
             name: Of the copy.
         """
-        text, _ = self._size((source,))
-        self._unused(name)
-        self._put("clone", None, text, note=name)
-        self._dims[name] = self._dims[source]
-        self._sizes.clear()
+        text, d = self._size((source,))
+        self._check_new(name, d)
+        self._put("clone", None, text, *[None] * 10, name)
+        self._add(name, d)
 
     def remove(self, *names: str) -> None:
         """Record blocks that are marginalised out.
@@ -269,6 +291,8 @@ class Recorder:
             names: Of the blocks.
         """
         text, _ = self._size(names)
+        if len(names) == len(self._dims):
+            self._refuse("removes the last block of the state")
         self._put("remove", None, text)
         for name in names:
             del self._dims[name]
@@ -286,8 +310,8 @@ class Recorder:
             blocks: Those that it is on.
         """
         text, n = self._size(blocks)
-        j = self._new("reset", None, text, self._blob("J", J, (n, n)))
-        self._put("reset", None, text, *j)
+        j = self._blob("J", J, (n, n))
+        self._put("reset", None, text, None, *self._new("reset", None, text, n, j))
 
     def snapshot(
         self,
@@ -306,14 +330,10 @@ class Recorder:
             error: (n,) truth minus estimate, where the truth is known.
         """
         text, n = self._size(blocks)
-        self._put(
-            "snapshot",
-            None,
-            text,
-            covariance=self._blob("P", P, (n, n)),
-            mean=None if mean is None else np.ravel(np.asarray(mean, _DTYPE)).tobytes(),
-            error=None if error is None else self._blob("error", error, (n,)),
-        )
+        p = self._blob("P", P, (n, n))
+        estimate = None if mean is None else self._numbers("mean", mean).tobytes()
+        true = None if error is None else self._vector("error", error, n)
+        self._put("snapshot", None, text, *[None] * 7, p, estimate, true)
 
     def directions(
         self,
@@ -333,58 +353,41 @@ class Recorder:
             blocks: Those that the basis is on.
         """
         text, n = self._size(blocks)
-        columns = np.column_stack([np.asarray(one, _DTYPE) for one in basis.values()])
-        note = json.dumps({"names": list(basis), "blind": list(blind)})
-        blob = self._blob("basis", columns, (n, len(basis)))
-        self._put("directions", None, text, blob, note=note)
+        names = [_name(one) for one in basis], [_name(one) for one in blind]
+        if not all(names) or len(set(names[1])) < len(names[1]):
+            self._refuse("directions or sensors are missing, or one is given twice")
+        columns = [np.frombuffer(self._vector(*one, n), _DTYPE) for one in basis.items()]
+        note = json.dumps({"names": names[0], "blind": names[1]})
+        blob = np.column_stack(columns).tobytes()
+        self._put("directions", None, text, None, blob, *[None] * 8, note)
 
-    def _put(
-        self,
-        kind: str,
-        sensor: str | None,
-        blocks: str,
-        jacobian: bytes | None = None,
-        noise: bytes | None = None,
-        **others: Any,
-    ) -> None:
-        get = others.get
-        self._rows.append(
+    def _put(self, kind: str, sensor: str | None, blocks: str, *columns: Any) -> None:
+        """Record an event; columns: its values from `used` on, those behind are NULL."""
+        self._check_open()
+        rows = self._rows
+        rows.append(
             (
-                self._number,
+                self._first + len(rows),
                 kind,
                 self._time_s,
                 sensor,
                 blocks,
-                get("used"),
-                jacobian,
-                noise,
-                get("noise_jacobian"),
-                get("residual"),
-                get("correction"),
-                get("gain"),
-                get("covariance"),
-                get("mean"),
-                get("error"),
-                get("note"),
+                *columns,
+                *_NO_COLUMNS[len(columns)],
             )
         )
-        self._number += 1
-        if len(self._rows) >= COMMIT_EVENTS:
+        if len(rows) >= COMMIT_EVENTS or self._bytes >= COMMIT_BYTES:
             self.commit()
 
     def _new(
-        self,
-        kind: str,
-        sensor: str | None,
-        blocks: str,
-        *matrices: bytes | None,
-    ) -> list[bytes | None]:
-        """Return matrices, None for those of the event before that was like it."""
-        before = self._last.get((kind, sensor, blocks))
-        self._last[kind, sensor, blocks] = list(matrices)
-        if before is None:
-            return list(matrices)
-        return [None if m == b else m for m, b in zip(matrices, before, strict=True)]
+        self, kind: str, sensor: str | None, blocks: str, size: int, *matrices: bytes
+    ) -> list[bytes | None] | tuple[bytes, ...]:
+        """Return matrices, None for those of the event before of this kind, sensor and blocks."""
+        before = self._last.get((kind, sensor))
+        self._last[kind, sensor] = blocks, size, matrices
+        if before is None or before[0] != blocks or before[1] != size:
+            return matrices
+        return [None if m == b else m for m, b in zip(matrices, before[2], strict=True)]
 
     def _size(self, blocks: Iterable[str] | None) -> tuple[str, int]:
         """Blocks as they are stored, and how many entries they have together."""
@@ -395,33 +398,116 @@ class Recorder:
             for name in names:
                 if name not in self._dims:
                     known = ", ".join(self._dims) or "none: record the prior first"
-                    raise InputError(f"block {name!r} is not in the state; it has {known}")
+                    self._refuse(f"block {name!r} is not in the state; it has {known}")
+            if not names or len(set(names)) < len(names):
+                self._refuse("expected blocks, none of them twice; record the prior first")
             size = sum(self._dims[name] for name in names)
             found = self._sizes[key] = json.dumps(names), size
         return found
 
-    def _unused(self, name: str) -> None:
-        if name in self._dims:
-            raise InputError(f"block {name!r} is in the state already; remove it first")
+    def _check_new(self, name: str, dim: int) -> None:
+        if _name(name) in self._dims:
+            self._refuse(f"block {name!r} is in the state already; remove it first")
+        if dim + sum(self._dims.values()) > MOST_ENTRIES:
+            self._refuse(f"makes the state larger than {MOST_ENTRIES} entries")
 
-    def _blob(self, name: str, matrix: ArrayLike, shape: tuple[int, ...]) -> bytes:
-        """Return a matrix as it is stored. Raises InputError where its shape is another."""
-        found = np.asarray(matrix, _DTYPE)
-        if found.shape != shape and found.size != 1:
-            expected = " x ".join(map(str, shape))
-            actual = " x ".join(map(str, found.shape))
-            raise InputError(f"event {self._number}: {name} is {actual}, expected {expected}")
-        if found.size == 1 and shape not in ((1,), (1, 1)):
-            raise InputError(f"event {self._number}: {name} is a single number, expected {shape}")
+    def _add(self, name: str, dim: int) -> None:
+        self._dims[name] = dim
+        self._sizes.clear()
+
+    def _dim(self, dim: Any) -> int:
+        if int(dim) != dim or not 0 < dim <= MOST_ENTRIES:
+            self._refuse(f"dimension {dim!r}, expected 1 to {MOST_ENTRIES}")
+        return int(dim)
+
+    def _blob(self, name: str, matrix: ArrayLike, shape: tuple[int, int]) -> bytes:
+        """Return a matrix as it is stored; a number stands for 1 x 1. Raises InputError."""
+        found = self._numbers(name, matrix)
+        if found.shape != shape and not (found.size == 1 and shape == (1, 1)):
+            actual = " x ".join(map(str, found.shape)) or "a number"
+            self._refuse(f"{name} is {actual}, expected {shape[0]} x {shape[1]}")
+        blob = found.tobytes()
+        self._bytes += len(blob)
+        return blob
+
+    def _vector(self, name: str, vector: ArrayLike, size: int) -> bytes:
+        """Return a vector as it is stored; it may be a column or a row."""
+        found = self._numbers(name, vector)
+        if found.size != size or (found.ndim > 1 and max(found.shape) != size):
+            actual = " x ".join(map(str, found.shape)) or "a number"
+            self._refuse(f"{name} is {actual}, expected {size} numbers")
         return found.tobytes()
+
+    def _numbers(self, name: str, values: ArrayLike) -> Array:
+        try:
+            return np.asarray(values, _DTYPE)
+        except (TypeError, ValueError):
+            self._refuse(f"{name} is not an array of numbers")
+
+    def _refuse(self, fault: str) -> NoReturn:
+        raise InputError(f"{self._path}, event {self._first + len(self._rows)}: {fault}")
+
+    def _check_open(self) -> None:
+        if self._ended is not None:
+            raise InputError(f"{self._path}: {self._ended}")
+
+    def _end(self, reason: str) -> None:
+        """Record nothing from now on; what is not committed is undone."""
+        self._ended = reason
+        self._rows.clear()
+        self._file.close()
+
+    def _sensors(
+        self, gates: Mapping[str, float], components: Mapping[str, Sequence[str]]
+    ) -> list[tuple[str, float | None, str | None]]:
+        """Return rows of the table of sensors."""
+        rows = []
+        for name in {**gates, **components}:
+            gate, parts = gates.get(name), components.get(name)
+            if gate is not None and not 0.0 < gate < 1.0:
+                raise InputError(f"{self._path}: gate of {name!r} is {gate}, expected 0 < p < 1")
+            if parts is not None and (isinstance(parts, str) or len(set(parts)) < len(parts)):
+                raise InputError(f"{self._path}: components of {name!r} are not distinct names")
+            text = None if parts is None else json.dumps([_name(part) for part in parts])
+            rows.append((_name(name), None if gate is None else float(gate), text))
+        return rows
+
+    def _create(self) -> None:
+        try:
+            with self._path.open("xb"):
+                pass
+        except FileExistsError:
+            raise InputError(
+                f"{self._path}: exists already; give a new name, or append=True"
+            ) from None
+        except OSError as error:
+            raise InputError(f"{self._path}: cannot be written ({error.strerror})") from None
+
+    def _open(self, sensors: Iterable[tuple[str, float | None, str | None]], *, new: bool) -> None:
+        """Open the file and describe the sensors. Raises sqlite3.Error."""
+        self._file = sqlite3.connect(
+            self._path.absolute(), isolation_level=None, check_same_thread=False
+        )
+        # A killed process loses nothing that it has written; that a computer fails is accepted.
+        self._file.execute("PRAGMA synchronous = OFF")
+        if new:
+            self._file.execute(f"PRAGMA page_size = {PAGE_BYTES}")
+            self._file.execute(f"PRAGMA application_id = {APPLICATION}")
+            self._file.execute(f"PRAGMA user_version = {VERSION}")
+        self._file.execute("BEGIN IMMEDIATE")
+        for table in TABLES.values() if new else ():
+            self._file.execute(table)
+        self._file.executemany("INSERT OR REPLACE INTO sensor VALUES (?, ?, ?)", sensors)
+        self._file.execute("COMMIT")
 
     def _follow(self) -> None:
         """Read the trace that is appended to, for its last number and its blocks."""
         from comparisons.audit.events import Augment, Clone, Prior, Remove
         from comparisons.audit.trace_file import Trace
 
-        for event in Trace(self._path):
-            self._number = event.number + 1
+        trace = Trace(self._path)
+        for event in trace if trace.counts.events else ():
+            self._first = event.number + 1
             if isinstance(event, Prior):
                 self._dims = dict(zip(event.blocks, event.dims, strict=True))
             elif isinstance(event, Augment):
@@ -431,3 +517,12 @@ class Recorder:
             elif isinstance(event, Remove):
                 for name in event.blocks:
                     del self._dims[name]
+
+
+def _name(name: str) -> str:
+    """A name that can be stored. Raises InputError."""
+    try:
+        name.encode()
+    except (AttributeError, UnicodeEncodeError):
+        raise InputError(f"name {name!r:.60}: expected a text of whole characters") from None
+    return name

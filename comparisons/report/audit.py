@@ -31,8 +31,9 @@ from comparisons.report.terminal import STYLES, Summary
 
 RESULT = "audit.json"
 _SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
+_EVENT = "event"
 _LEAST = 1e-17
-"""What a gap of nothing is drawn as, on a logarithmic axis."""
+"""What a gap of nothing is drawn as."""
 
 
 class FindingResult(Model):
@@ -352,43 +353,40 @@ def _sensor_rows(one: SensorFigures) -> list[Row]:
 
 
 def audit_panels(audit: Audit) -> list[Panel]:
-    """Return what is drawn: the algebra gap, and NIS by sensor, over events or time."""
+    """Return what is drawn over events: the algebra gap, and NIS by sensor."""
     panels = []
-    timed = all(gap.time_s is not None for gap in audit.gaps)
-    label = "time [s]" if timed else "event"
     if audit.gaps:
-        x = np.array([gap.time_s if timed else gap.event for gap in audit.gaps], dtype=float)
+        event = np.array([gap.event for gap in audit.gaps], dtype=float)
         sigma, covariance = (
-            np.maximum(np.array(values, dtype=float), _LEAST)
+            np.log10(np.maximum(np.array(values, dtype=float), _LEAST))
             for values in zip(*(gap[2:] for gap in audit.gaps), strict=True)
         )
         curves = (
-            Curve("estimate [sigma]", EKF_COLOUR, x, sigma),
-            Curve("covariance", SMOOTHER_COLOUR, x, covariance),
+            Curve("estimate [sigma]", EKF_COLOUR, event, sigma),
+            Curve("covariance", SMOOTHER_COLOUR, event, covariance),
         )
         panels.append(
             Panel(
-                title="gap from least squares",
-                x_label=label,
+                title="log10 of the gap from least squares",
+                x_label=_EVENT,
                 curves=curves,
                 bands=(),
-                logarithmic=True,
-                level=audit.tolerance,
+                level=float(np.log10(max(audit.tolerance, _LEAST))),
             )
         )
-    return panels + [_nis_panel(one, label) for one in audit.sensors if len(one.windows) > 1]
+    return panels + [_nis_panel(one) for one in audit.sensors if len(one.windows) > 1]
 
 
-def _nis_panel(one: SensorFigures, label: str) -> Panel:
-    time_s, mean, low, high = (
-        np.array([getattr(w, name) for w in one.windows])
-        for name in ("time_s", "mean", "low", "high")
+def _nis_panel(one: SensorFigures) -> Panel:
+    first, last, mean, low, high = (
+        np.array(x, dtype=float) for x in zip(*one.windows, strict=True)
     )
+    event = 0.5 * (first + last)
     return Panel(
         title=f"NIS of {one.sensor}",
-        x_label=label,
-        curves=(Curve("mean of a window", EKF_COLOUR, time_s, mean),),
-        bands=(Band("95 %", "#999999", time_s, low, high),),
+        x_label=_EVENT,
+        curves=(Curve("mean of a window", EKF_COLOUR, event, mean),),
+        bands=(Band("95 %", "#999999", event, low, high),),
         level=float(one.nis[0].dof) if one.nis else None,
     )
 

@@ -1,0 +1,119 @@
+"""Which faults in other people's filters the audit finds, and how often it flags sound ones.
+
+    python benchmarks/audit_faults.py [--seed 2000] [--sound 50] [--filters NAME ...]
+
+Each of ten faults in each filter of examples/audit is recorded and audited. The first fault that
+the audit reports is right in its event if no snapshot tells it from the planted one; where a sensor
+is at fault from some time on, if it is within a tenth of the trace's events. It is right in its
+blocks if they hold the planted ones, or are some of them; of a sensor, if it is named. Then sound
+traces are audited, seeds 1000 and up; the interval is Clopper and Pearson's, 95 %.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tempfile
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks.defects import interval
+from comparisons.audit.audit import Finding, audit
+from comparisons.audit.events import Snapshot
+from comparisons.audit.trace_file import Trace
+from examples.audit.faults import Fault, Planted
+
+FILTERS = ("filterpy_ekf", "navlie_se3", "gtsam_filters", "msckf")
+MORE = ("filterpy_ukf",)
+FIRST_SOUND = 1000
+
+
+class Judged(NamedTuple):
+    """What the audit made of a planted fault."""
+
+    found: bool
+    event: bool
+    blocks: bool
+    text: str
+
+
+def judge(path: Path, planted: Planted, fault: Fault) -> Judged:
+    """Audit a trace and compare the first fault with the planted one."""
+    result = audit(path)
+    faults = [finding for finding in result.findings if finding.fault]
+    if not faults:
+        return Judged(found=False, event=False, blocks=False, text="sound")
+    first = faults[0]
+    event = first.event in range(planted.event, _next_snapshot(path, planted.event))
+    blocks = _same_blocks(first, planted)
+    if fault.statistical:
+        margin = 0.1 * result.counts.events
+        event = first.event is not None and abs(first.event - planted.event) <= margin
+        blocks = first.sensor == planted.sensor
+    return Judged(found=True, event=event, blocks=blocks, text=first.text)
+
+
+def _next_snapshot(path: Path, event: int) -> int:
+    return next(e.number for e in Trace(path) if isinstance(e, Snapshot) and e.number > event)
+
+
+def _same_blocks(finding: Finding, planted: Planted) -> bool:
+    found, sought = set(finding.blocks), set(planted.blocks)
+    return bool(found) and (found <= sought or sought <= found)
+
+
+def planted_faults(filters: list[str], seed: int, folder: Path) -> None:
+    """Print every fault, and how many are found."""
+    rows = []
+    print("| filter | fault | found | event | blocks | first finding |\n|---|---|---|---|---|---|")
+    for name in filters:
+        module = import_module(f"examples.audit.{name}")
+        for key, fault in module.FAULTS.items():
+            path = folder / f"{name}-{key}"
+            planted = module.record(path, seed, key)
+            judged = judge(path, planted, fault)
+            rows.append(judged)
+            marks = " | ".join("yes" if one else "**no**" for one in judged[:3])
+            where = f"event {planted.event}"
+            print(f"| {name} | {planted.what}, {where} | {marks} | {judged.text} |", flush=True)
+    found, event, blocks = (sum(marks) for marks in zip(*(row[:3] for row in rows), strict=True))
+    both = sum(row.event and row.blocks for row in rows)
+    print(f"\n{found} of {len(rows)} found; right: event {event}, blocks {blocks}, both {both}")
+
+
+def sound(filters: list[str], runs: int, folder: Path) -> None:
+    """Print how many sound traces are flagged."""
+    flagged = 0
+    for name in filters:
+        module = import_module(f"examples.audit.{name}")
+        for seed in range(FIRST_SOUND, FIRST_SOUND + runs):
+            path = folder / f"{name}-{seed}"
+            module.record(path, seed)
+            result = audit(path)
+            if not result.sound:
+                flagged += 1
+                print(f"{name}, seed {seed}: {result.findings[0].text}", flush=True)
+            path.unlink()
+    total = runs * len(filters)
+    low, high = interval(flagged, total)
+    print(f"{flagged} of {total} sound traces flagged, {100 * low:.1f} to {100 * high:.1f} %")
+
+
+def main() -> None:
+    """Print both."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=2000, help="of the traces with faults")
+    parser.add_argument("--sound", type=int, default=50, help="sound traces of each filter")
+    parser.add_argument("--filters", nargs="+", choices=FILTERS + MORE, default=list(FILTERS))
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        planted_faults(options.filters, options.seed, Path(folder))
+        sound(options.filters, options.sound, Path(folder))
+
+
+if __name__ == "__main__":
+    main()

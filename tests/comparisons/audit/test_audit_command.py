@@ -1,0 +1,85 @@
+"""`slamcheck audit` as a user calls it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import slamcheck
+from comparisons.report.audit import AuditResult, audit_panels, build_audit_result
+from tests.comparisons.audit.test_audit import once, stays
+from tests.comparisons.audit.toy_filter import Toy
+from tests.comparisons.test_cli import slamcheck as command
+
+
+def traces(folder: Path) -> tuple[Path, Path]:
+    alter, _ = once("gps", 80, stays("position", "bias"))
+    sound, faulty = folder / "sound.trace", folder / "faulty.trace"
+    Toy(seed=1).record(sound)
+    Toy(seed=1, alter=alter).record(faulty)
+    return sound, faulty
+
+
+def test_exit_codes_folder_and_json(tmp_path: Path) -> None:
+    traces(tmp_path)
+    sound = command("audit", "sound.trace", cwd=tmp_path)
+    assert (sound.returncode, sound.stdout.splitlines()[0]) == (0, "verdict: sound")
+    assert max(map(len, sound.stdout.splitlines())) <= 80
+    folder = tmp_path / "slamcheck-audit-sound"
+    assert {p.name for p in folder.iterdir()} == {"audit.json", "curves.png", "report.html"}
+    faulty = command("audit", "faulty.trace", "--json", "--out", "there", cwd=tmp_path)
+    assert faulty.returncode == 1
+    found = AuditResult.model_validate(json.loads(faulty.stdout))
+    assert found.verdict == "faulty"
+    assert found.findings[0].blocks == ["position", "bias"]
+    assert sorted(found.files) == ["audit.json", "curves.png", "report.html"]
+    assert (tmp_path / "there" / "audit.json").read_text() == faulty.stdout
+    again = command("audit", "faulty.trace", "--quiet", "--out", "there", cwd=tmp_path)
+    assert (again.returncode, again.stdout) == (1, "")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("nothing.trace", "no such file"), (".", "not a regular file"), ("a.csv", "not an SQLite")],
+)
+def test_what_is_no_trace_is_one_line(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / "a.csv").write_text("time,x\n0,1\n" * 10)
+    done = command("audit", name, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert text in done.stderr
+    assert not list(tmp_path.glob("slamcheck-audit*"))
+
+
+def test_a_page_shows_what_file_names_say_as_text(tmp_path: Path) -> None:
+    path = tmp_path / "<b>x&amp;.trace"
+    Toy(seed=1, steps=30).record(path)
+    found = slamcheck.audit(path)
+    slamcheck.write_report(found, tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "&lt;b&gt;x&amp;amp;.trace" in page
+    assert "<b>x" not in page
+
+
+def test_in_python(tmp_path: Path) -> None:
+    sound, faulty = traces(tmp_path)
+    assert slamcheck.audit(sound).sound
+    found = slamcheck.audit(faulty)
+    assert not found.sound
+    assert slamcheck.audit(faulty, tolerance=10.0).first_open is None
+    result = build_audit_result(found)
+    assert result.largest_gap is not None
+    assert audit_panels(found)[0].title.startswith("log10 of the gap")
+    with pytest.raises(slamcheck.InputError, match="no such file"):
+        slamcheck.audit(tmp_path / "none")
+
+
+def test_a_trace_without_snapshots_is_judged_by_its_innovations(tmp_path: Path) -> None:
+    path = tmp_path / "bare.trace"
+    Toy(seed=1, every=10_000).record(path)
+    found = slamcheck.audit(path)
+    assert found.sound
+    assert found.largest is not None  # the one after the prior
+    assert len(found.sensors) == 3

@@ -1,0 +1,129 @@
+"""Innovations by sensor: exact bands, gates that are undone, and faults that have a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+from comparisons.arrays import Array
+from comparisons.audit.events import Sensor
+from comparisons.audit.innovations import InnovationLog, SensorFigures, _lengthened, _onset
+
+LEVEL = 1e-3
+
+
+def figures(white: Array, used: Array | None = None, gate: float | None = None) -> SensorFigures:
+    log = InnovationLog()
+    for i, row in enumerate(white):
+        log.add(10 * i, None, row, True if used is None else bool(used[i]))
+    return log.figures("radar", Sensor(gate, ("range", "bearing")), LEVEL)
+
+
+def white(n: int, seed: int = 0, d: int = 2) -> Array:
+    return np.random.default_rng(seed).standard_normal((n, d))
+
+
+def test_sound_innovations_have_no_departure() -> None:
+    found = figures(white(2000))
+    assert found.departures == ()
+    assert [one.name for one in found.nis] == ["radar", "range", "bearing"]
+    assert all(one.band.holds(one.mean) for one in found.nis)
+    assert len(found.windows) == 60
+    assert found.windows[-1].last == 19990
+
+
+def test_what_passes_a_gate_is_lengthened_to_what_arrived() -> None:
+    for d in (1, 3):
+        z, gate = white(20_000, d=d), 0.9
+        nis = (z**2).sum(axis=1)
+        passed = z[nis <= chi2.ppf(gate, d)]
+        dof = np.full(len(passed), d)
+        factor = _lengthened((passed**2).sum(axis=1), dof, gate)
+        assert kstest((passed[:, 0] * factor), "norm").pvalue > 0.01
+        assert kstest(passed[:, 0], "norm").pvalue < 1e-6  # as it would be without
+
+
+def test_a_gates_rate_and_lengths_are_sound_together() -> None:
+    z, gate = white(4000, 1), 0.99
+    used = (z**2).sum(axis=1) <= chi2.ppf(gate, 2)
+    found = figures(z, used, gate)
+    assert found.departures == ()
+    assert found.rejected == int((~used).sum())
+    assert found.rejected_band is not None
+    assert found.rejected_band[0] < found.rejected / 4000 < found.rejected_band[1]
+    unknown = figures(z, used)
+    assert unknown.nis[0].mean < found.nis[0].mean
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda z: 1.2 * z, "NIS is too high"),
+        (lambda z: 0.8 * z, "NIS is too low"),
+        (lambda z: z + [0.0, 0.3], "mean of bearing"),
+        (lambda z: z * [1.4, 1.0], "NIS of range is too high"),
+        (
+            lambda z: np.column_stack((z[:, 0], np.convolve(z[:, 1], [0.8, 0.6])[: len(z)])),
+            "bearing is correlated in time",
+        ),
+    ],
+)
+def test_each_departure_is_found(spoil: object, text: str) -> None:
+    assert callable(spoil)
+    found = figures(np.asarray(spoil(white(2000, 2))))
+    assert any(text in one.what for one in found.departures), found.departures
+
+
+def test_a_fault_has_a_time() -> None:
+    z = white(3000, 3)
+    z[1234:1600] *= 2.5
+    found = figures(z)
+    timed = [one for one in found.departures if one.event is not None]
+    assert len(timed) == 1
+    assert abs((timed[0].event or 0) - 12340) <= 100
+    assert abs((timed[0].until or 0) - 15990) <= 500
+
+
+def test_a_gate_that_begins_to_reject_has_a_time() -> None:
+    z, used = white(2000, 4), np.ones(2000, dtype=bool)
+    used[700:720] = False
+    used[1500] = False
+    found = figures(z, used, 0.99999)
+    timed = [one for one in found.departures if "rejects" in one.what]
+    assert len(timed) == 1
+    assert timed[0].event == 7000
+
+
+def test_the_onset_of_a_step() -> None:
+    values = np.concatenate((np.ones(50), 3.0 * np.ones(30)))
+    assert _onset(values, 3.0, 1.0) == 50
+    assert _onset(-values, -3.0, -1.0) == 50
+
+
+def test_no_innovation_no_figure() -> None:
+    nothing = figures(np.full((5, 2), np.nan))
+    assert (nothing.unusable, nothing.measured, nothing.nis) == (5, 0, ())
+    assert figures(white(3)).windows == ()
+
+
+def test_vectors_of_different_length_are_judged_together() -> None:
+    log, rng = InnovationLog(), np.random.default_rng(5)
+    for i in range(500):
+        log.add(i, 0.1 * i, rng.standard_normal(1 + i % 4), used=True)
+    found = log.figures("features", Sensor(None, ()), LEVEL)
+    assert found.departures == ()
+    assert len(found.nis) == 1
+    assert found.nis[0].mean == pytest.approx(2.5, abs=0.3)
+
+
+@pytest.mark.slow
+def test_the_level_is_kept() -> None:
+    """Of 3,000 sound sensors about 1 % depart at a level of 1 %; at most 2 % do."""
+    rng, out = np.random.default_rng(6), 0
+    for _ in range(3000):
+        log = InnovationLog()
+        for i, row in enumerate(rng.standard_normal((60, 2))):
+            log.add(i, None, row, used=True)
+        out += bool(log.figures("radar", Sensor(None, ()), 0.01).departures)
+    assert 3 <= out <= 60

@@ -1,0 +1,428 @@
+"""The C++ header records what the Python recorder does, of the same filter."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.arrays import Array
+from comparisons.audit.events import Event, Snapshot, Update
+from comparisons.audit.recorder import Recorder
+from comparisons.audit.trace_file import Trace
+
+CPP = Path(__file__).resolve().parents[2] / "cpp"
+COMPILER = shutil.which("c++") or shutil.which("g++")
+STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+GATE = 9.2103403719761836
+"""Of the example: 99 % of two degrees of freedom."""
+
+Build = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """Compile a program beside the header, with a piece of the header replaced."""
+    if COMPILER is None:
+        pytest.skip("no C++ compiler (c++ or g++)")
+    asked = (COMPILER, "-x", "c++", "-E", "-include", "sqlite3.h", os.devnull)
+    if subprocess.run(asked, capture_output=True, check=False, timeout=60).returncode != 0:
+        pytest.skip("no sqlite3.h (Debian: libsqlite3-dev)")
+
+    def built(source: str, old: str = "", new: str = "") -> Path:
+        folder = tmp_path_factory.mktemp("cpp")
+        header = (CPP / "slamcheck_recorder.hpp").read_text()
+        assert old in header
+        (folder / "slamcheck_recorder.hpp").write_text(header.replace(old, new) if old else header)
+        (folder / "main.cpp").write_text(source)
+        words = (COMPILER, *STRICT, "main.cpp", "-o", "main", "-lsqlite3")
+        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        return folder / "main"
+
+    return built
+
+
+@pytest.fixture(scope="module")
+def example(build: Build, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The trace that cpp/example.cpp records."""
+    program = build((CPP / "example.cpp").read_text())
+    trace = tmp_path_factory.mktemp("example") / "cpp.trace"
+    subprocess.run((program, trace), check=True, timeout=60)
+    return trace
+
+
+class Noise:
+    """The example's numbers."""
+
+    def __init__(self) -> None:
+        self._state = 7
+
+    def __call__(self, sigma: float) -> float:
+        total = -6.0
+        for _ in range(12):
+            self._state = (self._state * 6364136223846793005 + 1442695040888963407) % 2**64
+            total += (self._state >> 11) / 9007199254740992.0
+        return sigma * total
+
+    def pair(self, sigma: float) -> Array:
+        return np.array([self(sigma), self(sigma)])
+
+
+class Filter:
+    """The example's filter, with numpy."""
+
+    def __init__(self) -> None:
+        self.x = np.array([0.0, 0.0, 1.0, 1.0])
+        self.p = np.diag([1.0, 1.0, 0.25, 0.25])
+
+    def correct(self, residual: Array, h: Array, r: Array) -> Array:
+        gain = self.p @ h.T @ np.linalg.inv(h @ self.p @ h.T + r)
+        rest = np.eye(len(self.x)) - gain @ h
+        self.x = self.x + gain @ residual
+        self.p = rest @ self.p @ rest.T + gain @ r @ gain.T
+        return gain
+
+
+def beacon(record: Recorder, mine: Filter, measured: Array) -> None:
+    """Range and bearing to the beacon, gated."""
+    away = np.array([3.0, -4.0]) - mine.x[:2]
+    q, r = away @ away, math.hypot(*away)
+    residual = measured - [r, math.atan2(away[1], away[0])]
+    residual[1] -= 2.0 * math.pi * round(residual[1] / (2.0 * math.pi))
+    h = np.zeros((2, len(mine.x)))
+    h[0, :2], h[1, :2] = -away / r, [away[1] / q, -away[0] / q]
+    noise = np.diag([0.1**2, 0.02**2])
+    if residual @ np.linalg.inv(h @ mine.p @ h.T + noise) @ residual < GATE:
+        gain = mine.correct(residual, h, noise)
+        done = gain @ residual
+        record.update("beacon", residual, h[:, :2], noise, ["position"], correction=done, gain=gain)
+    else:
+        record.reject("beacon", residual, h[:, :2], noise, ["position"])
+
+
+def way(record: Recorder, mine: Filter, measured: Array, truth: Array) -> None:
+    """The way since the position was cloned; the clone leaves."""
+    residual = measured - (mine.x[:2] - mine.x[4:])
+    h = np.hstack([np.eye(2), np.zeros((2, 2)), -np.eye(2)])
+    noise = 0.05**2 * np.eye(2)
+    mine.correct(residual, h, noise)
+    record.update("way", residual, h[:, [0, 1, 4, 5]], noise, ["position", "anchor"])
+    record.snapshot(mine.p)
+    mine.x, mine.p = mine.x[:4], mine.p[:4, :4]
+    record.remove("anchor")
+    record.snapshot(mine.p, mean=mine.x, error=truth - mine.x)
+
+
+def run(path: Path) -> None:
+    """The example, recorded by the Python recorder."""
+    noise, mine = Noise(), Filter()
+    truth = mine.x + [noise(math.sqrt(v)) for v in np.diag(mine.p)]
+    f, g = np.eye(4), np.vstack([0.005 * np.eye(2), 0.1 * np.eye(2)])
+    f[:2, 2:] = 0.1 * np.eye(2)
+    q = 0.25 * g @ g.T
+    anchor = np.zeros(2)
+    parts = {"beacon": ("range", "bearing")}
+    with Recorder(path, gates={"beacon": 0.99}, components=parts) as record:
+        record.prior({"position": 2, "velocity": 2}, mine.p)
+        for step in range(1, 301):
+            record.at(step * 0.1)
+            truth = f @ truth + g @ noise.pair(0.5)
+            n = len(mine.x)
+            whole, more = np.eye(n), np.zeros((n, n))
+            whole[:4, :4], more[:4, :4] = f, q
+            mine.x, mine.p = whole @ mine.x, whole @ mine.p @ whole.T + more
+            record.predict(f, q, ["position", "velocity"])
+            if step % 5 == 0:
+                away = np.array([3.0, -4.0]) - truth[:2]
+                wrong = 2.0 if step == 150 else 0.0
+                measured = math.hypot(*away) + noise(0.1) + wrong
+                beacon(
+                    record, mine, np.array([measured, math.atan2(away[1], away[0]) + noise(0.02)])
+                )
+            if step % 20 == 10:
+                index = [0, 1, 2, 3, 0, 1]
+                mine.x, mine.p, anchor = mine.x[index], mine.p[np.ix_(index, index)], truth[:2]
+                record.clone("position", "anchor")
+            if step % 20 == 0 and n == 6:
+                way(record, mine, truth[:2] - anchor + noise.pair(0.05), truth)
+
+
+def faults(one: Event, other: Event) -> list[str]:
+    """Names of the fields in which two events differ by more than rounding."""
+    if type(one) is not type(other):
+        return [f"{one!r} and {other!r}"]
+    found = []
+    for name, a, b in zip(one._fields, one, other, strict=True):
+        if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+            same = a.shape == b.shape and bool(np.allclose(a, b, rtol=1e-9, atol=1e-12))
+        else:
+            same = a == b
+        if not same:
+            found.append(f"event {one.number}: {name}")
+    return found
+
+
+def differences(one: Path, other: Path) -> list[str]:
+    return [fault for a, b in zip(Trace(one), Trace(other), strict=True) for fault in faults(a, b)]
+
+
+def test_cpp_and_python_record_the_same(example: Path, tmp_path: Path) -> None:
+    run(tmp_path / "python.trace")
+    assert Trace(example).sensors == Trace(tmp_path / "python.trace").sensors
+    assert differences(example, tmp_path / "python.trace") == []
+    with sqlite3.connect(example) as cpp, sqlite3.connect(tmp_path / "python.trace") as python:
+        for column in ("jacobian", "noise", "used", "sensor", "gain", "mean"):
+            asked = f"SELECT number FROM event WHERE {column} IS NULL"  # noqa: S608
+            assert cpp.execute(asked).fetchall() == python.execute(asked).fetchall(), column
+    cpp.close()
+    python.close()
+
+
+def test_the_example_is_a_sound_filter(example: Path) -> None:
+    """It rejects the wrong range alone, and its errors are as large as it says."""
+    events = list(Trace(example))
+    rejected = [event.time_s for event in events if isinstance(event, Update) and not event.used]
+    assert rejected == pytest.approx([15.0])
+    nees = [
+        event.error @ np.linalg.solve(event.covariance, event.error)
+        for event in events
+        if isinstance(event, Snapshot) and event.error is not None
+    ]
+    assert len(nees) == 15
+    assert 1.5 < np.mean(nees) < 8.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("matrix(i, j)", "matrix(j % matrix.rows(), i % matrix.cols())"),
+        ("last.matrices[k] != matrix->values()", "false"),
+    ],
+    ids=["transposed", "repeated wrongly"],
+)
+def test_a_wrong_header_is_noticed(
+    build: Build, example: Path, tmp_path: Path, old: str, new: str
+) -> None:
+    program = build((CPP / "example.cpp").read_text(), old, new)
+    subprocess.run((program, tmp_path / "wrong.trace"), check=True, timeout=60)
+    try:
+        found = differences(example, tmp_path / "wrong.trace")
+    except ValueError as error:
+        found = [str(error)]
+    assert found
+
+
+CALLS = r"""
+#include <cstdlib>
+#include <functional>
+#include <iostream>
+#include "slamcheck_recorder.hpp"
+using namespace slamcheck;
+
+int main(int, char** words) {
+  const std::string path = words[1];
+  Recorder record(path, {{"g/\"\\\n\xc3\xa9", {}, {"x"}}});
+  const Matrix P{{2.0, 0.5}, {0.5, 1.0}}, one{{1.0}};
+  const auto refused = [](const std::function<void()>& call) {
+    try {
+      call();
+      std::cout << "accepted\n";
+    } catch (const std::runtime_error& error) {
+      std::cout << error.what() << "\n";
+    }
+  };
+  refused([&] { Recorder again(path); });
+  refused([&] { Recorder again(path + "/no/folder"); });
+  refused([&] { Recorder again(path + "2", {{"gps", 1.5, {}}}); });
+  refused([&] { record.predict(one, one); });
+  refused([&] { record.prior({{"a", 1}, {"a", 1}}, P); });
+  refused([&] { record.prior({{"a", 30000}}, P); });
+  refused([&] { record.prior({{"a", 1}, {"b", 2}}, P); });
+  refused([&] { record.prior({{"a\xff", 2}}, P); });
+  record.prior({{"a", 1}, {"\xe6\x98\x9f'\"/", 1}}, P);
+  refused([&] { record.prior({{"a", 1}}, one); });
+  refused([&] { record.predict(P, one); });
+  refused([&] { record.predict(P, P, {"a", "a"}); });
+  refused([&] { record.predict(P, P, {"c"}); });
+  refused([&] { record.update("gps", {1.0, 2.0}, {{1.0, 0.0}}, one); });
+  refused([&] { record.update("gps", {}, {{1.0, 0.0}}, one); });
+  refused([&] { record.update("gps", {1.0}, {{1.0, 0.0}}, one, {}, {1.0}); });
+  refused([&] { record.update("gps", {1.0}, {{1.0, 0.0}}, one, {}, {1.0, 2.0}, one); });
+  refused([&] { record.augment("a", P, P, P); });
+  refused([&] { record.augment("c", one, P, P); });
+  refused([&] { record.clone("a", "a"); });
+  refused([&] { record.clone("c", "d"); });
+  refused([&] { record.remove({"a", "\xe6\x98\x9f'\"/"}); });
+  refused([&] { record.remove({}); });
+  refused([&] { record.reset(one); });
+  refused([&] { record.snapshot(P, {"a"}); });
+  refused([&] { record.snapshot(P, {}, {}, {1.0}); });
+  refused([&] { record.directions({{"turn", {1.0}}}, {"gps"}); });
+  refused([&] { record.directions({{"turn", {1.0, 0.0}}}, {}); });
+  refused([&] { record.at(std::numeric_limits<double>::quiet_NaN()); });
+  refused([&] { Matrix{{1.0}, {1.0, 2.0}}; });
+  record.at(1.5);
+  record.directions({{"turn", {1.0, 2.0}}, {"shift", std::vector<double>{3.0, 4.0}}}, {"gps"});
+  record.augment("c", {{3.0}, {4.0}}, {{1.0, 0.0}, {0.0, 1.0}}, P, {"a"});
+  record.reset({{7.0}}, {"a"});
+  record.clone("c", "d");
+  record.update("g/\"\\\n\xc3\xa9", {0.5}, {{1.0}}, one, {"a"});
+  record.remove({"a", "d"});
+  record.snapshot({{5.0}}, {"\xe6\x98\x9f'\"/"}, {1.0, 2.0, 3.0});
+  record.close();
+  refused([&] { record.reset(one, {"c"}); });
+}
+"""
+SAID = """
+: exists already, or cannot be written; give a new name
+/no/folder: exists already, or cannot be written; give a new name
+2: gate of sensor "gps" is not a probability between 0 and 1
+, event 0: is the first, expected the prior first
+, event 0: block "a" is given twice
+, event 0: a block's dimension is out of range
+, event 0: P is 2 x 2, expected 3 x 3
+, event 0: a name is not text in UTF-8
+, event 1: is a second prior; a filter that begins anew has a new trace
+, event 1: Q is 1 x 1, expected 2 x 2
+, event 1: "a" is given twice
+, event 1: block "c" is not in the state
+, event 1: H is 1 x 2, expected 2 x 2
+, event 1: residual is empty
+, event 1: correction has 1 numbers, expected 2
+, event 1: gain is 1 x 1, expected 2 x 1
+, event 1: block "a" is in the state already
+, event 1: G_x is 1 x 1, expected 2 x 2
+, event 1: block "a" is in the state already
+, event 1: block "c" is not in the state
+, event 1: removes the last block of the state
+, event 1: a removal has no blocks
+, event 1: J is 1 x 1, expected 2 x 2
+, event 1: P is 2 x 2, expected 1 x 1
+, event 1: error has 1 numbers, expected 2
+, event 1: basis has 1 numbers, expected 2
+, event 1: directions or sensors are missing
+, event 1: time_s is not finite
+a matrix has rows of different lengths
+: is closed
+"""
+
+
+def test_cpp_checks_its_calls_and_records_every_kind(build: Build, tmp_path: Path) -> None:
+    path = tmp_path / "run.trace"
+    done = subprocess.run(
+        (build(CALLS), path), capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout.replace(str(path), "") == SAID.lstrip("\n")
+    assert [file.name for file in tmp_path.iterdir()] == ["run.trace"]
+    trace, star, sensor = Trace(path), "\u661f'\"/", 'g/"\\\n\u00e9'
+    assert list(trace.sensors.items()) == [(sensor, (None, ("x",)))]
+    shown = [
+        (
+            type(event).__name__,
+            *(np.asarray(x).tolist() if isinstance(x, np.ndarray) else x for x in event[1:]),
+        )
+        for event in trace
+    ]
+    p = [[2.0, 0.5], [0.5, 1.0]]
+    assert shown == [
+        ("Prior", None, ("a", star), (1, 1), p),
+        ("Directions", 1.5, ("a", star), [[1, 3], [2, 4]], ("turn", "shift"), ("gps",)),
+        ("Augment", 1.5, "c", ("a",), [[3], [4]], [[1, 0], [0, 1]], p),
+        ("Reset", 1.5, ("a",), [[7]]),
+        ("Clone", 1.5, "d", "c"),
+        ("Update", 1.5, sensor, ("a",), [0.5], [[1]], [[1]], True, None, None),
+        ("Remove", 1.5, ("a", "d")),
+        ("Snapshot", 1.5, (star,), [[5]], [1, 2, 3], None),
+    ]
+
+
+FOR_EVER = r"""
+#include <iostream>
+#include <sys/wait.h>
+#include "slamcheck_recorder.hpp"
+int main(int count, char** words) {
+  try {
+    slamcheck::Recorder record(words[1]);
+    record.prior({{"a", 2}}, slamcheck::Matrix{{1.0, 0.0}, {0.0, 1.0}});
+    if (count > 2) {
+      if (fork() == 0) {
+        try {
+          record.snapshot(slamcheck::Matrix{{1.0, 0.0}, {0.0, 1.0}});
+        } catch (const std::runtime_error& error) {
+          std::cout << error.what() << std::endl;
+        }
+        return 0;
+      }
+      wait(nullptr);
+      record.snapshot(slamcheck::Matrix{{1.0, 0.0}, {0.0, 1.0}});
+      return 0;
+    }
+    for (int i = 0;; ++i) {
+      record.predict({{1.0, i * 0.1}, {0.0, 1.0}}, {{1.0, 0.0}, {0.0, 1.0}});
+      if (i == 4999) std::cout << "half" << std::endl;
+      if (i == 5500) std::cin.get();
+    }
+  } catch (const std::runtime_error& error) {
+    std::cerr << error.what() << std::endl;
+    return 2;
+  }
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def for_ever(build: Build) -> Path:
+    """A program that records two commits and more, and waits; with a second word it forks."""
+    return build(FOR_EVER)
+
+
+def test_a_killed_cpp_recording_is_valid_to_its_last_commit(for_ever: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run.trace"
+    job = subprocess.Popen((for_ever, path), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert job.stdout is not None
+    assert job.stdout.readline() == b"half\n"
+    assert len(list(Trace(path))) == 4000, "while it is recorded"
+    job.kill()
+    job.communicate()
+    assert job.returncode == -signal.SIGKILL
+    assert (tmp_path / "run.trace-journal").exists()
+    assert [event.number for event in Trace(path)] == list(range(4000))
+    with Recorder(path, append=True) as record:
+        record.predict(np.eye(2), np.eye(2))
+    assert Trace(path).counts.events == 4001
+
+
+def test_a_full_disk_is_one_line(for_ever: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run.trace"
+    limited = f"ulimit -f 400; exec {for_ever} {path}"
+    done = subprocess.run(
+        ("bash", "-c", f"trap '' XFSZ; {limited}"),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"{path}: cannot be written (")
+    assert done.stderr.endswith("; the recording ends before event 2000\n")
+    assert Trace(path).counts.events == 2000
+
+
+def test_a_child_of_a_fork_leaves_the_file_alone(for_ever: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run.trace"
+    done = subprocess.run(
+        (for_ever, path, "fork"), capture_output=True, text=True, check=True, timeout=60
+    )
+    said = "was opened by another process; after a fork only the parent records"
+    assert done.stdout == f"{path}: {said}\n"
+    assert [type(event).__name__ for event in Trace(path)] == ["Prior", "Snapshot"]
