@@ -73,6 +73,19 @@ def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_spurious_information_benchmark_runs(tmp_path: Path) -> None:
+    """The EKF learns of its heading, the others do not."""
+    picture = tmp_path / "learnt.png"
+    options = ("--runs", "2", "--steps", "120", "--plot", str(picture))
+    lines = run("benchmarks/spurious_information.py", *options)
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines[2:]]
+    names = ["ekf", "fej", "oc", "riekf", "ideal"]
+    assert [row[:2] for row in rows] == [[name, k] for name in names for k in ("100", "120")]
+    assert [row[3] == "none" for row in rows] == [row[0] != "ekf" for row in rows]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
 def test_layer_values_benchmark_runs() -> None:
     lines = run("benchmarks/layer_values.py", "--seeds", "1", "--loops", "0.08")
     assert [line.split()[:2] for line in lines[3:6]] == [

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.model_differences import ModelDifference
+    from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
 
 
 GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
@@ -341,7 +342,10 @@ def unverified(optimality: Optimality) -> Cause:
 
 
 def linearisation(
-    agreement: Agreement, run: EkfRun, growth: LinearisationGrowth | None = None
+    agreement: Agreement,
+    run: EkfRun,
+    growth: LinearisationGrowth | None = None,
+    spurious: SpuriousHeading | None = None,
 ) -> Cause:
     """The gap between F2 and S. growth: where it arose, if that was looked for."""
     names = [f"landmark {i}" for i in run.estimate.landmark_id]
@@ -392,6 +396,8 @@ def linearisation(
         reached = f" (its sigma reached {_degrees(sigma[k])} at {run.estimate.time_s[k]:.1f} s)"
     if growth is not None and growth.total > 0.0:
         parts.append(_grew(growth, run, sigma))
+    if spurious is not None and spurious.matters:
+        parts.append(_learnt(spurious))
     return Cause(
         "linearisation",
         "; ".join(parts),
@@ -404,6 +410,21 @@ def _degrees(angle_rad: float) -> str:
     """One decimal, below a degree two digits: never 0.0 of an angle that is there."""
     angle = float(np.degrees(angle_rad))
     return f"{angle:.1f} degrees" if abs(angle) >= 1.0 else f"{angle:.2g} degrees"
+
+
+def _learnt(spurious: SpuriousHeading) -> str:
+    """How well the filter seems to know what nothing measured, and when it learnt that."""
+    begin_s, end_s, _ = spurious.fastest
+    largest = spurious.largest
+    there = ""
+    if largest is not None:
+        there = f", most from {begin_s:.1f} to {end_s:.1f} s"
+        if largest.seen:
+            there += f", there with {largest.seen} at {largest.time_s:.1f} s"
+    return (
+        f"the filter has learnt its global heading to {_degrees(spurious.sigma_rad[-1])} from "
+        f"measurements that cannot tell it{there}"
+    )
 
 
 def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.model_differences import ModelDifference
+    from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
 
 SPARED_SIGMA = 0.05
 """Largest difference of the means that sparing part of the covariance may cause, in sigma."""
@@ -73,8 +74,9 @@ class Diagnosis:
 
     differences: where the models differ. operations: which operation of the filter is wrong.
     explanations: known mistakes that reproduce the records. growth: where linearising cost
-    something. dropouts: stretches without observations. consistency: of the innovations. The
-    last two explain a disagreement, or an optimum that is not verified, and never make one.
+    something. spurious: what the filter learnt of its heading from what cannot tell it. dropouts:
+    stretches without observations. consistency: of the innovations. The last two explain a
+    disagreement, or an optimum that is not verified, and never make one.
     single: how the algebra gap grows, if computing in single precision explains it. algebra,
     model: the gaps that rounding explains.
     """
@@ -83,6 +85,7 @@ class Diagnosis:
     operations: Callable[[], Sequence[AlgebraDifference]] = tuple
     known_model_errors: Callable[[], Sequence[str]] = tuple
     growth: Callable[[], LinearisationGrowth | None] = lambda: None
+    spurious: SpuriousHeading | None = None
     dropouts: Callable[[], Dropouts | None] = lambda: None
     consistency: Consistency | None = None
     single: str = ""
@@ -170,7 +173,7 @@ def _by_optimum(
     blocks = (agreement.pose, *agreement.landmarks, *agreement.pose_landmarks, agreement.whole)
     found = []
     if not all(map(block_agrees, blocks)):
-        found.append(cause.linearisation(agreement, run, diagnosis.growth()))
+        found.append(cause.linearisation(agreement, run, diagnosis.growth(), diagnosis.spurious))
     found += causes
     return ("disagree" if found else "agree"), found
 

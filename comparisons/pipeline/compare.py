@@ -15,6 +15,7 @@ from comparisons.checks.agreement import ROUNDING, Agreement
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
 from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
+from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading, spurious_heading
 from comparisons.checks.qualifiers import TruthGap, measurement_scale, qualified, truth_gap
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig
@@ -78,6 +79,8 @@ class Comparison:
         gaps: The chain of estimates from the EKF to the smoother.
         dead_reckoned: (K, 3) poses where the odometry alone leads.
         consistency: NEES, NIS, whiteness, filter against smoother; it has no say in the verdict.
+        spurious_heading: What the filter learnt of its global heading from measurements that cannot
+            tell it; None where landmarks are surveyed.
         assessment: Errors of each estimate against truth, where the log has it.
         findings: Of the extensions that took part, by name.
         verdict: Outcome, causes (the most important first) and remarks.
@@ -88,6 +91,7 @@ class Comparison:
     gaps: Gaps
     dead_reckoned: Array
     consistency: Consistency
+    spurious_heading: SpuriousHeading | None
     assessment: Assessment
     findings: Mapping[str, Finding]
     verdict: Verdict
@@ -204,11 +208,12 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         consistency = check_consistency(
             log, run, smoothed, labelled=labelled, robust=options.robust
         )
+        spurious = spurious_heading(gaps.recorded, run)
         verdict = judge(
             gaps.agreement,
             gaps.result,
             run,
-            _diagnosis(compared, consistency),
+            _diagnosis(compared, consistency, spurious),
             data_faults=data_faults(log, run, smoothed, labelled=labelled),
             causes=[cause for found in findings.values() for cause in found.causes],
             conservative=prepared.ekf.conservative,
@@ -226,6 +231,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             gaps=gaps,
             dead_reckoned=reckoned,
             consistency=consistency,
+            spurious_heading=spurious,
             assessment=replace(assessment, truth_gap=gap),
             findings=findings,
             verdict=qualified(
@@ -330,7 +336,9 @@ def run_filter(prepared: Prepared[Any]) -> tuple[EkfRun, FilterSetup]:
     return run, beside
 
 
-def _diagnosis(compared: Compared, consistency: Consistency) -> Diagnosis:
+def _diagnosis(
+    compared: Compared, consistency: Consistency, spurious: SpuriousHeading | None
+) -> Diagnosis:
     """What is imported and done only where there is something to explain."""
     log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
 
@@ -349,6 +357,7 @@ def _diagnosis(compared: Compared, consistency: Consistency) -> Diagnosis:
         operations=lambda: _repeated(compared.prepared, run),
         known_model_errors=known_model_errors,
         growth=gaps.linearisation_growth,
+        spurious=spurious,
         dropouts=dropouts,
         consistency=consistency,
     )

@@ -621,6 +621,45 @@ class ExternalConsistencyResult(Model):
     unjudged: str
 
 
+class SpuriousShareResult(Model):
+    """The measurement with which spurious information grew most, in the stretch where it grew most.
+
+    Attributes:
+        time_s: its time.
+        landmark: its landmark, in words; empty for a motion step.
+        information: what it added [1/rad^2].
+    """
+
+    time_s: float
+    landmark: str
+    information: float
+
+
+class SpuriousHeadingResult(Model):
+    """What the filter's own equations hold about its global heading, which nothing measured.
+
+    Prior, absolute positions and the right sides of the equations play no part. With an ideal
+    linearisation all of it is zero, but for rounding. See graphslam.spurious.
+
+    Attributes:
+        information: in total [1/rad^2].
+        sigma_deg: heading's standard deviation that this is worth; None without information.
+        fastest_s: stretch of time in which it grew most.
+        fastest: what it gained there [1/rad^2].
+        largest: the measurement with which it grew most there; None for a very large map.
+        time_s: ends of the stretches, from the start.
+        growth: information gathered until then [1/rad^2].
+    """
+
+    information: float
+    sigma_deg: float | None
+    fastest_s: tuple[float, float]
+    fastest: float
+    largest: SpuriousShareResult | None
+    time_s: list[float]
+    growth: list[float]
+
+
 class CauseResult(Model):
     """One reason for the verdict.
 
@@ -653,6 +692,8 @@ class Result(Model):
         smoother: the smoother.
         agreement: the gaps.
         consistency: consistency of filter and smoother.
+        spurious_heading: what the filter learnt of its heading from measurements that cannot tell
+            it; None where landmarks are surveyed.
         accuracy: errors against truth or GPS.
         association: the association compared with the log's labels.
         truth_gap: the smoother compared with truth.
@@ -680,6 +721,7 @@ class Result(Model):
     smoother: SmootherResult
     agreement: AgreementResult
     consistency: ConsistencyResult
+    spurious_heading: SpuriousHeadingResult | None = None
     accuracy: Accuracies | None
     association: AssociationResult | None
     truth_gap: TruthGapResult | None = None

@@ -71,6 +71,7 @@ class ConsistencyPanels:
     """errors: east, north, heading. squared: NEES. nis: by sensor. reported: whose error, by what.
 
     apart: where there are more than two estimates, the distance of each from the smoother's.
+    learnt: the heading's sigma that the filter took from measurements that cannot tell it.
     """
 
     reported: str
@@ -79,11 +80,12 @@ class ConsistencyPanels:
     nis: tuple[Panel, ...]
     whiteness: Panel | None
     apart: Panel | None = None
+    learnt: Panel | None = None
 
     @property
     def every(self) -> tuple[Panel, ...]:
         """All panels there are, those over time first."""
-        panels = (*self.errors, self.squared, self.apart, *self.nis, self.whiteness)
+        panels = (*self.errors, self.squared, self.apart, self.learnt, *self.nis, self.whiteness)
         return tuple(panel for panel in panels if panel is not None)
 
 
@@ -104,6 +106,28 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
         nis=nis,
         whiteness=_whiteness(c.sensors),
         apart=apart,
+        learnt=_learnt(comparison),
+    )
+
+
+def _learnt(comparison: Comparison) -> Panel | None:
+    """What the heading seems to be known to by nothing, and the filter's own sigma of it."""
+    spurious, ekf = comparison.spurious_heading, comparison.ekf.estimate
+    if spurious is None or not spurious.total > 0.0:
+        return None
+    unit = 180.0 / np.pi
+    known = np.where(spurious.information > 0.0, unit * spurious.sigma_rad, np.nan)
+    variance = ekf.pose_covariance[:, 2, 2]
+    own = unit * np.sqrt(np.where(variance >= 0.0, variance, np.nan))
+    return Panel(
+        title="spurious knowledge of the heading, sigma [deg]",
+        x_label="time [s]",
+        curves=(
+            Curve("spurious", SCANS_COLOUR, spurious.time_s, known),
+            Curve("EKF's own", EKF_COLOUR, ekf.time_s, own),
+        ),
+        bands=(),
+        logarithmic=True,
     )
 
 

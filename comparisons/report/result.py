@@ -45,6 +45,7 @@ from comparisons.report.sections import (
     log_result,
     package_versions,
     smoother_result,
+    spurious_heading_result,
     truth_gap_result,
 )
 from comparisons.report.settings import settings_result, settings_rows
@@ -64,6 +65,7 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
         smoother=smoother_result(c.smoother, c.smoothed),
         agreement=_agreement(c),
         consistency=consistency_result(c.consistency),
+        spurious_heading=spurious_heading_result(c.spurious_heading),
         accuracy=_accuracies(c),
         association=association_result(c.assessment.association),
         truth_gap=truth_gap_result(c.assessment.truth_gap),

@@ -33,6 +33,8 @@ from comparisons.report.models import (
     MinimumResult,
     PartitionResult,
     SmootherResult,
+    SpuriousHeadingResult,
+    SpuriousShareResult,
     StartResult,
     TruthDistanceResult,
     TruthGapResult,
@@ -41,6 +43,7 @@ from graphslam import smoother
 
 if TYPE_CHECKING:
     from comparisons.checks.association_variants import AssociationCheck
+    from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
     from comparisons.checks.map_agreement import Pair
     from comparisons.checks.position_gate import RejectedFixes
     from comparisons.checks.qualifiers import TruthGap
@@ -140,6 +143,27 @@ def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> Smoo
 def cause_result(cause: Cause) -> CauseResult:
     """What a report says of a cause."""
     return CauseResult(gap=cause.gap, evidence=cause.evidence, hint=cause.hint)
+
+
+def spurious_heading_result(found: SpuriousHeading | None) -> SpuriousHeadingResult | None:
+    """Return what the filter learnt of its heading from what cannot tell it, if it was asked."""
+    if found is None:
+        return None
+    begin_s, end_s, gained = found.fastest
+    largest = None
+    if (most := found.largest) is not None:
+        largest = SpuriousShareResult(
+            time_s=most.time_s, landmark=most.seen, information=most.information
+        )
+    return SpuriousHeadingResult(
+        information=found.total,
+        sigma_deg=finite(float(np.degrees(found.sigma_rad[-1]))),
+        fastest_s=(begin_s, end_s),
+        fastest=gained,
+        largest=largest,
+        time_s=found.time_s.tolist(),
+        growth=found.information.tolist(),
+    )
 
 
 def accuracy_result(accuracy: Accuracy | None) -> AccuracyResult | None:

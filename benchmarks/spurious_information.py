@@ -1,0 +1,166 @@
+"""What variants of the EKF learn of a heading that nothing measures, beside their consistency.
+
+    python benchmarks/spurious_information.py [--runs 20] [--steps 2500] [--plot FILE]
+
+Every variant goes through the same simulated runs of a scenario of `slamcheck montecarlo`. The
+spurious information is that of comparisons.audit.spurious, by the events that the filter itself
+records. Beside it: the mean NEES of heading and pose over the runs (1 and 3 are right), each
+averaged over the steps since the row before.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.audit.events import Directions, Event, Prior
+from comparisons.audit.replay import Replay
+from comparisons.audit.spurious import Learnt, SpuriousInformation
+from comparisons.experiments.montecarlo.plots import colour_of
+from comparisons.experiments.montecarlo.runs import FILTERS
+from comparisons.experiments.scenarios.scenario import read_scenario
+from comparisons.experiments.scenarios.world import World, build_world, measure
+from comparisons.experiments.variants.batch_ekf import BatchEkf, InvariantEkf
+from comparisons.experiments.variants.recorded_state import record
+from comparisons.report.picture import blank, save
+from ekf_reference.core.geometry import wrap_angle
+
+ROWS = (100, 500, 1000, 2500)
+HEADING = 2
+_DRAWN = ("information", "heading", "pose")
+Array = NDArray[np.float64]
+
+
+class Follower:
+    """Follows the events of one run."""
+
+    def __init__(self) -> None:
+        """Wait for the prior."""
+        self._replay: Replay | None = None
+        self._found: SpuriousInformation | None = None
+
+    def take(self, event: Event) -> None:
+        """Take the next event."""
+        if isinstance(event, Prior):
+            self._replay = Replay(event)
+        elif isinstance(event, Directions) and self._replay is not None:
+            self._found = SpuriousInformation(event, self._replay)
+        elif self._found is not None:
+            self._found.take(event)
+
+    def learnt(self) -> Learnt:
+        """Return what the run has learnt so far."""
+        assert self._found is not None
+        return self._found.result()
+
+
+class Measured(NamedTuple):
+    """Of one variant over the steps (T,), the mean over the runs.
+
+    information [1/rad^2] of the heading, zero where all is rounding. rounding: what there is of it
+    at the end, however little, the most of all runs. heading and pose: NEES.
+    """
+
+    information: Array
+    rounding: float
+    heading: Array
+    pose: Array
+
+
+def measured(name: str, world: World, runs: int) -> Measured:
+    """Run one variant over all runs."""
+    data = measure(world, range(runs))
+    filter_ = FILTERS[name](world, runs)
+    if not isinstance(filter_, BatchEkf | InvariantEkf):
+        raise TypeError(f"{name} cannot be recorded")
+    followers = [Follower() for _ in range(runs)]
+    record(filter_, len(world.landmark), {run: one.take for run, one in enumerate(followers)})
+    steps = len(world.seen)
+    heading, pose = np.empty(steps), np.empty(steps)
+    for k, seen in enumerate(world.seen):
+        filter_.predict(data.control[:, k])
+        if len(seen):
+            filter_.observe(data.z[k], world.sigma[k], seen)
+        truth, state = world.pose[k + 1], filter_.state
+        error, covariance = state.pose_error(truth)
+        pose[k] = np.einsum("bi,bij,bj->b", error, np.linalg.inv(covariance), error).mean()
+        turned = wrap_angle(truth[2] - state.pose[:, 2])
+        heading[k] = (turned**2 / state.pose_covariance()[:, 2, 2]).mean()
+    learnt = [one.learnt() for one in followers]
+    information = np.mean([_at_steps(one, steps) for one in learnt], axis=0)
+    most = max(float(one.information[HEADING, HEADING]) for one in learnt)
+    return Measured(information, most, heading, pose)
+
+
+def _at_steps(found: Learnt, steps: int) -> Array:
+    """Information about the heading after each step (T,)."""
+    gathered = np.concatenate(([0.0], found.growth[:, HEADING]))
+    at = np.searchsorted(found.time_s, np.arange(1, steps + 1), side="right")
+    result: Array = gathered[at]
+    return result
+
+
+def print_table(by_variant: dict[str, Measured], steps: int) -> None:
+    """A row for each variant and step."""
+    print("| filter | step | information [1/rad^2] | sigma [deg] | NEES heading | NEES pose |")
+    print("|---|---|---|---|---|---|")
+    rows = [row for row in ROWS if row < steps] + [steps]
+    for name, one in by_variant.items():
+        for begin, end in zip([0, *rows[:-1]], rows, strict=True):
+            told = one.information[end - 1]
+            sigma = f"{np.degrees(told**-0.5):.2f}" if told > 0.0 else "none"
+            amount = f"{told:.4g}" if told > 0.0 else f"0 (rounding, {one.rounding:.0e} at the end)"
+            nees = f"{one.heading[begin:end].mean():.2f} | {one.pose[begin:end].mean():.2f}"
+            print(f"| {name} | {end} | {amount} | {sigma} | {nees} |")
+
+
+def plot(by_variant: dict[str, Measured], runs: int, to: Path) -> None:
+    """Information on the left, the consistency of heading and pose beside it."""
+    figure = blank(11.0, 3.6)
+    axes = figure.subplots(1, 3)
+    titles = "spurious heading information [1/rad^2]", "NEES of heading (1)", "NEES of pose (3)"
+    columns = [[getattr(one, field) for one in by_variant.values()] for field in _DRAWN]
+    for axis, title, curves in zip(axes, titles, columns, strict=True):
+        for name, curve in zip(by_variant, curves, strict=True):
+            style = "--" if name == "ideal" else "-"
+            colour = colour_of(name, by_variant)
+            axis.plot(_smooth(curve), style, color=colour, linewidth=0.9, label=name)
+        axis.set_title(title, fontsize=10)
+        axis.set_xlabel(f"step ({runs} runs)")
+        axis.set_ylim(bottom=0.0)
+    axes[0].legend(fontsize=8)
+    save(figure, to)
+
+
+def _smooth(values: Array, window: int = 50) -> Array:
+    """Mean over the steps around; the ends over fewer."""
+    kernel = np.ones(min(window, len(values)))
+    summed = np.convolve(values, kernel, "same")
+    result: Array = summed / np.convolve(np.ones(len(values)), kernel, "same")
+    return result
+
+
+def main() -> None:
+    """Measure all variants, print a table, draw."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenario", default="circle")
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--plot", type=Path)
+    choices = parser.parse_args()
+    scenario = read_scenario(choices.scenario)
+    if choices.steps is not None:
+        scenario = scenario.model_copy(update={"steps": choices.steps})
+    world = build_world(scenario)
+    by_variant = {name: measured(name, world, choices.runs) for name in FILTERS}
+    print_table(by_variant, scenario.steps)
+    if choices.plot is not None:
+        plot(by_variant, choices.runs, choices.plot)
+
+
+if __name__ == "__main__":
+    main()

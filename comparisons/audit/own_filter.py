@@ -1,0 +1,239 @@
+"""A run of the reference EKF as the events of an audit.
+
+Blocks are `pose`, `landmark 17` by the estimate's ids, and `scan landmark 3` by index; sensors are
+`landmarks`, `scan landmarks`, `merges` and `positions`. A filter's trace keeps the order in time,
+and of an instant that of each kind: landmarks are initialised, then measured, then positions are
+fused, then scan landmarks initialised, measured and merged, and landmarks removed. A landmark is
+initialised after the others are measured in truth; the linear problem is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array, Index
+from comparisons.audit.directions import planar_directions
+from comparisons.audit.events import (
+    Augment,
+    Directions,
+    Event,
+    Predict,
+    Prior,
+    Remove,
+    Snapshot,
+    Update,
+)
+from comparisons.audit.recorder import Recorder
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.trace import MeasurementRecords
+
+VEHICLE = "pose"
+SENSORS = {POINT: "landmarks", POSE: "scan landmarks"}
+POSITIONS, MERGES = "positions", "merges"
+_PLANAR = 3
+
+
+def run_events(run: EkfRun) -> Iterator[Event]:
+    """Yield the events of a run, with a snapshot of the last covariance.
+
+    The directions of planar SLAM follow the prior, unless landmarks are surveyed. A pose of four
+    entries is not in the snapshot, for a run keeps its covariance as x, y and heading alone.
+
+    Args:
+        run: As the filter made it.
+
+    Yields:
+        The events, numbered from 0.
+    """
+    return _Events(run).all()
+
+
+def write_run(run: EkfRun, path: Path) -> None:
+    """Write a run's trace for `slamcheck audit`.
+
+    Args:
+        run: As the filter made it.
+        path: Of the trace.
+
+    Raises:
+        InputError: The file exists already, or cannot be written.
+    """
+    with Recorder(path) as record:
+        for event in run_events(run):
+            if event.time_s is not None:
+                record.at(event.time_s)
+            _write(event, record)
+
+
+def _write(event: Event, record: Recorder) -> None:
+    match event:
+        case Prior():
+            record.prior(dict(zip(event.blocks, event.dims, strict=True)), event.covariance)
+        case Directions():
+            basis = dict(zip(event.names, event.basis.T, strict=True))
+            record.directions(basis, event.blind, blocks=event.blocks)
+        case Predict():
+            record.predict(event.jacobian, event.noise, event.blocks)
+        case Augment():
+            g_x, g_z = event.jacobian, event.noise_jacobian
+            record.augment(event.name, g_x, g_z, event.noise, event.blocks)
+        case Update():
+            h, r = event.jacobian, event.noise
+            record.update(event.sensor, event.residual, h, r, event.blocks)
+        case Remove():
+            record.remove(*event.blocks)
+        case Snapshot():
+            record.snapshot(event.covariance, event.blocks)
+        case _:
+            raise TypeError(f"a run of the EKF has no {type(event).__name__}")
+
+
+class _Events:
+    def __init__(self, run: EkfRun) -> None:
+        self._run, self._number = run, -1
+        self._time_s: float | None = None
+
+    def all(self) -> Iterator[Event]:
+        """Yield all events."""
+        run, trace = self._run, self._run.trace
+        time_s = run.estimate.time_s
+        until = run.timeline.steps_until()
+        self._time_s = float(time_s[0])
+        p = trace.prior_pose
+        yield Prior(*self._next(), (VEHICLE,), (len(p),), trace.prior_covariance)
+        if not (trace.initialisations[POINT].number < 0).any():
+            basis = np.column_stack(tuple(_directions(p).values()))
+            blind = (*SENSORS.values(), MERGES)
+            yield Directions(*self._next(), (VEHICLE,), basis, tuple(_directions(p)), blind)
+        fused = {w: _fused(one) for w, one in trace.measurements.items()}
+        fixes, merges = _fused(trace.positions), _by_step(trace.merges.step)
+        begun = {w: _by_step(one.step) for w, one in trace.initialisations.items()}
+        gone = _by_step(trace.removals.step)
+        for step in range(len(trace.f) + 1):
+            if step:
+                epoch = min(int(np.searchsorted(until, step)), len(time_s) - 1)
+                self._time_s = float(time_s[epoch])
+                f, q = trace.f[step - 1], trace.q[step - 1]
+                yield Predict(*self._next(), (VEHICLE,), f, q)
+            for width in SENSORS:
+                new, seen = begun[width].get(step, []), fused[width].get(step, [])
+                yield from self._landmarks(width, new, seen)
+                if width == POINT:
+                    for begin, end in fixes.get(step, []):
+                        yield self._position(begin, end)
+            for row in merges.get(step, []):
+                yield self._merge(row)
+            for row in gone.get(step, []):
+                kind, i = trace.removals.width[row], trace.removals.landmark_index[row]
+                yield Remove(*self._next(), (self._name(int(kind), int(i)),))
+        yield self._snapshot()
+
+    def _next(self) -> tuple[int, float | None]:
+        self._number += 1
+        return self._number, self._time_s
+
+    def _name(self, width: int, landmark_index: int) -> str:
+        if width == POINT:
+            return f"landmark {self._run.estimate.landmark_id[landmark_index]}"
+        return f"scan landmark {landmark_index}"
+
+    def _landmarks(
+        self, width: int, begun: list[int], fused: list[tuple[int, int]]
+    ) -> Iterator[Event]:
+        """Yield what is initialised and measured at one step."""
+        new, seen = self._run.trace.initialisations[width], self._run.trace.measurements[width]
+        for row in begun:
+            name = self._name(width, int(new.landmark_index[row]))
+            jacobians = new.jacobian_pose[row], new.jacobian_other[row]
+            yield Augment(*self._next(), name, (VEHICLE,), *jacobians, new.noise[row])
+        for begin, end in fused:
+            names = [self._name(width, i) for i in seen.landmark_index[begin:end].tolist()]
+            blocks = tuple(dict.fromkeys((VEHICLE, *names)))
+            p, m = seen.jacobian_pose.shape[2], width * (end - begin)
+            h = np.zeros((m, p + width * (len(blocks) - 1)))
+            h[:, :p] = seen.jacobian_pose[begin:end].reshape(m, p)
+            for i, name in enumerate(names):
+                at = p + width * (blocks.index(name) - 1)
+                h[width * i : width * (i + 1), at : at + width] = seen.jacobian_other[begin + i]
+            residual, noise = seen.innovation[begin:end].ravel(), _diagonal(seen.noise[begin:end])
+            yield self._update(SENSORS[width], blocks, residual, h, noise)
+
+    def _position(self, begin: int, end: int) -> Update:
+        r = self._run.trace.positions
+        h = np.concatenate(r.jacobian_pose[begin:end])
+        residual, noise = r.innovation[begin:end].ravel(), _diagonal(r.noise[begin:end])
+        return self._update(POSITIONS, (VEHICLE,), residual, h, noise)
+
+    def _merge(self, row: int) -> Update:
+        r = self._run.trace.merges
+        blocks = self._name(POSE, int(r.origin[row])), self._name(POSE, int(r.landmark_index[row]))
+        h = np.hstack((r.jacobian_pose[row], r.jacobian_other[row]))
+        return self._update(MERGES, blocks, r.innovation[row], h, r.noise[row])
+
+    def _update(
+        self, sensor: str, blocks: tuple[str, ...], residual: Array, h: Array, noise: Array
+    ) -> Update:
+        return Update(*self._next(), sensor, blocks, residual, h, noise, True, None, None)
+
+    def _snapshot(self) -> Snapshot:
+        run, e = self._run, self._run.estimate
+        names = [self._name(POINT, i) for i in range(len(e.landmark))]
+        names += [self._name(POSE, i) for i in e.pose_landmark_id.tolist()]
+        p = e.joint_covariance
+        if len(run.trace.prior_pose) == _PLANAR:
+            return Snapshot(*self._next(), (VEHICLE, *names), p, None, None)
+        return Snapshot(*self._next(), tuple(names), p[_PLANAR:, _PLANAR:], None, None)
+
+
+def _directions(pose: Array) -> dict[str, Array]:
+    """Of the first pose alone, about itself."""
+    planar = planar_directions(pose[:_PLANAR])
+    if len(pose) == _PLANAR:
+        return planar
+    from ekf_reference.filters.misono import along_circle
+
+    along = along_circle(pose)
+    return {name: along @ column for name, column in planar.items()}
+
+
+def _by_step(step: Index) -> dict[int, list[int]]:
+    """Rows by the steps made before them, in order."""
+    found: dict[int, list[int]] = {}
+    for row, at in enumerate(step.tolist()):
+        found.setdefault(at, []).append(row)
+    return found
+
+
+def _fused(r: MeasurementRecords) -> dict[int, list[tuple[int, int]]]:
+    """Return, by step, begin and end of the rows that were fused together.
+
+    They share a pose and a weight, and their numbers ascend.
+    """
+    count = len(r.step)
+    found: dict[int, list[tuple[int, int]]] = {}
+    if not count:
+        return found
+    new = np.ones(count, dtype=bool)
+    new[1:] = (
+        (r.step[1:] != r.step[:-1])
+        | (r.pose[1:] != r.pose[:-1]).any(axis=1)
+        | (r.weight[1:] != r.weight[:-1])
+        | (r.number[1:] <= r.number[:-1])
+    )
+    begins = np.flatnonzero(new)
+    for begin, end in zip(begins.tolist(), [*begins[1:].tolist(), count], strict=True):
+        found.setdefault(int(r.step[begin]), []).append((begin, end))
+    return found
+
+
+def _diagonal(blocks: Array) -> Array:
+    """Return (m r, m r) with blocks (m, r, r) on its diagonal."""
+    m, r = blocks.shape[:2]
+    whole = np.zeros((m, r, m, r))
+    at = np.arange(m)
+    whole[at, :, at] = blocks
+    return whole.reshape(m * r, m * r)

@@ -1,0 +1,186 @@
+"""Runs of the reference EKF as events of an audit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.audit.events import Augment, Directions, Event, Remove, Snapshot, Update
+from comparisons.audit.own_filter import run_events, write_run
+from comparisons.audit.replay import Replay
+from comparisons.audit.spurious import Learnt, learnt
+from comparisons.audit.trace_file import Trace
+from comparisons.logs.simulate.waypoints import WaypointRun, simulate
+from comparisons.pipeline.compare import Comparison
+from tests.comparisons.test_initialisation_run import initialised_boundless
+from tests.comparisons.test_known_landmarks import with_survey
+from tests.comparisons.test_pose_landmark_run import Frames
+from tests.comparisons.test_pose_landmark_run import log as with_frames
+from tests.helpers import Array, Source, compared, simulated
+
+
+@cache
+def sound() -> Comparison:
+    return compared(simulated(seed=3, loop_s=40.0))
+
+
+@cache
+def framed() -> Comparison:
+    """With pose landmarks, two of which are merged."""
+    return compared(with_frames(), Source(Frames), filter="full", association="known")
+
+
+def with_positions(name: str = "full") -> Comparison:
+    log = simulate(np.random.default_rng(2), WaypointRun(most_s=40.0))
+    return compared(log, filter=name, gps="on")
+
+
+CASES: dict[str, Callable[[], Comparison]] = {
+    "points": sound,
+    "merged pose landmarks": framed,
+    "positions": with_positions,
+    "positions, four entries": lambda: with_positions("misono-full"),
+    "updates in parts": lambda: compared(simulated(seed=3, loop_s=40.0), filter="misono"),
+}
+
+
+def all_learnt(c: Comparison) -> Learnt:
+    found = learnt(run_events(c.ekf))
+    assert found is not None
+    return found
+
+
+def at_the_end(events: list[Event]) -> tuple[Replay, Snapshot]:
+    prior, *others = events
+    replay = Replay(prior)  # type: ignore[arg-type]
+    for event in others:
+        replay.apply(event)
+    last = events[-1]
+    assert isinstance(last, Snapshot)
+    return replay, last
+
+
+def block(replay: Replay, snapshot: Snapshot) -> Array:
+    rows = np.concatenate(
+        [np.arange(replay.layout.size)[replay.layout.entries(b)] for b in snapshot.blocks]
+    )
+    found: Array = replay.covariance[np.ix_(rows, rows)]
+    return found
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_events_lead_to_the_filters_covariance(name: str) -> None:
+    events = list(run_events(CASES[name]().ekf))
+    assert [event.number for event in events] == list(range(len(events)))
+    times = [event.time_s for event in events]
+    assert times == sorted(times, key=lambda t: -1.0 if t is None else t)
+    replay, last = at_the_end(events)
+    sigma = np.sqrt(np.diag(last.covariance))
+    apart = (block(replay, last) - last.covariance) / np.outer(sigma, sigma)
+    assert np.abs(apart).max() < 1e-8
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_batch_and_recursion_give_the_same_information(name: str) -> None:
+    """The proof of both: elimination of the filter's equations, and a Kalman recursion."""
+    c = CASES[name]()
+    batch, found = c.spurious_heading, all_learnt(c)
+    assert batch is not None
+    east, north, heading = found.directions
+    assert east.information == north.information == 0.0
+    assert np.isclose(heading.information, batch.total, rtol=1e-9)
+    updates = [e for e in run_events(c.ekf) if isinstance(e, Update) and e.sensor != "positions"]
+    if len(updates) > len(found.event):
+        return  # the curve is thinned
+    for time_s, gathered in zip(batch.time_s[1:], batch.information[1:], strict=True):
+        row = np.searchsorted(found.time_s, time_s, side="right") - 1
+        known = found.growth[row, 2] if row >= 0 else 0.0
+        assert np.isclose(known, gathered, rtol=1e-9, atol=1e-9)
+
+
+def test_a_sensor_that_is_left_out_changes_the_recursion() -> None:
+    """Merges that are not taken for blind: the batch form has them, the recursion has not."""
+    c = framed()
+    events = [
+        event._replace(blind=("landmarks", "scan landmarks"))
+        if isinstance(event, Directions)
+        else event
+        for event in run_events(c.ekf)
+    ]
+    found = learnt(events)
+    assert found is not None
+    assert c.spurious_heading is not None
+    assert not np.isclose(found.directions[2].information, c.spurious_heading.total, rtol=1e-6)
+
+
+def test_every_kind_of_event_is_there() -> None:
+    sensors = {e.sensor for e in run_events(framed().ekf) if isinstance(e, Update)}
+    assert sensors == {"landmarks", "scan landmarks", "merges"}
+    gone = [e for e in run_events(framed().ekf) if isinstance(e, Remove)]
+    assert [e.blocks[0][:14] for e in gone] == ["scan landmark "]
+    names = [e.name for e in run_events(sound().ekf) if isinstance(e, Augment)]
+    ids = sound().ekf.estimate.landmark_id
+    assert names == [f"landmark {i}" for i in ids]
+    positions = with_positions().ekf
+    fixes = [e for e in run_events(positions) if isinstance(e, Update) and e.sensor == "positions"]
+    assert len(fixes) == len(positions.fix_number)
+
+
+def test_what_was_fused_together_is_one_update() -> None:
+    """One a scan, of all that was measured there and known before."""
+    run = sound().ekf
+    updates = [e for e in run_events(run) if isinstance(e, Update)]
+    assert len({e.time_s for e in updates}) == len(updates)
+    assert sum(len(e.residual) for e in updates) == run.trace.measurements[2].innovation.size
+
+
+def test_a_boundless_prior_is_in_the_filters_own_equations() -> None:
+    """The batch form leaves it out; the recursion, which takes what the filter says, does not."""
+    c = initialised_boundless(1e8)
+    found = learnt(run_events(c.ekf))
+    assert found is not None
+    assert c.spurious_heading is not None
+    told = found.directions[2].information / c.spurious_heading.total
+    assert np.isclose(told, 1.0, rtol=1e-3)
+    replay, last = at_the_end(list(run_events(c.ekf)))
+    sigma = np.sqrt(np.diag(last.covariance))
+    apart = (block(replay, last) - last.covariance) / np.outer(sigma, sigma)
+    assert np.abs(apart).max() < 1e-6
+
+
+def test_surveyed_landmarks_leave_no_blind_direction() -> None:
+    c = compared(with_survey(simulated(seed=2, loop_s=30.0)))
+    assert not any(isinstance(event, Directions) for event in run_events(c.ekf))
+
+
+def same(one: object, other: object) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other)
+    return one == other
+
+
+@pytest.mark.xfail(
+    strict=True, reason="a trace's reader refuses a new block whose noise is as of the one before"
+)
+def test_the_file_holds_the_same_events(tmp_path: Path) -> None:
+    for number, c in enumerate((sound(), framed())):
+        place = tmp_path / f"{number}.trace"
+        write_run(c.ekf, place)
+        for one, other in zip(run_events(c.ekf), Trace(place), strict=True):
+            assert type(one) is type(other)
+            assert all(map(same, one, other))
+        found = learnt(Trace(place))
+        assert found is not None
+        assert np.array_equal(found.information, all_learnt(c).information)
+
+
+def test_a_wrong_covariance_at_the_end_would_show() -> None:
+    """The broken variant: an update is forgotten."""
+    events = list(run_events(sound().ekf))
+    at = next(i for i, e in enumerate(events) if isinstance(e, Update))
+    replay, last = at_the_end(events[:at] + events[at + 1 :])
+    assert not np.allclose(block(replay, last), last.covariance, rtol=1e-6, atol=0.0)
