@@ -280,7 +280,7 @@ def audit_summary(audit: Audit) -> Summary:
     lines = [
         (
             "trace",
-            f"{counts.events:,} events, {counts.updates:,} updates, {counts.snapshots:,} snapshots",
+            f"{counts.events:,} events; {counts.updates:,} updates, snapshots: {counts.snapshots:,}",
         ),
         ("algebra", _algebra_line(audit)),
         ("gains", _gains_line(audit)),
@@ -338,10 +338,7 @@ def _sensor_line(one: SensorFigures) -> str:
     if not one.nis:
         return f"{one.sensor}: no innovation"
     nis = one.nis[0]
-    text = (
-        f"{one.sensor}: NIS {nis.mean:.3g} of {nis.dof} ({nis.band.low:.3g} to "
-        f"{nis.band.high:.3g} expected)"
-    )
+    text = f"{one.sensor}: NIS {nis.mean:.3g} ({nis.band.low:.3g} to {nis.band.high:.3g} expected)"
     if one.rejected or one.nominal is not None:
         text += f", {one.rejected:,} of {one.measured:,} rejected"
     return text
