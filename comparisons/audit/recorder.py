@@ -127,7 +127,11 @@ class Recorder:
             self._end("is closed")
 
     def commit(self) -> None:
-        """Write what is recorded so far; it is done by itself every 2,000 events or 16 MiB."""
+        """Write what is recorded so far; it is done by itself every 2,000 events or 16 MiB.
+
+        Raises:
+            InputError: The file cannot be written, or is closed, or was opened by another process.
+        """
         self._check_open()
         if self._process != os.getpid():
             raise InputError(
@@ -239,8 +243,8 @@ class Recorder:
 
         Args:
             sensor: Its name.
-            residual: (m,).
-            H: (m, n).
+            residual: (m,) measured minus predicted.
+            H: (m, n) on the blocks.
             R: (m, m).
             blocks: Those that H stands on.
         """
