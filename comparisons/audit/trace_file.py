@@ -107,8 +107,8 @@ class Trace:
     def _address(self) -> str:
         """Return where SQLite shall open the file, after a look at its first bytes."""
         path = self.path
-        journal = path.with_name(path.name + "-journal")
         check_regular(path)
+        journal = Path(f"{path}-journal")
         check_regular(journal)
         if not path.exists():
             raise InputError(f"{path}: no such file, expected a filter's trace")

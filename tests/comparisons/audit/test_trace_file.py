@@ -392,6 +392,12 @@ def test_what_is_no_trace_is_one_line(trace: Path, make: Callable[[Path], None],
     assert refused(trace).startswith(said)
 
 
+def test_a_folder_without_a_name_is_one_line() -> None:
+    for path in (Path("."), Path("/"), Path("..")):
+        with pytest.raises(InputError, match=f"^{path}: is not a regular file$"):
+            Trace(path)
+
+
 def test_an_unreadable_file_is_one_line(trace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def denied(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
