@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import sqlite3
 import struct
 import time
@@ -17,8 +18,9 @@ import pytest
 
 from comparisons.arrays import Array
 from comparisons.audit import trace_file, trace_rows
+from comparisons.audit.audit import audit
 from comparisons.audit.events import Event, Predict, Update
-from comparisons.audit.recorder import Recorder
+from comparisons.audit.recorder import _COLUMNS, Recorder
 from comparisons.audit.trace_file import TABLES, Trace
 from comparisons.audit.trace_rows import EventReader
 from comparisons.errors import InputError
@@ -414,6 +416,28 @@ def test_a_value_beyond_the_limit_is_not_loaded(
     change(trace, SET + "noise = zeroblob(200000) WHERE number = 3")
     said = refused(trace)
     assert said.startswith(", after event 1: SQLite cannot read it (string or blob too big)")
+
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "audit-format.md").read_text("utf-8")
+
+
+def test_the_page_has_the_tables_and_kinds_as_they_are() -> None:
+    assert re.findall(r"^CREATE TABLE .*$", PAGE, re.MULTILINE) == list(TABLES.values())
+    assert f"{trace_file.APPLICATION} (0x{trace_file.APPLICATION:X})" in PAGE
+    rows = dict(re.findall(r"^\| `(\w+)` \| [^|]* \|(.*)\|$", PAGE, re.MULTILINE))
+    columns = set(re.findall(r"(\w+) (?:REAL|TEXT|INTEGER|BLOB)", TABLES["event"]))
+    common = {"number", "kind", "time_s", "blocks"}
+    for kind, ours in _COLUMNS.items():
+        assert set(re.findall(r"`(\w+)`", rows[kind])) & columns - common == set(ours), kind
+
+
+def test_the_pages_example_is_a_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (text,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    exec(compile(text, "audit-format.md", "exec"), {})  # noqa: S102
+    assert audit(tmp_path / "by-hand.trace").sound
+    events = list(Trace(tmp_path / "by-hand.trace"))
+    assert [type(event).__name__ for event in events] == ["Prior", "Predict", "Update", "Snapshot"]
 
 
 def test_an_odd_name_is_read(tmp_path: Path) -> None:
