@@ -163,9 +163,6 @@ def same(one: object, other: object) -> bool:
     return one == other
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a trace's reader refuses a new block whose noise is as of the one before"
-)
 def test_the_file_holds_the_same_events(tmp_path: Path) -> None:
     for number, c in enumerate((sound(), framed())):
         place = tmp_path / f"{number}.trace"
