@@ -20,7 +20,7 @@ from graphslam.linear_problem import LinearProblem, LinearRelations
 from graphslam.marginals import SingularProblemError
 
 MOST_PARTS = 100
-PARTS_WORK = 1e10
+PARTS_WORK = 5e10
 """Columns cubed, of all parts: with a larger map there are fewer."""
 _SPLIT = 8
 """Parts into which the one that gained most is divided, again and again."""
@@ -257,7 +257,7 @@ class _Growth:
 
     def _largest(self, front: _Front, begin: int, end: int) -> LargestGain:
         """Divide the relations begin to end, which follow a front, down to one."""
-        gain = 0.0
+        front, gain = self._marginal(front, begin, end), 0.0
         while end - begin > 1:
             found = []
             bounds = np.unique(np.linspace(begin, end, _SPLIT + 1, dtype=np.intp))
@@ -269,6 +269,21 @@ class _Growth:
         r = self._relations
         at = int(r.epoch[begin]), int(r.landmark_index[begin]), int(r.width[begin])
         return LargestGain(gain, *at)
+
+    def _marginal(self, front: _Front, begin: int, end: int) -> _Front:
+        """Return the front of those states alone that the relations begin to end touch."""
+        if not front.dims:
+            return front
+        touched: set[int] = set()
+        for factor in self._relations.factors[begin:end]:
+            touched.update(factor.keys())
+        dims = {key: dim for key, dim in front.dims.items() if key in touched}
+        keys = np.repeat(list(front.dims), list(front.dims.values()))
+        stays = np.append(np.isin(keys, list(dims)), True)
+        order = np.concatenate((np.flatnonzero(~stays), np.flatnonzero(stays)))
+        root: Array = qr(front.rows[:, order], mode="r", check_finite=False)[0]
+        others = int(np.count_nonzero(~stays))
+        return _Front(dims, root[others : len(stays) - 1, others:])
 
     def _advance(self, front: _Front, begin: int, end: int) -> tuple[_Front, float]:
         """Return the front after relations begin to end, and what they gained."""

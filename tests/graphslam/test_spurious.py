@@ -170,6 +170,16 @@ def test_at_the_truth_nothing_is_learnt_and_one_wrong_point_is_found() -> None:
     assert found.largest.information > 0.5 * found.total
 
 
+def test_what_is_learnt_at_once_is_found_at_the_start() -> None:
+    """Two measurements from the start, of one landmark taken for 0.3 m farther in the second."""
+    seen = [(0, 0), (0, 0), (1, 0), (2, 0)]
+    linear = problem(POSES[:3], seen, LANDMARKS, off={1: np.array([0.3, 0.0])})
+    found = information_about_start(linear, TURN, NOTHING, NO_MERGES)
+    assert found.largest is not None
+    assert found.largest[1:] == (0, 0, 2)
+    assert np.isclose(found.gained[0], 0.3**2 / (2 * 0.1**2), rtol=1e-9)
+
+
 def test_neither_prior_nor_positions_count() -> None:
     """Nor does a common shift, whatever the points of linearisation."""
     assert world(seed=1).positions.a.any()
