@@ -1,6 +1,7 @@
 """Which faults in other people's filters the audit finds, and how often it flags sound ones.
 
-    python benchmarks/audit_faults.py [--seed 2000] [--sound 50] [--filters NAME ...]
+    python benchmarks/audit_faults.py [--seed 2000] [--sound 50] [--snapshots 1]
+                                     [--filters NAME ...]
 
 Each of ten faults in each filter of examples/audit is recorded and audited. The first fault that
 the audit reports is right in its event if no snapshot tells it from the planted one; where a sensor
@@ -33,12 +34,12 @@ FIRST_SOUND = 1000
 
 
 class Judged(NamedTuple):
-    """What the audit made of a planted fault."""
+    """What the audit made of a planted fault: whether that is right, and its first finding."""
 
     found: bool
     event: bool
     blocks: bool
-    text: str
+    first: Finding | None
 
 
 def judge(path: Path, planted: Planted, fault: Fault) -> Judged:
@@ -46,7 +47,7 @@ def judge(path: Path, planted: Planted, fault: Fault) -> Judged:
     result = audit(path)
     faults = [finding for finding in result.findings if finding.fault]
     if not faults:
-        return Judged(found=False, event=False, blocks=False, text="sound")
+        return Judged(found=False, event=False, blocks=False, first=None)
     first = faults[0]
     event = first.event in range(planted.event, _next_snapshot(path, planted.event))
     blocks = _same_blocks(first, planted)
@@ -54,7 +55,7 @@ def judge(path: Path, planted: Planted, fault: Fault) -> Judged:
         margin = 0.1 * result.counts.events
         event = first.event is not None and abs(first.event - planted.event) <= margin
         blocks = first.sensor == planted.sensor
-    return Judged(found=True, event=event, blocks=blocks, text=first.text)
+    return Judged(found=True, event=event, blocks=blocks, first=first)
 
 
 def _next_snapshot(path: Path, event: int) -> int:
@@ -66,7 +67,7 @@ def _same_blocks(finding: Finding, planted: Planted) -> bool:
     return bool(found) and (found <= sought or sought <= found)
 
 
-def planted_faults(filters: list[str], seed: int, folder: Path) -> None:
+def planted_faults(filters: list[str], seed: int, snapshots: int, folder: Path) -> None:
     """Print every fault, and how many are found."""
     rows = []
     print("| filter | fault | found | event | blocks | first finding |\n|---|---|---|---|---|---|")
@@ -74,12 +75,13 @@ def planted_faults(filters: list[str], seed: int, folder: Path) -> None:
         module = import_module(f"examples.audit.{name}")
         for key, fault in module.FAULTS.items():
             path = folder / f"{name}-{key}"
-            planted = module.record(path, seed, key)
+            planted = module.record(path, seed, key, snapshots)
             judged = judge(path, planted, fault)
             rows.append(judged)
             marks = " | ".join("yes" if one else "**no**" for one in judged[:3])
+            said = "sound" if judged.first is None else judged.first.text
             where = f"event {planted.event}"
-            print(f"| {name} | {planted.what}, {where} | {marks} | {judged.text} |", flush=True)
+            print(f"| {name} | {planted.what}, {where} | {marks} | {said} |", flush=True)
     found, event, blocks = (sum(marks) for marks in zip(*(row[:3] for row in rows), strict=True))
     both = sum(row.event and row.blocks for row in rows)
     print(f"\n{found} of {len(rows)} found; right: event {event}, blocks {blocks}, both {both}")
@@ -109,9 +111,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=2000, help="of the traces with faults")
     parser.add_argument("--sound", type=int, default=50, help="sound traces of each filter")
     parser.add_argument("--filters", nargs="+", choices=FILTERS + MORE, default=list(FILTERS))
+    parser.add_argument("--snapshots", type=int, default=1, help="steps by snapshot, with faults")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        planted_faults(options.filters, options.seed, Path(folder))
+        planted_faults(options.filters, options.seed, options.snapshots, Path(folder))
         sound(options.filters, options.sound, Path(folder))
 
 

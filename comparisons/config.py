@@ -260,7 +260,8 @@ class ReportConfig(Section):
     )
     trace: bool = Field(
         default=False,
-        description="Write the EKF's linearisation points and matrices to ekf/trace.npz",
+        description="Write the EKF's linearisation points and matrices to ekf/trace.npz, and its "
+        "events for `slamcheck audit` to ekf/audit.trace",
     )
 
 

@@ -35,6 +35,7 @@ from comparisons.audit.innovations import InnovationLog, SensorFigures
 from comparisons.audit.localise import Cause, localise, name_of
 from comparisons.audit.replay import Fused, Replay
 from comparisons.audit.smoothing import Anchors, Averaged, averaged
+from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.audit.trace_file import Trace, TraceCounts
 from comparisons.checks.consistency.normalised import faults
 from comparisons.errors import InputError
@@ -57,8 +58,9 @@ Progress = Callable[[str, int, int], None]
 
 
 class Finding(NamedTuple):
-    """What the audit found. check: algebra, covariance, gain, innovations, smoother, nees.
+    """What the audit found.
 
+    check: algebra, covariance, correction, gain, innovations, smoother, nees or spurious.
     fault: false for what is named, not condemned. text: a sentence. event: where it is first seen,
     or None; sensor and blocks: which it is of.
     """
@@ -90,7 +92,8 @@ class Audit:
 
     gaps: at snapshots, evenly thinned where there are many; largest and first_open are of all.
     agreement: largest difference of the two solutions, in sigmas, up to the first fault. gains:
-    how many were compared with Kalman's. nees: None without true errors.
+    how many were compared with Kalman's. nees: None without true errors. spurious: of directions
+    that sensors cannot tell; None where none are recorded.
     """
 
     trace: Path
@@ -106,6 +109,7 @@ class Audit:
     sensors: tuple[SensorFigures, ...]
     smoother: Averaged | None
     nees: Averaged | None
+    spurious: Learnt | None
 
     @property
     def sound(self) -> bool:
@@ -151,6 +155,7 @@ class _Pass:
         self.unlike: dict[str, tuple[Finding, int]] = {}
         self.pending: list[Finding] = []
         self.start: Replay | None = None
+        self.spurious: SpuriousInformation | None = None
         self.kept: list[Event] = []
         self.every = max(1, trace.counts.snapshots // MOST_ANCHORS)
         self.each_gap = max(1, trace.counts.snapshots // _MOST_GAPS)
@@ -171,6 +176,8 @@ class _Pass:
         )
         smoother = self.anchors.against_smoother()
         nees = self._nees()
+        spurious = None if self.spurious is None else self.spurious.result()
+        self._name_spurious(spurious)
         for figures in sensors:
             self._judge_innovations(figures)
         self._judge_average("smoother", "filter minus smoother", smoother, level)
@@ -189,6 +196,7 @@ class _Pass:
             sensors=sensors,
             smoother=smoother,
             nees=nees,
+            spurious=spurious,
         )
 
     def _do(self, event: Event) -> None:
@@ -204,15 +212,23 @@ class _Pass:
                 self._snapshot(event)
                 return
             case Directions():
+                self.spurious = SpuriousInformation(event, self.replay)
                 return
+        if self.spurious is not None:
+            self.spurious.take(event)
         if self.start is not None:
             self.kept.append(event)
             if len(self.kept) > MOST_KEPT:
                 self.start = None
+        if isinstance(event, Update):
+            self._update(event)
+        else:
+            self._solve(event)
+            self.replay.apply(event)
+
+    def _solve(self, event: Predict | Reset | Augment | Clone | Remove) -> None:
+        """Let least squares do an event that is no measurement."""
         match event:
-            case Update():
-                self._update(event)
-                return
             case Predict():
                 self.smoother.predict(event.blocks, event.jacobian, event.noise)
             case Reset():
@@ -227,7 +243,6 @@ class _Pass:
                 self.blocks[event.name] = self.blocks[event.source]
             case Remove():
                 self.smoother.remove(event.blocks)
-        self.replay.apply(event)
 
     def _update(self, event: Update) -> None:
         fused = self.replay.update(event)
@@ -400,6 +415,18 @@ class _Pass:
             text = f"{what} is {found.mean:.3g}, expected {low:.3g} to {high:.3g}"
             fault = check == "nees" or self.optimal
             self._add(Finding(check, fault, text, found.worst, None, ()), what)
+
+    def _name_spurious(self, found: Learnt | None) -> None:
+        """Name what was learnt of directions that the sensors cannot tell; no error of algebra."""
+        for one in () if found is None else found.directions:
+            if one.largest is not None:
+                text = (
+                    f"the filter has learnt {one.name} to {one.sigma:.3g} {one.unit}".rstrip()
+                    + f" from measurements that cannot tell it; most by {one.largest.sensor} at "
+                    f"event {one.largest.event}"
+                )
+                finding = Finding("spurious", False, text, one.largest.event, None, ())
+                self._add(finding, one.name)
 
     def _ordered(self) -> tuple[Finding, ...]:
         """Return findings, faults first, those of one event's algebra before what follows."""

@@ -57,11 +57,7 @@ def known_faults(event: Event, replay: Replay) -> Iterator[KnownFault]:
                 _then(_uncorrelated(event.name)),
             )
         case Remove():
-            yield KnownFault(
-                "the blocks were fixed (conditioned on), not marginalised out",
-                event.blocks,
-                _conditioned,
-            )
+            yield from _of_remove(event, replay)
         case Reset():
             yield KnownFault("its Jacobian was not applied", event.blocks, _skipped)
         case _:
@@ -79,6 +75,9 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
         return
     yield KnownFault("the covariance was not updated", event.blocks, _skipped)
     yield KnownFault("the covariance was updated twice", event.blocks, _twice)
+    yield KnownFault(
+        "the covariance is Joseph's form without K R K^T", event.blocks, _without_noise_term
+    )
     if event.gain is not None:
         yield KnownFault(
             "the covariance is P - K H P, which holds for Kalman's gain alone",
@@ -92,6 +91,21 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
         if len(event.blocks) > 1:
             yield KnownFault(
                 f"H was taken as zero on block {block}", (block,), _without_jacobian(block)
+            )
+
+
+def _of_remove(event: Remove, replay: Replay) -> Iterator[KnownFault]:
+    dims = replay.layout.dims
+    yield KnownFault(
+        "the blocks were fixed (conditioned on), not marginalised out", event.blocks, _conditioned
+    )
+    gone = event.blocks[0]
+    for other in dims:
+        if len(event.blocks) == 1 and other != gone and dims[other] == dims[gone]:
+            yield KnownFault(
+                f"the rows of block {other} were removed in place of its own",
+                (gone, other),
+                _removed_instead(other),
             )
 
 
@@ -216,6 +230,9 @@ def _skipped(replay: Replay, event: Event) -> None:
 
 
 def _twice(replay: Replay, event: Event) -> None:
+    """Each time with Kalman's gain, as code does that is called twice."""
+    if isinstance(event, Update):
+        event = event._replace(gain=None)
     replay.apply(event)
     replay.apply(event)
 
@@ -279,6 +296,19 @@ def _conditioned(replay: Replay, event: Event) -> None:
     replay.remove(event.blocks)
 
 
+def _removed_instead(other: str) -> Callable[[Replay, Event], None]:
+    """Remove another block's rows; the others then stand under the names before them."""
+
+    def apply(replay: Replay, event: Event) -> None:
+        assert isinstance(event, Remove)  # noqa: S101
+        kept = np.delete(np.arange(replay.layout.size), replay.layout.entries(other))
+        p = replay.covariance[np.ix_(kept, kept)]
+        replay.remove(event.blocks)
+        replay.covariance = p
+
+    return apply
+
+
 def _gain(replay: Replay, event: Update, noise: Array | None = None) -> Array:
     """Kalman's gain with a noise."""
     at, h = replay.layout.columns(event.blocks), event.jacobian
@@ -292,6 +322,12 @@ def _short(replay: Replay, event: Update, gain: Array) -> None:
     at = replay.layout.columns(event.blocks)
     p = replay.covariance
     replay.covariance = p - gain @ (event.jacobian @ p[at])
+
+
+def _without_noise_term(replay: Replay, event: Event) -> None:
+    update = _update(event)
+    gain = _gain(replay, update) if update.gain is None else update.gain
+    replay.fuse(update._replace(noise=np.zeros_like(update.noise)), gain)
 
 
 def _other_noise(noise: Array, *, short: bool) -> Callable[[Replay, Event], None]:

@@ -31,6 +31,8 @@ from comparisons.audit.recorder import Recorder
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import MeasurementRecords
 
+EVENTS = "audit.trace"
+"""Stands in an estimate folder, where asked for."""
 VEHICLE = "pose"
 SENSORS = {POINT: "landmarks", POSE: "scan landmarks"}
 POSITIONS, MERGES = "positions", "merges"

@@ -7,6 +7,8 @@ import math
 import os
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, Self
@@ -19,13 +21,29 @@ from comparisons.audit.trace_file import APPLICATION, TABLES, VERSION
 from comparisons.audit.trace_rows import MOST_ENTRIES
 from comparisons.errors import InputError
 
-_INSERT = "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_COLUMNS = {
+    "prior": ("covariance", "note"),
+    "predict": ("jacobian", "noise"),
+    "update": ("jacobian", "noise", "sensor", "used", "residual", "correction", "gain"),
+    "augment": ("jacobian", "noise", "noise_jacobian", "note"),
+    "clone": ("note",),
+    "remove": (),
+    "reset": ("jacobian",),
+    "snapshot": ("covariance", "mean", "error"),
+    "directions": ("jacobian", "note"),
+}
+"""What an event of each kind has, beside its number, time and blocks; others are NULL."""
+_INSERT = {
+    kind: "INSERT INTO event (number, time_s, blocks, kind"  # noqa: S608
+    + "".join(f", {name}" for name in columns)
+    + f") VALUES (?, ?, ?, '{kind}'{', ?' * len(columns)})"
+    for kind, columns in _COLUMNS.items()
+}
 PAGE_BYTES = 32768
 COMMIT_EVENTS, COMMIT_BYTES = 2000, 1 << 24
 """A recording that is killed is valid up to its last commit."""
 _DTYPE = np.dtype("<f8")
-_NO_COLUMNS = tuple((None,) * (11 - count) for count in range(12))
-"""NULL for the columns behind those that an event has, by their count."""
+_KIND, _VALUES = itemgetter(0), itemgetter(1)
 
 
 class Recorder:
@@ -70,7 +88,7 @@ class Recorder:
         self._dims: dict[str, int] = {}
         self._first = 0
         self._time_s: float | None = None
-        self._rows: list[tuple[Any, ...]] = []
+        self._rows: list[tuple[str, tuple[Any, ...]]] = []
         self._bytes = 0
         self._sizes: dict[tuple[str, ...] | None, tuple[str, int]] = {}
         self._last: dict[tuple[str, str | None], tuple[str, int, tuple[bytes, ...]]] = {}
@@ -84,6 +102,9 @@ class Recorder:
         try:
             self._open(sensors, new=not append)
         except sqlite3.Error as error:
+            self._file.close()
+            if not append:
+                self._path.unlink()
             raise InputError(f"{path}: cannot be written ({error})") from None
 
     def __enter__(self) -> Self:
@@ -115,7 +136,8 @@ class Recorder:
         rows, first = self._rows, self._first
         try:
             self._file.execute("BEGIN IMMEDIATE")
-            self._file.executemany(_INSERT, rows)
+            for kind, alike in groupby(rows, _KIND):
+                self._file.executemany(_INSERT[kind], map(_VALUES, alike))
             self._rows, self._first, self._bytes = [], first + len(rows), 0
             self._file.execute("COMMIT")
         except sqlite3.Error as error:
@@ -145,6 +167,7 @@ class Recorder:
             blocks: Names and dimensions of all blocks, in the state's order.
             covariance: (n, n).
         """
+        self._check_open()
         if self._dims:
             self._refuse("is a second prior; a filter that begins anew has a new trace")
         dims = {_name(name): self._dim(dim) for name, dim in blocks.items()}
@@ -153,7 +176,7 @@ class Recorder:
             self._refuse(f"the state has {n} entries, expected 1 to {MOST_ENTRIES}")
         p = self._blob("P", covariance, (n, n))
         note = json.dumps(list(dims.values()))
-        self._put("prior", None, json.dumps(list(dims)), *[None] * 7, p, None, None, note)
+        self._put("prior", json.dumps(list(dims)), p, note)
         self._dims = dims
         self._sizes.clear()
 
@@ -172,7 +195,7 @@ class Recorder:
         """
         text, n = self._size(blocks)
         f, q = self._blob("F", F, (n, n)), self._blob("Q", Q, (n, n))
-        self._put("predict", None, text, None, *self._new("predict", None, text, n, f, q))
+        self._put("predict", text, *self._new("predict", None, text, n, f, q))
 
     def update(
         self,
@@ -197,12 +220,12 @@ class Recorder:
             gain: (N, m) likewise.
         """
         if correction is None and gain is None:
-            self._measured(1, sensor, residual, H, R, blocks)
+            self._measured(1, sensor, residual, H, R, blocks, (None, None))
             return
         whole, m = self._size(None)[1], np.size(residual)
         added = None if correction is None else self._vector("correction", correction, whole)
         by = None if gain is None else self._blob("gain", gain, (whole, m))
-        self._measured(1, sensor, residual, H, R, blocks, added, by)
+        self._measured(1, sensor, residual, H, R, blocks, (added, by))
 
     def reject(
         self,
@@ -221,7 +244,7 @@ class Recorder:
             R: (m, m).
             blocks: Those that H stands on.
         """
-        self._measured(0, sensor, residual, H, R, blocks)
+        self._measured(0, sensor, residual, H, R, blocks, (None, None))
 
     def _measured(
         self,
@@ -231,7 +254,7 @@ class Recorder:
         h: ArrayLike,
         r: ArrayLike,
         blocks: Iterable[str] | None,
-        *gained: bytes | None,
+        gained: tuple[bytes | None, bytes | None],
     ) -> None:
         text, n = self._size(blocks)
         m = np.size(residual)
@@ -240,7 +263,7 @@ class Recorder:
         z = self._vector("residual", residual, m)
         by_state, noise = self._blob("H", h, (m, n)), self._blob("R", r, (m, m))
         new = self._new("update", _name(sensor), text, n, by_state, noise)
-        self._put("update", sensor, text, used, *new, None, z, *gained)
+        self._put("update", text, *new, sensor, used, z, *gained)
 
     def augment(
         self,
@@ -269,7 +292,7 @@ class Recorder:
         self._check_new(name, d)
         g_x, r = self._blob("G_x", G_x, (d, n)), self._blob("R", R, (m, m))
         new = self._new("augment", None, text, n, g_x, r, by_noise.tobytes())
-        self._put("augment", None, text, None, *new, *[None] * 6, json.dumps([name, d]))
+        self._put("augment", text, *new, json.dumps([name, d]))
         self._add(name, d)
 
     def clone(self, source: str, name: str) -> None:
@@ -281,7 +304,7 @@ class Recorder:
         """
         text, d = self._size((source,))
         self._check_new(name, d)
-        self._put("clone", None, text, *[None] * 10, name)
+        self._put("clone", text, name)
         self._add(name, d)
 
     def remove(self, *names: str) -> None:
@@ -293,7 +316,7 @@ class Recorder:
         text, _ = self._size(names)
         if len(names) == len(self._dims):
             self._refuse("removes the last block of the state")
-        self._put("remove", None, text)
+        self._put("remove", text)
         for name in names:
             del self._dims[name]
         self._sizes.clear()
@@ -311,7 +334,7 @@ class Recorder:
         """
         text, n = self._size(blocks)
         j = self._blob("J", J, (n, n))
-        self._put("reset", None, text, None, *self._new("reset", None, text, n, j))
+        self._put("reset", text, *self._new("reset", None, text, n, j))
 
     def snapshot(
         self,
@@ -333,7 +356,7 @@ class Recorder:
         p = self._blob("P", P, (n, n))
         estimate = None if mean is None else self._numbers("mean", mean).tobytes()
         true = None if error is None else self._vector("error", error, n)
-        self._put("snapshot", None, text, *[None] * 7, p, estimate, true)
+        self._put("snapshot", text, p, estimate, true)
 
     def directions(
         self,
@@ -356,26 +379,18 @@ class Recorder:
         names = [_name(one) for one in basis], [_name(one) for one in blind]
         if not all(names) or len(set(names[1])) < len(names[1]):
             self._refuse("directions or sensors are missing, or one is given twice")
-        columns = [np.frombuffer(self._vector(*one, n), _DTYPE) for one in basis.items()]
+        columns = [
+            np.frombuffer(self._vector(f"basis of {name!r}", one, n), _DTYPE)
+            for name, one in basis.items()
+        ]
         note = json.dumps({"names": names[0], "blind": names[1]})
         blob = np.column_stack(columns).tobytes()
-        self._put("directions", None, text, None, blob, *[None] * 8, note)
+        self._put("directions", text, blob, note)
 
-    def _put(self, kind: str, sensor: str | None, blocks: str, *columns: Any) -> None:
-        """Record an event; columns: its values from `used` on, those behind are NULL."""
-        self._check_open()
+    def _put(self, kind: str, blocks: str, *columns: bytes | str | int | None) -> None:
+        """Record an event; columns: those of its kind."""
         rows = self._rows
-        rows.append(
-            (
-                self._first + len(rows),
-                kind,
-                self._time_s,
-                sensor,
-                blocks,
-                *columns,
-                *_NO_COLUMNS[len(columns)],
-            )
-        )
+        rows.append((kind, (self._first + len(rows), self._time_s, blocks, *columns)))
         if len(rows) >= COMMIT_EVENTS or self._bytes >= COMMIT_BYTES:
             self.commit()
 
@@ -391,6 +406,7 @@ class Recorder:
 
     def _size(self, blocks: Iterable[str] | None) -> tuple[str, int]:
         """Blocks as they are stored, and how many entries they have together."""
+        self._check_open()
         key = None if blocks is None else tuple(blocks)
         found = self._sizes.get(key)
         if found is None:
@@ -440,9 +456,14 @@ class Recorder:
 
     def _numbers(self, name: str, values: ArrayLike) -> Array:
         try:
-            return np.asarray(values, _DTYPE)
-        except (TypeError, ValueError):
+            found = np.asarray(values)
+        except ValueError:
             self._refuse(f"{name} is not an array of numbers")
+        if found.dtype != _DTYPE:
+            if found.dtype.kind not in "fiub":
+                self._refuse(f"{name} is not an array of numbers")
+            found = found.astype(_DTYPE)
+        return found
 
     def _refuse(self, fault: str) -> NoReturn:
         raise InputError(f"{self._path}, event {self._first + len(self._rows)}: {fault}")

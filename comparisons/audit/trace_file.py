@@ -6,6 +6,8 @@ its tables must be those below, to the letter, so that nothing in it is ever eva
 
 from __future__ import annotations
 
+import math
+import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -29,6 +31,8 @@ TABLES = {
     "sensor": "CREATE TABLE sensor (name TEXT PRIMARY KEY, gate REAL, components TEXT)",
 }
 _MAGIC = b"SQLite format 3\0"
+_JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
+"""At the end of a journal that is one of several files' journals, which a recorder's never is."""
 _WAL = 2
 """Of the header's bytes 18 and 19: written and read with a write-ahead log."""
 _LONGEST_BYTES = 1 << 30
@@ -117,8 +121,11 @@ class Trace:
                 f"{path}: has a write-ahead log, which a trace has not; "
                 "PRAGMA journal_mode = DELETE ends it"
             )
-        # A journal is undone by SQLite alone, which must write to do so.
-        mode = "rw" if journal.exists() else "ro"
+        mode = "ro"
+        if journal.exists():
+            mode = "rw"  # SQLite undoes what is in a journal, for which it must write.
+            if _last_bytes(journal, 8) == _JOURNAL_MAGIC:
+                raise InputError(f"{journal}: names another file, which SQLite would delete")
         return f"{path.absolute().as_uri()}?mode={mode}"
 
     def _check(self, file: sqlite3.Connection) -> None:
@@ -133,6 +140,12 @@ class Trace:
                 f"{self.path}: is a trace of version {version}, expected {VERSION}; "
                 "use the version of slamcheck that it was recorded for"
             )
+        expected = math.prod(
+            file.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size")
+        )
+        size = self.path.stat().st_size
+        if size < expected:
+            raise InputError(f"{self.path}: is cut off: {size} bytes, expected {expected}")
         found = list(file.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
         for name, sql in [*TABLES.items(), *found]:
             if (name, sql) not in found or TABLES.get(name) != sql:
@@ -147,6 +160,16 @@ class Trace:
                 f"{shown(components)} are not as expected: a probability and a list of names"
             )
         return Sensor(gate, names)
+
+
+def _last_bytes(path: Path, count: int) -> bytes:
+    """Return the end of a file; none where it has just been deleted, as by a commit."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-min(count, file.seek(0, os.SEEK_END)), os.SEEK_END)
+            return file.read(count)
+    except FileNotFoundError:
+        return b""
 
 
 def _patience(path: Path) -> Callable[[], bool]:

@@ -76,6 +76,10 @@ class EventReader:
         Raises:
             InputError: A row cannot be an event; of several the first, with its number.
         """
+        with np.errstate(all="ignore"):  # a number that is too large is refused by itself
+            return self._events(rows)
+
+    def _events(self, rows: Iterable[Row]) -> list[Event]:
         self._bytes, self._unchecked = 0, []
         found = []
         try:
@@ -85,11 +89,10 @@ class EventReader:
                     break
         except sqlite3.Error as error:
             self._check_covariances()
-            self._refuse(
-                self.at + 1,
-                f"SQLite cannot read it ({printable(str(error)):.100}); the sqlite3 shell's "
-                ".recover may save what is before it",
-            )
+            raise InputError(
+                f"{self._path}, after event {self.at}: SQLite cannot read it "
+                f"({printable(str(error)):.100}); the sqlite3 shell's .recover may save the rest"
+            ) from None
         except InputError:
             self._check_covariances()
             raise

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from html import escape
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from comparisons.atomic import fresh_folder
 from comparisons.audit.audit import Audit, Finding
 from comparisons.audit.innovations import SensorFigures
 from comparisons.audit.smoothing import Averaged
+from comparisons.audit.spurious import Learnt
 from comparisons.extensions.interface import Row
 from comparisons.report.consistency_figure import draw_panel
 from comparisons.report.folder import known_files
@@ -22,7 +24,7 @@ from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.look import script
 from comparisons.report.html.shell import document, prose
 from comparisons.report.html.tables import figures
-from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.model import Model, finite
 from comparisons.report.panels import Band, Curve, Panel
 from comparisons.report.picture import blank, save
@@ -126,6 +128,26 @@ class SensorResult(Model):
     nominal_rejected: float | None
 
 
+class DirectionResult(Model):
+    """A direction that sensors cannot tell, and what the filter has learnt of it.
+
+    Attributes:
+        name: of the direction.
+        unit: of sigma, by the name; empty where that says nothing.
+        information: about it; zero where all is rounding.
+        sigma: with which it seems to be known; absent without information.
+        by_sensor: shares of the information.
+        event: the update with the largest share.
+    """
+
+    name: str
+    unit: str
+    information: float
+    sigma: float | None
+    by_sensor: dict[str, float]
+    event: int | None
+
+
 class AuditResult(Model):
     """Everything that the audit says of a trace.
 
@@ -146,6 +168,7 @@ class AuditResult(Model):
         sensors: innovations by sensor.
         smoother: filter against smoother.
         nees: errors by the recorded truth.
+        spurious: directions that sensors cannot tell, if recorded.
         versions: of packages.
         files: in the folder.
     """
@@ -166,6 +189,7 @@ class AuditResult(Model):
     sensors: list[SensorResult]
     smoother: AveragedResult | None
     nees: AveragedResult | None
+    spurious: list[DirectionResult] | None
     versions: dict[str, str]
     files: list[str] = Field(default_factory=list)
 
@@ -190,6 +214,7 @@ def build_audit_result(audit: Audit) -> AuditResult:
         sensors=[_sensor(one) for one in audit.sensors],
         smoother=_averaged(audit.smoother),
         nees=_averaged(audit.nees),
+        spurious=None if audit.spurious is None else _directions(audit.spurious),
         versions=package_versions(),
     )
 
@@ -200,6 +225,20 @@ def _finding(one: Finding) -> FindingResult:
 
 def _gap(event: int, time_s: float | None, sigma: float, covariance: float) -> GapResult:
     return GapResult(event=event, time_s=time_s, sigma=finite(sigma), covariance=finite(covariance))
+
+
+def _directions(found: Learnt) -> list[DirectionResult]:
+    return [
+        DirectionResult(
+            name=one.name,
+            unit=one.unit,
+            information=one.information,
+            sigma=finite(one.sigma),
+            by_sensor=one.by_sensor,
+            event=None if one.largest is None else one.largest.event,
+        )
+        for one in found.directions
+    ]
 
 
 def _averaged(one: Averaged | None) -> AveragedResult | None:
@@ -241,7 +280,7 @@ def audit_summary(audit: Audit) -> Summary:
     lines = [
         (
             "trace",
-            f"{counts.events:,} events, {counts.updates:,} updates, {counts.snapshots:,} snapshots",
+            f"{counts.events:,} events; {counts.updates:,} updates, snapshots: {counts.snapshots:,}",
         ),
         ("algebra", _algebra_line(audit)),
         ("gains", _gains_line(audit)),
@@ -252,6 +291,8 @@ def audit_summary(audit: Audit) -> Summary:
             low, high = found.band
             text = f"{found.mean:.3g} per degree of freedom ({low:.3g} to {high:.3g} expected)"
             lines.append((name, text))
+    if audit.spurious is not None:
+        lines.append(("spurious", _spurious_line(audit.spurious)))
     return Summary(
         headline=headline,
         style=STYLES["disagree" if wrong else "agree"],
@@ -260,6 +301,17 @@ def audit_summary(audit: Audit) -> Summary:
         lines=lines,
         rows=audit_rows(audit),
     )
+
+
+def _spurious_line(found: Learnt) -> str:
+    some = [
+        f"{one.name} to {one.sigma:.3g} {one.unit}".rstrip()
+        for one in found.directions
+        if one.largest is not None
+    ]
+    if not some:
+        return f"nothing learnt of {', '.join(one.name for one in found.directions)}"
+    return f"learnt from measurements that cannot tell it: {', '.join(some)}"
 
 
 def _algebra_line(audit: Audit) -> str:
@@ -286,10 +338,7 @@ def _sensor_line(one: SensorFigures) -> str:
     if not one.nis:
         return f"{one.sensor}: no innovation"
     nis = one.nis[0]
-    text = (
-        f"{one.sensor}: NIS {nis.mean:.3g} of {nis.dof} ({nis.band.low:.3g} to "
-        f"{nis.band.high:.3g} expected)"
-    )
+    text = f"{one.sensor}: NIS {nis.mean:.3g} ({nis.band.low:.3g} to {nis.band.high:.3g} expected)"
     if one.rejected or one.nominal is not None:
         text += f", {one.rejected:,} of {one.measured:,} rejected"
     return text
@@ -322,6 +371,9 @@ def audit_rows(audit: Audit) -> list[Row]:
             inside = low <= found.mean <= high
             band = f"{low:.3g} to {high:.3g}"
             rows.append(Row("Consistency", name, f"{found.mean:.3g}", band, inside))
+    for way in () if audit.spurious is None else audit.spurious.directions:
+        sigma = "none" if way.largest is None else f"{way.sigma:.3g} {way.unit}".rstrip()
+        rows.append(Row("Spurious information", f"{way.name}, seems known to", sigma))
     return rows
 
 
@@ -374,7 +426,22 @@ def audit_panels(audit: Audit) -> list[Panel]:
                 level=float(np.log10(max(audit.tolerance, _LEAST))),
             )
         )
-    return panels + [_nis_panel(one) for one in audit.sensors if len(one.windows) > 1]
+    panels += [_nis_panel(one) for one in audit.sensors if len(one.windows) > 1]
+    if audit.spurious is not None and len(audit.spurious.event) > 1:
+        panels.append(_spurious_panel(audit.spurious))
+    return panels
+
+
+def _spurious_panel(found: Learnt) -> Panel:
+    event, colours = found.event.astype(float), cycle((EKF_COLOUR, SMOOTHER_COLOUR, SCANS_COLOUR))
+    curves = (
+        Curve(one.name, colour, event, growth)
+        for one, colour, growth in zip(found.directions, colours, found.growth.T, strict=False)
+        if one.largest is not None
+    )
+    return Panel(
+        title="spurious information", x_label=_EVENT, curves=tuple(curves), bands=(), level=0.0
+    )
 
 
 def _nis_panel(one: SensorFigures) -> Panel:
@@ -418,6 +485,7 @@ def write_audit(audit: Audit, folder: Path) -> None:
 def _page(audit: Audit, panels: Sequence[Panel]) -> str:
     summary = audit_summary(audit)
     colour = "agree" if audit.sound else "disagree"
+    panels = [panel for panel in panels if panel.curves]
     start = min((float(panel.curves[0].x[0]) for panel in panels), default=0.0)
     facts = "".join(f"<dt>{escape(n)}</dt><dd>{prose(t)}</dd>" for n, t in summary.lines)
     data = {"start": start, "panels": [panel_data(panel, start) for panel in panels]}

@@ -48,7 +48,7 @@ FAULTS = {
     "block-stale": Fault(
         "the covariance of the speed is not updated", "speed", 6, ("speed",), faults.stale
     ),
-    "stale": Fault("P is not updated at all", "ranges", 50, ALL, faults.not_updated),
+    "not-updated": Fault("P is not updated at all", "ranges", 50, ALL, faults.not_updated),
     "twice": Fault("P is updated twice", "speed", 60, ALL, faults.twice),
     "no-noise": Fault("Q is left out once", "predict", 45, ALL, faults.without_noise),
     "sigma": Fault("R holds sigmas in the gain of P", "ranges", 20, ALL, faults.by_sigma),

@@ -1,77 +1,107 @@
-"""Each recorded filter is right by its own trace; each planted bug is where it says."""
+"""Each recorded filter is right by its own trace; each planted bug is where it says.
+
+The audit passes the sound traces, and finds five bugs of each filter by event, sensor and blocks.
+"""
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
+from benchmarks.audit_faults import judge
+from comparisons.audit.audit import audit
 from comparisons.audit.events import Clone, Event, Prior, Snapshot, Update
 from comparisons.audit.trace_file import Trace
-from examples.audit.faults import Planted
+from examples.audit.faults import Fault, Planted
 from tests.examples.replay import departures
 
-NAMES = ("filterpy_ekf", "filterpy_ukf", "gtsam_filters", "msckf", "navlie_se3")
 PACKAGES = {"filterpy_ekf": "filterpy", "filterpy_ukf": "filterpy", "navlie_se3": "navlie"}
+AUDITED = {
+    "filterpy_ekf": ("cross-stale", "twice", "no-noise", "sigma", "wrong-sign"),
+    "filterpy_ukf": ("cross-dropped", "not-updated", "no-noise", "one-sided", "not-applied"),
+    "gtsam_filters": ("no-reset", "cross-predicted", "cross-stale", "transposed", "wrong-sign"),
+    "msckf": ("lone-clone", "conditioned", "wrong-removed", "cross-predicted", "no-krk"),
+    "navlie_se3": ("cross-stale", "cross-dropped", "not-updated", "no-noise", "half-gain"),
+}
 ROUNDING, SEEN = 1e-9, 1e-5
+SEED = 3
 
 
-@pytest.fixture(params=NAMES)
-def module(request: pytest.FixtureRequest) -> ModuleType:
-    """A filter's module; the test is skipped where its package is not installed."""
-    package = PACKAGES.get(request.param)
+class Recorded(NamedTuple):
+    """A filter's traces: the sound one, and by fault with where it is."""
+
+    record: Callable[..., Planted | None]
+    faults: dict[str, Fault]
+    sound: Path
+    faulty: dict[str, tuple[Path, Planted]]
+    audited: tuple[str, ...]
+
+
+@pytest.fixture(scope="module", params=AUDITED)
+def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """Traces of a filter; the test is skipped where its package is not installed."""
+    name = request.param
+    package = PACKAGES.get(name)
     if package is not None and find_spec(package) is None:
         pytest.skip(f"{package} is not installed (the extra audit-examples)")
-    return importlib.import_module(f"examples.audit.{request.param}")
+    module: Any = import_module(f"examples.audit.{name}")
+    folder = tmp_path_factory.mktemp(name)
+    assert module.record(folder / "sound", SEED) is None
+    faulty = {}
+    for fault in module.FAULTS:
+        planted = module.record(folder / fault, SEED, fault)
+        assert planted is not None
+        faulty[fault] = folder / fault, planted
+    return Recorded(module.record, module.FAULTS, folder / "sound", faulty, AUDITED[name])
 
 
-def test_a_sound_trace_replays_to_rounding(module: ModuleType, tmp_path: Path) -> None:
-    assert module.record(tmp_path / "trace", 3) is None
-    assert max(apart for _, apart in departures(tmp_path / "trace")) < ROUNDING
-    assert 200 < Trace(tmp_path / "trace").counts.events < 1500
+def test_a_sound_trace_replays_to_rounding(recorded: Recorded) -> None:
+    assert max(apart for _, apart in departures(recorded.sound)) < ROUNDING
+    assert 400 < Trace(recorded.sound).counts.events < 1000
 
 
-def test_the_true_errors_are_as_the_covariance_says(module: ModuleType, tmp_path: Path) -> None:
-    nees, freedom = 0.0, 0
-    for seed in range(15):
-        module.record(tmp_path / f"{seed}", seed)
-        last = [e for e in Trace(tmp_path / f"{seed}") if isinstance(e, Snapshot)][-1]
-        assert last.error is not None
-        nees += float(last.error @ np.linalg.solve(last.covariance, last.error))
-        freedom += len(last.error)
-    low, high = chi2.interval(0.999, freedom)
-    assert low < nees < high
-
-
-def test_fewer_snapshots_are_of_the_same_run(module: ModuleType, tmp_path: Path) -> None:
-    module.record(tmp_path / "all", 3)
-    module.record(tmp_path / "some", 3, snapshots=5)
+def test_fewer_snapshots_are_of_the_same_run(recorded: Recorded, tmp_path: Path) -> None:
+    recorded.record(tmp_path / "some", SEED, snapshots=5)
     every, some = (
-        [e for e in Trace(tmp_path / n) if isinstance(e, Snapshot)] for n in ("all", "some")
+        [e for e in Trace(path) if isinstance(e, Snapshot)]
+        for path in (recorded.sound, tmp_path / "some")
     )
     assert len(some) == len(every) // 5
     for one, other in zip(every[4::5], some, strict=True):
         np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
-def test_every_fault_shows_at_its_event(module: ModuleType, tmp_path: Path) -> None:
-    module.record(tmp_path / "sound", 3)
-    assert len(module.FAULTS) == 10
-    assert sum(not fault.statistical for fault in module.FAULTS.values()) >= 5
-    for name, fault in module.FAULTS.items():
-        planted = module.record(tmp_path / name, 3, name)
-        assert planted is not None
-        assert _first_difference(tmp_path / "sound", tmp_path / name) == planted.event, name
-        departed = [event for event, apart in departures(tmp_path / name) if apart > SEEN]
-        seen = () if fault.statistical else _seen(tmp_path / name, planted.event)
+def test_every_fault_shows_at_its_event(recorded: Recorded) -> None:
+    assert len(recorded.faults) == 10
+    assert sum(not fault.statistical for fault in recorded.faults.values()) >= 8
+    for name, fault in recorded.faults.items():
+        path, planted = recorded.faulty[name]
+        assert _first_difference(recorded.sound, path) == planted.event, name
+        departed = [event for event, apart in departures(path) if not apart <= SEEN]
+        seen = () if fault.statistical else _seen(path, planted.event)
         assert departed[0] in seen if seen else not departed, name
-        _names_what_is_there(planted, tmp_path / name)
+        _names_what_is_there(planted, path)
+
+
+def test_the_audit_passes_a_sound_trace(recorded: Recorded) -> None:
+    result = audit(recorded.sound)
+    assert result.sound, result.findings
+    assert result.nees is not None
+
+
+def test_the_audit_finds_five_faults(recorded: Recorded) -> None:
+    for name in recorded.audited:
+        path, planted = recorded.faulty[name]
+        judged = judge(path, planted, recorded.faults[name])
+        assert judged[:3] == (True, True, True), (name, judged)
+        assert judged.first is not None
+        assert judged.first.sensor == planted.sensor, name
 
 
 def _first_difference(sound: Path, faulty: Path) -> int | None:
