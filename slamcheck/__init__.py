@@ -30,6 +30,8 @@ from slamcheck._packages import check_packages
 
 if TYPE_CHECKING:
     from comparisons.audit.audit import Audit as Audit
+    from comparisons.audit.directions import inertial_directions as inertial_directions
+    from comparisons.audit.directions import planar_directions as planar_directions
     from comparisons.audit.recorder import Recorder as Recorder
     from comparisons.config import CheckConfig as CheckConfig
     from comparisons.config import JobConfig
@@ -81,7 +83,9 @@ _PLACES = {
     "RunConfig": "comparisons.config",
     "Solution": "comparisons.pipeline.solve",
     "SolveConfig": "comparisons.config",
+    "inertial_directions": "comparisons.audit.directions",
     "montecarlo": "comparisons.experiments.montecarlo.study",
+    "planar_directions": "comparisons.audit.directions",
     "read_estimate": "comparisons.estimates.external:read_external",
     "run_config": "comparisons.settings",
     "write_estimate": "comparisons.estimates.folder",
@@ -114,9 +118,11 @@ __all__ = [
     "check",
     "compare",
     "dense_map",
+    "inertial_directions",
     "load_log",
     "montecarlo",
     "odometry",
+    "planar_directions",
     "read_estimate",
     "run_config",
     "solve",
