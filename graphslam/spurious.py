@@ -20,17 +20,21 @@ from graphslam.linear_problem import LinearProblem, LinearRelations
 from graphslam.marginals import SingularProblemError
 
 MOST_PARTS = 100
-PARTS_WORK = 1e10
+PARTS_WORK = 5e10
 """Columns cubed, of all parts: with a larger map there are fewer."""
-_SPLIT = 8
-"""Parts into which the one that gained most is divided, again and again."""
+_LEAST_SPLIT, _MOST_SPLIT = 8, 128
+"""Parts into which the one that gained most is divided, again and again, by the states in it."""
+_SPLIT_WORK = 1e9
+"""Columns cubed, of these parts."""
 _RANK = 1e-12
 """Of a covariance scaled to unit variances: below it a direction has no variance."""
 ALPHA_KEY = gtsam.symbol("a", 0)
 
 
 class LargestGain(NamedTuple):
-    """The relation with which the information grew most in the part in which it grew most.
+    """The relation with which the information grew most, sought where it grew most.
+
+    In the part of the log that gained most, in the part of that which gained most, and so on.
 
     epoch: of the pose that has the relation. landmark_index, width: of the landmark; -1 for a
     motion step.
@@ -257,10 +261,12 @@ class _Growth:
 
     def _largest(self, front: _Front, begin: int, end: int) -> LargestGain:
         """Divide the relations begin to end, which follow a front, down to one."""
-        gain = 0.0
+        front, gain = self._marginal(front, begin, end), 0.0
+        touched = max(front.rows.shape[1], 1)
+        split = int(np.clip(_SPLIT_WORK / touched**3, _LEAST_SPLIT, _MOST_SPLIT))
         while end - begin > 1:
             found = []
-            bounds = np.unique(np.linspace(begin, end, _SPLIT + 1, dtype=np.intp))
+            bounds = np.unique(np.linspace(begin, end, split + 1, dtype=np.intp))
             for low, high in np.column_stack((bounds[:-1], bounds[1:])).tolist():
                 after, gain = self._advance(front, low, high)
                 found.append((gain, front, low, high))
@@ -269,6 +275,21 @@ class _Growth:
         r = self._relations
         at = int(r.epoch[begin]), int(r.landmark_index[begin]), int(r.width[begin])
         return LargestGain(gain, *at)
+
+    def _marginal(self, front: _Front, begin: int, end: int) -> _Front:
+        """Return the front of those states alone that the relations begin to end touch."""
+        if not front.dims:
+            return front
+        touched: set[int] = set()
+        for factor in self._relations.factors[begin:end]:
+            touched.update(factor.keys())
+        dims = {key: dim for key, dim in front.dims.items() if key in touched}
+        keys = np.repeat(list(front.dims), list(front.dims.values()))
+        stays = np.append(np.isin(keys, list(dims)), True)
+        order = np.concatenate((np.flatnonzero(~stays), np.flatnonzero(stays)))
+        root: Array = qr(front.rows[:, order], mode="r", check_finite=False)[0]
+        others = int(np.count_nonzero(~stays))
+        return _Front(dims, root[others : len(stays) - 1, others:])
 
     def _advance(self, front: _Front, begin: int, end: int) -> tuple[_Front, float]:
         """Return the front after relations begin to end, and what they gained."""

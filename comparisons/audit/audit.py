@@ -88,12 +88,24 @@ class AlgebraGap(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
-    """All findings, faults first, each kind in the order of time.
+    """What an audit found, and the figures that it rests on.
 
-    gaps: at snapshots, evenly thinned where there are many; largest and first_open are of all.
-    agreement: largest difference of the two solutions, in sigmas, up to the first fault. gains:
-    how many were compared with Kalman's. nees: None without true errors. spurious: of directions
-    that sensors cannot tell; None where none are recorded.
+    Attributes:
+        trace: The file.
+        counts: Its events, updates and snapshots.
+        blocks: Dimensions of all blocks that there ever were, by name.
+        tolerance: What rounding explains, in standard deviations.
+        findings: Faults first, each kind in the order of time.
+        gaps: Snapshots against least squares, evenly thinned where there are many.
+        largest: The largest gap of all snapshots.
+        first_open: The first that is more than the tolerance.
+        agreement: Largest difference of the two solutions, in sigmas, up to the first fault.
+        gains: How many gains and corrections were compared with Kalman's.
+        sensors: Innovations by sensor.
+        smoother: Filter against smoother.
+        nees: Errors against the recorded truth; None without.
+        spurious: What was learnt of directions that sensors cannot tell; None where none are
+            recorded.
     """
 
     trace: Path

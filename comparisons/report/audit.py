@@ -280,7 +280,8 @@ def audit_summary(audit: Audit) -> Summary:
     lines = [
         (
             "trace",
-            f"{counts.events:,} events; {counts.updates:,} updates, snapshots: {counts.snapshots:,}",
+            f"{counts.events:,} events, {counts.updates:,} updates, {counts.snapshots:,} "
+            f"snapshot{'s' if counts.snapshots != 1 else ''}",
         ),
         ("algebra", _algebra_line(audit)),
         ("gains", _gains_line(audit)),

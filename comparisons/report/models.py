@@ -643,7 +643,7 @@ class SpuriousHeadingResult(Model):
 
     Attributes:
         information: in total [1/rad^2].
-        sigma_deg: heading's standard deviation that this is worth; None without information.
+        sigma_deg: standard deviation of the heading by this information; None without any.
         fastest_s: stretch of time in which it grew most.
         fastest: what it gained there [1/rad^2].
         largest: the measurement with which it grew most there; None for a very large map.

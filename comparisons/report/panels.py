@@ -111,12 +111,12 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
 
 
 def _learnt(comparison: Comparison) -> Panel | None:
-    """What the heading seems to be known to by nothing, and the filter's own sigma of it."""
+    """How well the heading seems to be known, from half a turn down, and the filter's own sigma."""
     spurious, ekf = comparison.spurious_heading, comparison.ekf.estimate
-    if spurious is None or not spurious.total > 0.0:
+    if spurious is None or spurious.sigma_rad[-1] > np.pi:
         return None
     unit = 180.0 / np.pi
-    known = np.where(spurious.information > 0.0, unit * spurious.sigma_rad, np.nan)
+    known = np.where(spurious.sigma_rad <= np.pi, unit * spurious.sigma_rad, np.nan)
     variance = ekf.pose_covariance[:, 2, 2]
     own = unit * np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     return Panel(

@@ -35,6 +35,7 @@ from comparisons.report.rows import (
     pose_words,
     seconds_rows,
     smoother_rows,
+    spurious_rows,
 )
 from comparisons.report.sections import (
     accuracy_result,
@@ -97,6 +98,7 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
         *ekf_rows(result.ekf),
         *smoother_rows(result.smoother),
         *gap_rows(ladder(result)),
+        *spurious_rows(result.spurious_heading),
         *agreeing(gaps.landmarks, "EKF"),
         Row(
             "Map, EKF and smoother",

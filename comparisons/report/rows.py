@@ -17,10 +17,13 @@ from comparisons.report.models import (
     EkfResult,
     LogResult,
     SmootherResult,
+    SpuriousHeadingResult,
 )
 
 AGREEING_RATIOS = f"{LEAST_VARIANCE_RATIO:g} to {1.0 / LEAST_VARIANCE_RATIO:g}"
 """Variances of the EKF over the smoother's within which a block of a run agrees."""
+_NO_HEADING_DEG = 180.0
+"""A heading that is known with a larger standard deviation is not known."""
 _DISTANCE = f"<= {LARGEST_DISTANCE:g} sigma"
 """Largest difference of the means within which a block agrees."""
 _STAGES = {
@@ -260,6 +263,25 @@ def gap_rows(steps: Sequence[Step]) -> list[Row]:
             far = f"{step.covariance:.2g}"
             found.append(Row(group, "relative difference of covariances", far, "", rest))
     return found
+
+
+def spurious_rows(found: SpuriousHeadingResult | None) -> list[Row]:
+    """Return what the filter learnt of its heading without measuring it."""
+    if found is None:
+        return []
+    group = "Heading learnt from measurements that cannot tell it"
+    if found.sigma_deg is None or found.sigma_deg > _NO_HEADING_DEG:
+        return [Row(group, "standard deviation", "nothing learnt")]
+    rows = [Row(group, "standard deviation", f"{found.sigma_deg:.3g} deg")]
+    if found.largest is not None:
+        begin_s, end_s = found.fastest_s
+        share = 100.0 * found.fastest / found.information
+        fastest = f"{begin_s:.1f} to {end_s:.1f} s ({share:.0f} % of it)"
+        rows.append(Row(group, "grew fastest", fastest))
+        most = found.largest
+        of = most.landmark or "a motion step"
+        rows.append(Row(group, "largest share of that", f"{of} at {most.time_s:.1f} s"))
+    return rows
 
 
 def block_rows(part: str, whose: str, block: BlockResult, limits: str = "") -> list[Row]:

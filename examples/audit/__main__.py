@@ -6,10 +6,10 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-FILTERS = ("filterpy_ekf", "filterpy_ukf", "gtsam_filters", "msckf", "navlie_se3")
+FILTERS = ("filterpy_ekf", "filterpy_ukf", "navlie_se3", "gtsam_filters", "msckf")
 
 
-def main() -> None:
+def main(words: list[str] | None = None) -> None:
     """Record a trace, and print where its bug is."""
     parser = argparse.ArgumentParser(prog="python -m examples.audit", description=__doc__)
     parser.add_argument("filter", choices=FILTERS)
@@ -17,7 +17,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--fault", help="one of the filter's FAULTS")
     parser.add_argument("--snapshots", type=int, default=1, help="steps by snapshot")
-    options = parser.parse_args()
+    options = parser.parse_args(words)
     module = import_module(f"examples.audit.{options.filter}")
     if options.fault is not None and options.fault not in module.FAULTS:
         parser.error(f"--fault {options.fault}: expected one of {', '.join(module.FAULTS)}")

@@ -29,6 +29,8 @@ CLONES, FEWEST, FARTHEST_M, WIDEST_RAD = 5, 4, 15.0, 1.2
 SIGMA_BEARING_RAD, SIGMA_GPS_M = 4e-3, 0.3
 PRIOR_SIGMAS = np.array([0.2, 0.2, 0.05, 0.01, 0.02])
 NOISE_SIGMAS = np.array([0.02, 0.02, 0.004, 2e-4, 5e-4])
+DIRECTIONS = dict(zip(("east", "north", "heading"), np.eye(3), strict=True))
+"""A shift and a turn of everything, at the origin: points of unknown place cannot tell them."""
 
 
 def without_clones(step: Step, at: list[slice]) -> Array:
@@ -51,7 +53,7 @@ FAULTS = {
     ),
     "wrong-removed": Fault(
         "the newest clone's rows are removed in place of the oldest's",
-        *("remove", 20, ("clone 21", "clone 22", "clone 23", "clone 24"), faults.last_removed),
+        *("remove", 20, tuple(f"clone {k}" for k in range(20, 25)), faults.last_removed),
     ),
     "cross-predicted": Fault(
         "F is not applied to the cross-covariance with the clones",
@@ -165,6 +167,7 @@ class Run:
         self.tracks: defaultdict[int, dict[str, float]] = defaultdict(dict)
         self.due = itertools.cycle([False] * (snapshots - 1) + [True])
         trace.prior(BLOCKS, self.ekf.P)
+        trace.directions(DIRECTIONS, blind=["camera"], blocks=["pose"])
 
     def move(self) -> None:
         """Predict."""

@@ -17,7 +17,8 @@ from comparisons.checks.diagnosis.spurious_heading import (
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.html.curves import panel_data
 from comparisons.report.panels import consistency_panels
-from comparisons.report.result import build_result
+from comparisons.report.result import build_result, run_rows
+from comparisons.report.rows import spurious_rows
 from ekf_reference.core.landmark_types import POINT
 from graphslam.spurious import information_about_start
 from tests.comparisons.test_initialisation_run import initialised_boundless
@@ -130,3 +131,22 @@ def test_the_curve_starts_where_something_was_learnt() -> None:
     known = [y for y in spurious["y"] if y is not None]
     assert known == sorted(known, reverse=True)
     assert own["name"] == "EKF's own"
+
+
+def test_the_page_has_its_figures() -> None:
+    c = sound()
+    result = build_result(c)
+    rows = [row for row in run_rows(c, result) if row.group.startswith("Heading learnt")]
+    named = ["standard deviation", "grew fastest", "largest share of that"]
+    assert [row.quantity for row in rows] == named
+    assert result.spurious_heading is not None
+    assert rows[0].value == f"{result.spurious_heading.sigma_deg:.3g} deg"
+    nothing = result.spurious_heading.model_copy(update={"sigma_deg": 1e12})
+    assert [row.value for row in spurious_rows(nothing)] == ["nothing learnt"]
+    assert spurious_rows(None) == []
+
+
+def test_nothing_learnt_is_not_drawn() -> None:
+    c = sound()
+    rounding = replace(learnt(c), information=1e-26 * learnt(c).information)
+    assert consistency_panels(replace(c, spurious_heading=rounding)).learnt is None

@@ -139,20 +139,34 @@ def test_the_total_is_that_of_least_squares_however_it_is_divided(
     assert len(found.gained) == min(parts, len(POSES))
 
 
+def until(linear: LinearProblem, k: int, count: int) -> LinearProblem:
+    """The motion up to pose k, and the first measurements."""
+    steps = {name: column[:k] for name, column in vars(linear.motion).items()}
+    columns = {name: column[:count] for name, column in vars(linear.measurements[2]).items()}
+    motion, seen = LinearRelations(**steps), LinearRelations(**columns)
+    return replace(linear, motion=motion, measurements={2: seen})
+
+
 def test_what_was_gained_until_a_pose_is_what_the_log_until_there_holds() -> None:
     linear = world(seed=2)
     gathered = np.cumsum(information_about_start(linear, TURN, NOTHING, NO_MERGES).gained)
-    seen = linear.measurements[2]
     for k in (3, 7):
-        until = seen.first <= k
-        columns = {name: column[until] for name, column in vars(seen).items()}
-        steps = {name: column[:k] for name, column in vars(linear.motion).items()}
-        short = replace(
-            linear,
-            motion=LinearRelations(**steps),
-            measurements={2: LinearRelations(**columns)},
-        )
+        short = until(linear, k, (k + 1) * len(LANDMARKS))
         assert np.isclose(gathered[k], least_squares(short, TURN, NOTHING), rtol=1e-10)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_largest_gain_is_that_of_its_measurement(seed: int) -> None:
+    """By brute force: what the log holds with each measurement, less what it holds without it."""
+    linear = world(seed=seed)
+    found = information_about_start(linear, TURN, NOTHING, NO_MERGES)
+    k = int(found.epoch[found.gained.argmax()])
+    counts = range(k * len(LANDMARKS), (k + 1) * len(LANDMARKS) + 1)
+    held = [least_squares(until(linear, k, count), TURN, NOTHING) for count in counts]
+    gains = np.diff(held)
+    assert found.largest is not None
+    assert found.largest[1:] == (k, int(gains.argmax()), 2)
+    assert np.isclose(found.largest.information, gains.max(), rtol=1e-8)
 
 
 def test_at_the_truth_nothing_is_learnt_and_one_wrong_point_is_found() -> None:
@@ -168,6 +182,16 @@ def test_at_the_truth_nothing_is_learnt_and_one_wrong_point_is_found() -> None:
     assert found.largest[1:] == (7, 2, 2)
     assert found.gained[:7].sum() < 1e-15  # and nothing before it
     assert found.largest.information > 0.5 * found.total
+
+
+def test_what_is_learnt_at_once_is_found_at_the_start() -> None:
+    """Two measurements from the start, of one landmark taken for 0.3 m farther in the second."""
+    seen = [(0, 0), (0, 0), (1, 0), (2, 0)]
+    linear = problem(POSES[:3], seen, LANDMARKS, off={1: np.array([0.3, 0.0])})
+    found = information_about_start(linear, TURN, NOTHING, NO_MERGES)
+    assert found.largest is not None
+    assert found.largest[1:] == (0, 0, 2)
+    assert np.isclose(found.gained[0], 0.3**2 / (2 * 0.1**2), rtol=1e-9)
 
 
 def test_neither_prior_nor_positions_count() -> None:

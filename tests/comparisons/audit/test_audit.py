@@ -87,7 +87,13 @@ FAULTS: dict[str, tuple[str, Callable[[Array, Array], Array], tuple[str, ...], s
         "the covariance of block bias was not updated",
     ),
     "covariance not updated": ("gps", lambda p, before: before, ("position",), "was not updated"),
-    "half of R": ("gps", other_noise("gps", 0.5), ("position",), "0.5 R"),
+    "a quarter of R": ("gps", other_noise("gps", 0.25), ("position",), "0.25 R"),
+    "half of R, as of two updates": (
+        "gps",
+        other_noise("gps", 0.5),
+        ("position",),
+        "updated twice",
+    ),
     "no process noise": (
         "predict",
         without_noise,
