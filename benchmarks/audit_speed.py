@@ -254,6 +254,8 @@ def main() -> None:
     if given.audit_only:
         audited(given.audit_only)
         return
+    if given.keep and given.keep.exists():
+        parser.error(f"{given.keep}: exists already")
     more = (2 if given.reset else 1) / STEPS_A_FIX + 1.0 / STEPS_A_SNAPSHOT
     data = simulate(max(STEPS_A_SNAPSHOT, round(given.events / (1.0 + more))))
     with tempfile.TemporaryDirectory() as folder:
