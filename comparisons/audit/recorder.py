@@ -54,6 +54,9 @@ _DTYPE = np.dtype("<f8")
 _STATEMENT, _VALUES = itemgetter(0), itemgetter(1)
 
 
+Column = bytes | bytearray | str | int | None
+
+
 class Recorder:
     """Writes a trace for `slamcheck audit`.
 
@@ -188,7 +191,7 @@ class Recorder:
             self._refuse(f"the state has {n} entries, expected 1 to {MOST_ENTRIES}")
         p = self._blob("P", covariance, (n, n))
         note = json.dumps(list(dims.values()))
-        self._put("prior", json.dumps(list(dims)), p, note)
+        self._put("prior", json.dumps(list(dims)), [p, note])
         self._dims = dims
         self._sizes.clear()
 
@@ -208,7 +211,7 @@ class Recorder:
         text, n = self._size(blocks)
         shape = n, n
         f, q = self._blob("F", F, shape), self._blob("Q", Q, shape)
-        self._put("predict", text, *self._new("predict", text, f, q))
+        self._put("predict", text, self._new("predict", text, [f, q]))
 
     def update(
         self,
@@ -275,8 +278,8 @@ class Recorder:
             self._refuse("residual is empty")
         z = self._vector("residual", residual, m)
         by_state, noise = self._blob("H", h, (m, n)), self._blob("R", r, (m, m))
-        new = self._new(("update", _name(sensor)), text, by_state, noise)
-        self._put("update", text, sensor, used, z, *new, *gained)
+        new = self._new(("update", _name(sensor)), text, [by_state, noise])
+        self._put("update", text, [sensor, used, z, *new, *gained])
 
     def augment(
         self,
@@ -304,8 +307,8 @@ class Recorder:
         d, m = by_noise.shape
         self._check_new(name, d)
         g_x, r = self._blob("G_x", G_x, (d, n)), self._blob("R", R, (m, m))
-        new = self._new("augment", text, g_x, r, by_noise.tobytes())
-        self._put("augment", text, *new, json.dumps([name, d]))
+        new = self._new("augment", text, [g_x, r, by_noise.tobytes()])
+        self._put("augment", text, [*new, json.dumps([name, d])])
         self._add(name, d)
 
     def clone(self, source: str, name: str) -> None:
@@ -317,7 +320,7 @@ class Recorder:
         """
         text, d = self._size((source,))
         self._check_new(name, d)
-        self._put("clone", text, name)
+        self._put("clone", text, [name])
         self._add(name, d)
 
     def remove(self, *names: str) -> None:
@@ -329,7 +332,7 @@ class Recorder:
         text, _ = self._size(names)
         if len(names) == len(self._dims):
             self._refuse("removes the last block of the state")
-        self._put("remove", text)
+        self._put("remove", text, [])
         for name in names:
             del self._dims[name]
         self._sizes.clear()
@@ -348,7 +351,7 @@ class Recorder:
         """
         text, n = self._size(blocks)
         j = self._blob("J", J, (n, n))
-        self._put("reset", text, *self._new("reset", text, j))
+        self._put("reset", text, self._new("reset", text, [j]))
 
     def snapshot(
         self,
@@ -370,7 +373,7 @@ class Recorder:
         p = self._blob("P", P, (n, n))
         estimate = None if mean is None else self._numbers("mean", mean).tobytes()
         true = None if error is None else self._vector("error", error, n)
-        self._put("snapshot", text, p, estimate, true)
+        self._put("snapshot", text, [p, estimate, true])
 
     def directions(
         self,
@@ -399,38 +402,32 @@ class Recorder:
         ]
         note = json.dumps({"names": names[0], "blind": names[1]})
         blob = np.column_stack(columns).tobytes()
-        self._put("directions", text, blob, note)
+        self._put("directions", text, [blob, note])
 
-    def _put(self, kind: str, blocks: str, *columns: bytes | bytearray | str | int | None) -> None:
-        """Record an event; columns: those of its kind."""
+    def _put(self, kind: str, blocks: str, columns: list[Column]) -> None:
+        """Record an event; columns: those of its kind, a fresh list."""
         while columns and columns[-1] is None:
-            columns = columns[:-1]  # a NULL takes as long to bind as a number
+            columns.pop()  # a NULL takes as long to bind as a number
         rows = self._rows
         values = self._first + len(rows), self._time_s, blocks, *columns
         rows.append((_INSERT[kind][len(columns)], values))
         if len(rows) >= COMMIT_EVENTS or self._bytes >= COMMIT_BYTES:
             self.commit()
 
-    def _new(
-        self, key: str | tuple[str, str], blocks: str, *matrices: bytes
-    ) -> Iterable[bytes | bytearray | None]:
+    def _new(self, key: str | tuple[str, str], blocks: str, matrices: list[bytes]) -> list[Column]:
         """Return matrices, None for those of the event before of this key on the same blocks.
 
         key: the event's kind, with the sensor if it has one.
         """
         before = self._last.get(key)
+        self._last[key] = blocks, matrices
         if before is None or before[0] != blocks:
-            self._last[key] = blocks, list(matrices)
-            return matrices
-        last = before[1]
-        new: list[bytearray | None] = []
-        for index, matrix in enumerate(matrices):
-            if matrix == last[index]:
-                new.append(None)
-            else:
-                last[index] = matrix
-                new.append(bytearray(matrix))  # for bytes sqlite3 would look for adapters
-        return new
+            return [*matrices]
+        # For bytes sqlite3 would look for adapters.
+        return [
+            None if one == other else bytearray(one)
+            for one, other in zip(matrices, before[1], strict=True)
+        ]
 
     def _size(self, blocks: Iterable[str] | None) -> tuple[str, int]:
         """Blocks as they are stored, and how many entries they have together."""
