@@ -53,7 +53,6 @@ _LARGE = 4096
 _DTYPE = np.dtype("<f8")
 _STATEMENT, _VALUES = itemgetter(0), itemgetter(1)
 
-
 Column = bytes | bytearray | str | int | None
 
 
