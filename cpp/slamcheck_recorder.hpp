@@ -30,6 +30,7 @@
 #include <string>
 #include <type_traits>
 #include <unordered_map>
+#include <unordered_set>
 #include <utility>
 #include <vector>
 
@@ -279,6 +280,7 @@ class Recorder {
       order_.erase(std::find(order_.begin(), order_.end(), name));
     }
     size_ -= n;
+    last_.clear();  // a block of this name may begin with another dimension
   }
 
   // The error is expressed anew, as after an error-state correction: e' = J e, J (n, n).
@@ -362,7 +364,6 @@ class Recorder {
   // The matrices of the last event of a kind and sensor, and the blocks it was on.
   struct Last {
     std::string blocks;
-    std::size_t size = 0;
     std::vector<std::vector<double>> matrices;
   };
 
@@ -431,8 +432,7 @@ class Recorder {
                 const std::string& blocks,
                 std::initializer_list<std::pair<Column, const Matrix*>> matrices) {
     Last& last = last_[{kind, sensor}];
-    const std::size_t size = matrices.begin()->second->column_count();
-    const bool same = last.blocks == blocks && last.size == size;
+    const bool same = last.blocks == blocks;
     last.matrices.resize(matrices.size());
     std::size_t k = 0;
     for (const auto& [column, matrix] : matrices) {
@@ -443,7 +443,6 @@ class Recorder {
       ++k;
     }
     last.blocks = blocks;
-    last.size = size;
   }
 
   void finish(Row& row) {
@@ -494,12 +493,10 @@ class Recorder {
   }
 
   void check_distinct(const Names& names) const {
-    for (std::size_t i = 0; i < names.size(); ++i) {
-      check_name(names[i]);
-      if (std::find(names.begin(), names.begin() + static_cast<std::ptrdiff_t>(i), names[i]) !=
-          names.begin() + static_cast<std::ptrdiff_t>(i)) {
-        fail_event(quoted(names[i]) + " is given twice");
-      }
+    std::unordered_set<std::string> found;
+    for (const std::string& name : names) {
+      check_name(name);
+      if (!found.insert(name).second) fail_event(quoted(name) + " is given twice");
     }
   }
 

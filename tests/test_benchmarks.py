@@ -233,6 +233,16 @@ def test_dynamic_regions_benchmark_runs() -> None:
 
 
 @pytest.mark.slow
+def test_audit_speed_benchmark_runs(tmp_path: Path) -> None:
+    """The filter that is recorded is a sound one."""
+    few = ("--events", "3000", "--rounds", "1", "--reset", "--keep", str(tmp_path / "ins.trace"))
+    lines = run("benchmarks/audit_speed.py", *few, "--audit")
+    names = [line.split(":")[0] for line in lines[1:]]
+    assert names == ["filter alone", "recorded", "overhead", "file", "read", "audit"]
+    assert lines[-1].endswith("sound")
+
+
+@pytest.mark.slow
 def test_scan_slam_benchmark_runs() -> None:
     lines = run("benchmarks/scan_slam.py", "--seeds", "2", "--seconds", "6", "--processes", "1")
     assert [line.split()[:2] for line in lines[1:3]] == [["100", "agree"], ["101", "agree"]]

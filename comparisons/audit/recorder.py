@@ -24,7 +24,7 @@ from comparisons.errors import InputError
 _COLUMNS = {
     "prior": ("covariance", "note"),
     "predict": ("jacobian", "noise"),
-    "update": ("jacobian", "noise", "sensor", "used", "residual", "correction", "gain"),
+    "update": ("sensor", "used", "residual", "jacobian", "noise", "correction", "gain"),
     "augment": ("jacobian", "noise", "noise_jacobian", "note"),
     "clone": ("note",),
     "remove": (),
@@ -33,17 +33,27 @@ _COLUMNS = {
     "directions": ("jacobian", "note"),
 }
 """What an event of each kind has, beside its number, time and blocks; others are NULL."""
+
+
+def _insert(kind: str, columns: tuple[str, ...]) -> str:
+    names = ", ".join(("number", "time_s", "blocks", "kind", *columns))
+    return f"INSERT INTO event ({names}) VALUES (?, ?, ?, '{kind}'{', ?' * len(columns)})"  # noqa: S608
+
+
 _INSERT = {
-    kind: "INSERT INTO event (number, time_s, blocks, kind"  # noqa: S608
-    + "".join(f", {name}" for name in columns)
-    + f") VALUES (?, ?, ?, '{kind}'{', ?' * len(columns)})"
+    kind: [_insert(kind, columns[:count]) for count in range(len(columns) + 1)]
     for kind, columns in _COLUMNS.items()
 }
+"""Statements by kind and how many of its columns are given."""
 PAGE_BYTES = 32768
 COMMIT_EVENTS, COMMIT_BYTES = 2000, 1 << 24
 """A recording that is killed is valid up to its last commit."""
+_LARGE = 4096
+"""Bytes of a matrix; smaller ones are not counted."""
 _DTYPE = np.dtype("<f8")
-_KIND, _VALUES = itemgetter(0), itemgetter(1)
+_STATEMENT, _VALUES = itemgetter(0), itemgetter(1)
+
+Column = bytes | bytearray | str | int | None
 
 
 class Recorder:
@@ -91,7 +101,7 @@ class Recorder:
         self._rows: list[tuple[str, tuple[Any, ...]]] = []
         self._bytes = 0
         self._sizes: dict[tuple[str, ...] | None, tuple[str, int]] = {}
-        self._last: dict[tuple[str, str | None], tuple[str, int, tuple[bytes, ...]]] = {}
+        self._last: dict[str | tuple[str, str], tuple[str, list[bytes]]] = {}
         self._ended: str | None = None
         self._process = os.getpid()
         sensors = self._sensors(gates or {}, components or {})
@@ -140,8 +150,8 @@ class Recorder:
         rows, first = self._rows, self._first
         try:
             self._file.execute("BEGIN IMMEDIATE")
-            for kind, alike in groupby(rows, _KIND):
-                self._file.executemany(_INSERT[kind], map(_VALUES, alike))
+            for statement, alike in groupby(rows, _STATEMENT):
+                self._file.executemany(statement, map(_VALUES, alike))
             self._rows, self._first, self._bytes = [], first + len(rows), 0
             self._file.execute("COMMIT")
         except sqlite3.Error as error:
@@ -180,7 +190,7 @@ class Recorder:
             self._refuse(f"the state has {n} entries, expected 1 to {MOST_ENTRIES}")
         p = self._blob("P", covariance, (n, n))
         note = json.dumps(list(dims.values()))
-        self._put("prior", json.dumps(list(dims)), p, note)
+        self._put("prior", json.dumps(list(dims)), [p, note])
         self._dims = dims
         self._sizes.clear()
 
@@ -198,8 +208,9 @@ class Recorder:
             blocks: Those that the prediction moves.
         """
         text, n = self._size(blocks)
-        f, q = self._blob("F", F, (n, n)), self._blob("Q", Q, (n, n))
-        self._put("predict", text, *self._new("predict", None, text, n, f, q))
+        shape = n, n
+        f, q = self._blob("F", F, shape), self._blob("Q", Q, shape)
+        self._put("predict", text, self._new("predict", text, [f, q]))
 
     def update(
         self,
@@ -266,8 +277,8 @@ class Recorder:
             self._refuse("residual is empty")
         z = self._vector("residual", residual, m)
         by_state, noise = self._blob("H", h, (m, n)), self._blob("R", r, (m, m))
-        new = self._new("update", _name(sensor), text, n, by_state, noise)
-        self._put("update", text, *new, sensor, used, z, *gained)
+        new = self._new(("update", _name(sensor)), text, [by_state, noise])
+        self._put("update", text, [sensor, used, z, *new, *gained])
 
     def augment(
         self,
@@ -295,8 +306,8 @@ class Recorder:
         d, m = by_noise.shape
         self._check_new(name, d)
         g_x, r = self._blob("G_x", G_x, (d, n)), self._blob("R", R, (m, m))
-        new = self._new("augment", None, text, n, g_x, r, by_noise.tobytes())
-        self._put("augment", text, *new, json.dumps([name, d]))
+        new = self._new("augment", text, [g_x, r, by_noise.tobytes()])
+        self._put("augment", text, [*new, json.dumps([name, d])])
         self._add(name, d)
 
     def clone(self, source: str, name: str) -> None:
@@ -308,7 +319,7 @@ class Recorder:
         """
         text, d = self._size((source,))
         self._check_new(name, d)
-        self._put("clone", text, name)
+        self._put("clone", text, [name])
         self._add(name, d)
 
     def remove(self, *names: str) -> None:
@@ -320,10 +331,11 @@ class Recorder:
         text, _ = self._size(names)
         if len(names) == len(self._dims):
             self._refuse("removes the last block of the state")
-        self._put("remove", text)
+        self._put("remove", text, [])
         for name in names:
             del self._dims[name]
         self._sizes.clear()
+        self._last.clear()  # a block of this name may begin with another dimension
 
     def reset(
         self,
@@ -338,7 +350,7 @@ class Recorder:
         """
         text, n = self._size(blocks)
         j = self._blob("J", J, (n, n))
-        self._put("reset", text, *self._new("reset", None, text, n, j))
+        self._put("reset", text, self._new("reset", text, [j]))
 
     def snapshot(
         self,
@@ -360,7 +372,7 @@ class Recorder:
         p = self._blob("P", P, (n, n))
         estimate = None if mean is None else self._numbers("mean", mean).tobytes()
         true = None if error is None else self._vector("error", error, n)
-        self._put("snapshot", text, p, estimate, true)
+        self._put("snapshot", text, [p, estimate, true])
 
     def directions(
         self,
@@ -389,40 +401,48 @@ class Recorder:
         ]
         note = json.dumps({"names": names[0], "blind": names[1]})
         blob = np.column_stack(columns).tobytes()
-        self._put("directions", text, blob, note)
+        self._put("directions", text, [blob, note])
 
-    def _put(self, kind: str, blocks: str, *columns: bytes | str | int | None) -> None:
-        """Record an event; columns: those of its kind."""
+    def _put(self, kind: str, blocks: str, columns: list[Column]) -> None:
+        """Record an event; columns: those of its kind, a fresh list."""
+        while columns and columns[-1] is None:
+            columns.pop()  # a NULL takes as long to bind as a number
         rows = self._rows
-        rows.append((kind, (self._first + len(rows), self._time_s, blocks, *columns)))
+        values = self._first + len(rows), self._time_s, blocks, *columns
+        rows.append((_INSERT[kind][len(columns)], values))
         if len(rows) >= COMMIT_EVENTS or self._bytes >= COMMIT_BYTES:
             self.commit()
 
-    def _new(
-        self, kind: str, sensor: str | None, blocks: str, size: int, *matrices: bytes
-    ) -> list[bytes | None] | tuple[bytes, ...]:
-        """Return matrices, None for those of the event before of this kind, sensor and blocks."""
-        before = self._last.get((kind, sensor))
-        self._last[kind, sensor] = blocks, size, matrices
-        if before is None or before[0] != blocks or before[1] != size:
-            return matrices
-        return [None if m == b else m for m, b in zip(matrices, before[2], strict=True)]
+    def _new(self, key: str | tuple[str, str], blocks: str, matrices: list[bytes]) -> list[Column]:
+        """Return matrices, None for those of the event before of this key on the same blocks.
+
+        key: the event's kind, with the sensor if it has one.
+        """
+        before = self._last.get(key)
+        self._last[key] = blocks, matrices
+        if before is None or before[0] != blocks:
+            return [*matrices]
+        # For bytes sqlite3 would look for adapters.
+        return [
+            None if one == other else bytearray(one)
+            for one, other in zip(matrices, before[1], strict=True)
+        ]
 
     def _size(self, blocks: Iterable[str] | None) -> tuple[str, int]:
         """Blocks as they are stored, and how many entries they have together."""
-        self._check_open()
         key = None if blocks is None else tuple(blocks)
-        found = self._sizes.get(key)
-        if found is None:
-            names = tuple(self._dims) if key is None else key
-            for name in names:
-                if name not in self._dims:
-                    known = ", ".join(self._dims) or "none: record the prior first"
-                    self._refuse(f"block {name!r} is not in the state; it has {known}")
-            if not names or len(set(names)) < len(names):
-                self._refuse("expected blocks, none of them twice; record the prior first")
-            size = sum(self._dims[name] for name in names)
-            found = self._sizes[key] = json.dumps(names), size
+        return self._sizes.get(key) or self._find(key)
+
+    def _find(self, key: tuple[str, ...] | None) -> tuple[str, int]:
+        self._check_open()
+        names = tuple(self._dims) if key is None else key
+        for name in names:
+            if name not in self._dims:
+                known = ", ".join(self._dims) or "none: record the prior first"
+                self._refuse(f"block {name!r} is not in the state; it has {known}")
+        if not names or len(set(names)) < len(names):
+            self._refuse("expected blocks, none of them twice; record the prior first")
+        found = self._sizes[key] = json.dumps(names), sum(self._dims[name] for name in names)
         return found
 
     def _check_new(self, name: str, dim: int) -> None:
@@ -442,13 +462,20 @@ class Recorder:
 
     def _blob(self, name: str, matrix: ArrayLike, shape: tuple[int, int]) -> bytes:
         """Return a matrix as it is stored; a number stands for 1 x 1. Raises InputError."""
+        if type(matrix) is np.ndarray and matrix.dtype is _DTYPE and matrix.shape == shape:
+            blob = matrix.tobytes()
+        else:
+            blob = self._fitting(name, matrix, shape).tobytes()
+        if len(blob) > _LARGE:
+            self._bytes += len(blob)
+        return blob
+
+    def _fitting(self, name: str, matrix: ArrayLike, shape: tuple[int, int]) -> Array:
         found = self._numbers(name, matrix)
         if found.shape != shape and not (found.size == 1 and shape == (1, 1)):
             actual = " x ".join(map(str, found.shape)) or "a number"
             self._refuse(f"{name} is {actual}, expected {shape[0]} x {shape[1]}")
-        blob = found.tobytes()
-        self._bytes += len(blob)
-        return blob
+        return found
 
     def _vector(self, name: str, vector: ArrayLike, size: int) -> bytes:
         """Return a vector as it is stored; it may be a column or a row."""
@@ -480,6 +507,7 @@ class Recorder:
         """Record nothing from now on; what is not committed is undone."""
         self._ended = reason
         self._rows.clear()
+        self._sizes.clear()
         self._file.close()
 
     def _sensors(
