@@ -1,6 +1,6 @@
 """Which faults in other people's filters the audit finds, and how often it flags sound ones.
 
-    python benchmarks/audit_faults.py [--seed 2000] [--sound 50] [--snapshots 1]
+    python -m benchmarks.audit_faults [--seed 2000] [--sound 50] [--snapshots 1]
                                      [--filters NAME ...]
 
 Each of ten faults in each filter of examples/audit is recorded and audited. The first fault that

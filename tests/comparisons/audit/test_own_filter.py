@@ -9,13 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.audit.audit import audit
 from comparisons.audit.events import Augment, Directions, Event, Remove, Snapshot, Update
 from comparisons.audit.own_filter import run_events, write_run
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, learnt
 from comparisons.audit.trace_file import Trace
+from comparisons.experiments.defects.algebra import (
+    NoCrossAtPrediction,
+    NoVehicleAtAugmentation,
+)
+from comparisons.experiments.defects.defect import with_state
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.compare import Comparison, Modified
+from ekf_reference.core.state import KalmanState
 from tests.comparisons.test_initialisation_run import initialised_boundless
 from tests.comparisons.test_known_landmarks import with_survey
 from tests.comparisons.test_pose_landmark_run import Frames
@@ -181,3 +188,19 @@ def test_a_wrong_covariance_at_the_end_would_show() -> None:
     at = next(i for i, e in enumerate(events) if isinstance(e, Update))
     replay, last = at_the_end(events[:at] + events[at + 1 :])
     assert not np.allclose(block(replay, last), last.covariance, rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    "state", [None, NoCrossAtPrediction, NoVehicleAtAugmentation], ids=["sound", "F", "G"]
+)
+def test_audit_and_run_measure_the_same_algebra_gap(
+    state: type[KalmanState] | None, tmp_path: Path
+) -> None:
+    planted = () if state is None else (Modified(with_state(state)),)
+    c = compared(simulated(seed=3, loop_s=40.0), *planted)
+    write_run(c.ekf, tmp_path / "run.trace")
+    found = audit(tmp_path / "run.trace")
+    assert found.largest is not None
+    right, gap = c.agreement.algebra.covariance, found.largest.covariance
+    assert gap == pytest.approx(right, rel=1e-9, abs=1e-9)
+    assert (right < 1e-9) == found.sound == (state is None)
