@@ -1,0 +1,173 @@
+"""Nieto 2005, section 2.10: FastSLAM on Victoria Park, Fig. 2.13; depletion, section 2.2.1.
+
+Every particle associates the raw detections for itself. GPS judges the trajectory and is not used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+
+from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array, Index
+from comparisons.checks.accuracy import assess_trajectory, rigid_motion
+from comparisons.errors import InputError
+from comparisons.experiments.reproduction.drawing import chart, plan
+from comparisons.experiments.reproduction.interface import (
+    AnyFigure,
+    Claim,
+    Experiment,
+    Figure,
+    Sources,
+    at_least,
+    at_most,
+)
+from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+from comparisons.report.figures.style import draw_reference, draw_trajectory
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
+
+PARTICLES = (10, 30, 100)
+"""The last is drawn. The thesis does not say how many it takes."""
+_KNOWN = 0.5
+"""Share of the cloud's weight that has a landmark, of those that are drawn."""
+_STARS = "#2a9d3a"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudRun:
+    """One number of particles.
+
+    median_m: of the distances from GPS, after the rigid motion that fits best. distinct: (S,)
+    particles of each sampled epoch that have descendants at the end. path: (K, 2), weighted means.
+    landmark: (L, 2), averages of the Gaussian means; both moved onto the GPS.
+    """
+
+    particles: int
+    median_m: float
+    distinct: Index
+    path: Array
+    landmark: Array
+
+    @property
+    def left_of_the_first_tenth(self) -> int:
+        """Particles at a tenth of the log that have descendants at its end."""
+        return int(self.distinct[len(self.distinct) // 10])
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """All numbers of particles, ascending. gps: (G, 2)."""
+
+    log: str
+    runs: tuple[CloudRun, ...]
+    gps: Array
+
+
+def clouds(sources: Sources) -> Clouds:
+    """Run FastSLAM 2.0 on the detections."""
+    folder = sources.folder("victoria_park")
+    if folder is None:
+        raise InputError("victoria_park/ is needed")
+    return clouds_of(open_log(str(folder)), PARTICLES)
+
+
+def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
+    """Run it on a log with positions, which judge it."""
+    positions = log.positions
+    if positions is None:
+        raise InputError(f"{log.name}: holds no positions, which are to judge the trajectory")
+    runs = tuple(_run(log, number) for number in particles)
+    reported = f"{log.name}, FastSLAM 2.0, seed 0"
+    return Clouds(reported, runs, positions.position_m)
+
+
+def _run(log: Log, particles: int) -> CloudRun:
+    timeline, positions = build_timeline(log), log.positions
+    if positions is None:
+        raise TypeError("no positions")
+    slam = build_fastslam(log, Sampling(particles), known=log.measurements.labelled)
+    cloud = run_fastslam(slam, log, timeline)
+    found = assess_trajectory(timeline.epoch_time_s, cloud.mean, log)
+    path, time_s = cloud.mean[:, :2], timeline.epoch_time_s
+    inside = (positions.time_s >= time_s[0]) & (positions.time_s <= time_s[-1])
+    at = np.column_stack([np.interp(positions.time_s[inside], time_s, x) for x in path.T])
+    move = rigid_motion(at, positions.position_m[inside])
+    mixture = slam.mixture_map()
+    median = None if found is None else found.gps_median_aligned_m
+    return CloudRun(
+        particles=particles,
+        median_m=np.nan if median is None else median,
+        distinct=slam.history.distinct(),
+        path=move(path),
+        landmark=move(mixture.mean[mixture.share > _KNOWN]),
+    )
+
+
+def claims(found: Clouds) -> list[Claim]:
+    """The trajectory is right, and particles are lost."""
+    most = found.runs[-1]
+    return [
+        at_most(
+            f"the mean trajectory of {most.particles} particles follows the vehicle's (median "
+            "distance from GPS after alignment; the figure gives no number)",
+            most.median_m,
+            2.0,
+            "m",
+        ),
+        at_least(
+            "the landmarks' estimates are the park's trees (number that most of the weight has)",
+            len(most.landmark),
+            100,
+        ),
+        at_most(
+            "part of the history is lost with every resampling (share of the particles at a tenth "
+            "of the log that have descendants at its end)",
+            most.left_of_the_first_tenth / most.particles,
+            0.1,
+        ),
+    ]
+
+
+def draw(canvas: Canvas, found: Clouds) -> None:
+    """Left the map of Fig. 2.13; right the particles that are left of each instant."""
+    grid = canvas.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
+    axis, most = canvas.add_subplot(grid[0]), found.runs[-1]
+    draw_reference(axis, found.gps, ".", "GPS")
+    draw_trajectory(axis, most.path, EKF_COLOUR, "mean of the particles")
+    axis.plot(
+        *most.landmark.T, "*", color=_STARS, markersize=4, linestyle="none", label="landmarks"
+    )
+    plan(axis, f"FastSLAM 2.0, {most.particles} particles: {most.median_m:.2f} m from GPS")
+    axis.legend(fontsize=8, loc="best")
+    _draw_depletion(canvas.add_subplot(grid[1]), found)
+
+
+def _draw_depletion(axis: Axes, found: Clouds) -> None:
+    colours = (SMOOTHER_COLOUR, _STARS, EKF_COLOUR)
+    for run, colour in zip(found.runs, colours, strict=False):
+        share = np.linspace(0.0, 1.0, len(run.distinct))
+        label = f"{run.particles} particles, {run.median_m:.2f} m"
+        axis.plot(share, run.distinct, color=colour, linewidth=0.9, label=label)
+    axis.set_yscale("log")
+    chart(axis, "depletion", "share of the log", "particles with descendants at its end")
+
+
+FIGURES: tuple[AnyFigure, ...] = (
+    Figure(
+        name="N2.13",
+        title="FastSLAM on Victoria Park",
+        source="Nieto 2005, Fig. 2.13 and section 2.2.1",
+        says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "
+        "landmark the average of the Gaussian means. Resampling loses particles, and with them "
+        "part of the map's history.",
+        experiment=Experiment("section 2.10, FastSLAM", clouds, "victoria_park"),
+        draw=draw,
+        claims=claims,
+        size=(12.0, 5.5),
+    ),
+)
