@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.core.landmark_types import MeasurementModel
 from ekf_reference.core.measurements import Measurements
-from ekf_reference.fastslam.particle_maps import FREE, ParticleMaps, inverse_2x2
+from ekf_reference.fastslam.particle_maps import FREE, ParticleMaps
 
 NEW = -1
 """The measurement is of a landmark that the particle does not have yet."""
 UNUSED = -2
 """The measurement is not used by the particle."""
 LOG_TWO_PI = math.log(2.0 * math.pi)
+_UPPER = (0, 0), (0, 1), (1, 1)
 
 
 class Sight(NamedTuple):
@@ -117,7 +118,8 @@ class PerParticleLikelihood:
     measurement whose nis exceeds `new_gate` for every landmark starts a new one; others are unused.
     Evidence for a landmark, in log odds: `gain` for each measurement, `loss` where it lies within
     `view` and is not measured, at most `most_evidence`; below zero it is removed (Montemerlo and
-    Thrun 2003). margin_m: landmarks are sought this much farther than the longest range.
+    Thrun 2003). margin_m: how uncertain motion and landmarks may be, when landmarks near a
+    measurement are sought.
     """
 
     view: View
@@ -127,7 +129,7 @@ class PerParticleLikelihood:
     gain: float = 1.0
     loss: float = 0.3
     most_evidence: float = 20.0
-    margin_m: float = 10.0
+    margin_m: float = 5.0
 
     @property
     def log_unmatched(self) -> float:
@@ -144,19 +146,21 @@ class PerParticleLikelihood:
 
     def assign(self, maps: ParticleMaps, sight: Sight, seen: Measurements) -> Index:
         """Assign by likelihood, every particle for itself."""
-        longest = float(sight.sensor.range_m(seen.z).max())
-        columns = maps.near(sight.pose, longest + self.margin_m)
+        measured = sight.sensor.invert(np.zeros(3), seen.z)
+        spread = measured.jacobian_z @ seen.noise @ measured.jacobian_z.swapaxes(1, 2)
+        reach_m = self.margin_m + np.sqrt(self.new_gate * np.trace(spread, axis1=1, axis2=2))
+        columns = maps.around(sight.pose, measured.landmark, reach_m)
         n, m = len(sight.pose), len(seen)
         if not len(columns):
             return np.full((n, m), NEW, dtype=np.intp)
         at = maps.expected(sight.pose, columns, sight.sensor)
         by_motion = at.by_pose @ sight.root
         own = at.spread + by_motion @ by_motion.swapaxes(-1, -2)
-        inverse, determinant = inverse_2x2(own[:, None] + seen.noise[None, :, None])
+        a, b, d = (own[:, None, :, i, j] + seen.noise[:, None, i, j] for i, j in _UPPER)
+        determinant = a * d - b * b
         nu = sight.sensor.innovation(seen.z[None, :, None], at.z[:, None])
         x, y = nu[..., 0], nu[..., 1]
-        nis = x * (x * inverse[..., 0, 0] + 2.0 * y * inverse[..., 0, 1])
-        nis += y * y * inverse[..., 1, 1]
+        nis = (x * (d * x - 2.0 * b * y) + a * y * y) / determinant
         nis = np.where(maps.has(columns)[:, None], nis, np.inf)
         likelihood = -0.5 * (nis + np.log(determinant)) - LOG_TWO_PI
         possible = (nis <= self.gate) & (likelihood > self.log_unmatched)

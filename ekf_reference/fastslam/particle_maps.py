@@ -20,8 +20,10 @@ def inverse_2x2(matrix: Array) -> tuple[Array, Array]:
     """Return the inverses (..., 2, 2) and determinants (...) of matrices (..., 2, 2)."""
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     determinant: Array = a * d - b * c
-    adjoint = np.stack((d, -b, -c, a), axis=-1).reshape(matrix.shape)
-    return adjoint / determinant[..., None, None], determinant
+    inverse = np.empty_like(matrix)
+    inverse[..., 0, 0], inverse[..., 1, 1] = d / determinant, a / determinant
+    inverse[..., 0, 1], inverse[..., 1, 0] = -b / determinant, -c / determinant
+    return inverse, determinant
 
 
 class Expected(NamedTuple):
@@ -105,6 +107,37 @@ class ParticleMaps:
         close = (x * x + y * y <= reach_m * reach_m) & (self.evidence[:, used] > 0.0)
         return used[close.any(axis=0)]
 
+    def around(self, pose: Array, point: Array, reach_m: Array) -> Index:
+        """Return the columns (K,) that may lie near points, in any particle that has them.
+
+        Args:
+            pose: (N, 3).
+            point: (m, 2) in the vehicle's frame [m].
+            reach_m: (m,) how far a landmark may lie from the point.
+
+        Returns:
+            Those whose bounding box over the particles, in the vehicle's frame, is in reach.
+        """
+        used = np.flatnonzero(self.number != FREE)
+        place = self._local(pose, self.mean[:, used])
+        held = self.has(used)[..., None]
+        low = np.where(held, place, np.inf).min(axis=0)
+        high = np.where(held, place, -np.inf).max(axis=0)
+        gap = np.maximum(low - point[:, None], point[:, None] - high)
+        gap = np.maximum(gap, 0.0)
+        close = (gap * gap).sum(axis=2) <= (reach_m * reach_m)[:, None]
+        found: Index = used[np.any(close, axis=0)]
+        return found
+
+    @staticmethod
+    def _local(pose: Array, place: Array) -> Array:
+        """Places (N, K, 2) on the map, seen from poses (N, 3)."""
+        cos, sin = np.cos(pose[:, 2])[:, None], np.sin(pose[:, 2])[:, None]
+        x, y = place[..., 0] - pose[:, None, 0], place[..., 1] - pose[:, None, 1]
+        found = np.empty(place.shape)
+        found[..., 0], found[..., 1] = cos * x + sin * y, cos * y - sin * x
+        return found
+
     def has(self, columns: Index) -> Mask:
         """Return which particles have the landmarks of columns (N, K) or (K,), (N, K)."""
         return self.evidence[self._row, columns] > 0.0
@@ -116,13 +149,7 @@ class ParticleMaps:
         asked in the vehicle's frame, which needs one whose measurements depend on relative place
         alone (Nieto 2005, eqs. 2.37 and 2.40 to 2.44).
         """
-        mean = self.mean[self._row, columns]
-        away = mean - pose[:, None, :2]
-        cos, sin = np.cos(pose[:, 2])[:, None], np.sin(pose[:, 2])[:, None]
-        local = np.stack(
-            (cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]),
-            axis=-1,
-        )
+        local = self._local(pose, self.mean[self._row, columns])
         local = np.where(self.has(columns)[..., None], local, _AHEAD)
         z, by_pose, by_local = sensor.predict(_ORIGIN, local.reshape(-1, 2))
         shape = local.shape[:2]

@@ -15,6 +15,7 @@ from ekf_reference.fastslam.association import (
     best_pairs,
 )
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
+from ekf_reference.fastslam.particle_maps import ParticleMaps
 from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.models.range_bearing import RangeBearing
 
@@ -145,3 +146,24 @@ def test_a_loop_of_unlabelled_points_is_mapped_without_duplicates() -> None:
     assert len(certain) == len(points)
     away = np.linalg.norm(certain[:, None] - points, axis=2)
     assert away.min(axis=0).max() < 0.6
+
+
+def test_no_landmark_in_reach_of_a_point_is_passed_over() -> None:
+    generator = np.random.default_rng(4)
+    maps = ParticleMaps(6, 40)
+    maps.number[:30] = np.arange(30)
+    maps.mean[:, :30] = 30.0 * generator.standard_normal((1, 30, 2))
+    maps.mean[:, :30] += generator.standard_normal((6, 30, 2))
+    maps.evidence[:, :30] = generator.random((6, 30)) < 0.6
+    pose = np.column_stack((generator.normal(0, 1.0, (6, 2)), generator.normal(0, 0.1, 6)))
+    point, reach_m = 30.0 * generator.standard_normal((5, 2)), np.array([3.0, 9.0, 6.0, 12.0, 1.0])
+    expected = set()
+    for n, (x, y, heading) in enumerate(pose):
+        turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+        for p, reach in zip(point @ turn.T + (x, y), reach_m, strict=True):
+            near = np.linalg.norm(maps.mean[n] - p, axis=1) <= reach
+            expected |= set(np.flatnonzero(near & (maps.evidence[n] > 0.0)).tolist())
+    found = maps.around(pose, point, reach_m).tolist()
+    assert 0 < len(expected) <= len(found) < 30
+    assert expected <= set(found)
+    assert not expected <= set(maps.around(pose, point, 0.3 * reach_m).tolist())
