@@ -76,7 +76,8 @@ def row(log: Log, timeline: Timeline, sampling: Sampling, reference: Array | Non
     span_s = timeline.epoch_time_s[-1] - timeline.epoch_time_s[0]
     return (
         f"{n:>9} {sampling.seed:>4} {error_m:>8.2f} {aligned_m:>9} "
-        f"{distinct[len(distinct) // 10]:>10} {distinct[len(distinct) // 2]:>6} {np.mean(slam.history.effective) / n:>6.2f} "
+        f"{distinct[len(distinct) // 10]:>10} {distinct[len(distinct) // 2]:>6} "
+        f"{np.mean(slam.history.effective) / n:>6.2f} "
         f"{resampled:>9} {landmarks:>9} {cpu_s:>7.1f} {span_s / cpu_s:>9.1f}"
     )
 

@@ -14,6 +14,7 @@ from comparisons.arrays import Array, Index
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from ekf_reference.core.ekf import Stabilisation
+from ekf_reference.core.geometry import rotation
 from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam.association import KnownIdentities, PerParticleLikelihood, View
@@ -28,12 +29,13 @@ class Cloud:
     """What a FastSLAM estimates of a log.
 
     slam: at the end of the log. mean: (K, 3) weighted mean at each epoch of the timeline, from the
-    measurements up to then. sampled: (S,) epochs at which poses were sampled, those of the
-    filter's history.
+    measurements up to then. covariance: (K, 3, 3) of the particles there. sampled: (S,) epochs at
+    which poses were sampled, those of the filter's history.
     """
 
     slam: FastSlam
     mean: Array
+    covariance: Array
     sampled: Index
 
 
@@ -82,7 +84,8 @@ def run_fastslam(
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     noise = diagonal_noise(np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad)))
     steps, first, done = timeline.steps_until(), timeline.measurements_until(), 0
-    mean, sampled = np.empty((len(steps), 3)), []
+    mean, covariance = np.empty((len(steps), 3)), np.empty((len(steps), 3, 3))
+    sampled = []
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
             slam.predict(
@@ -92,8 +95,21 @@ def run_fastslam(
         if rows.start < rows.stop or k + 1 == len(steps):
             slam.observe(Measurements(z[rows], noise[rows], seen.landmark[rows], time_s=time_s))
             sampled.append(k)
-            mean[k] = slam.history.mean[-1]
-        else:
-            mean[k] = slam.mean_pose()
+        weight, pose = slam.weight, slam.predicted_pose()
+        mean[k] = weight @ pose
+        covariance[k] = np.einsum("n,ni,nj->ij", weight, pose - mean[k], pose - mean[k])
+        root = slam.motion.root_at_arrival()  # of motion that is not sampled yet
+        root = rotated(root, float(mean[k, 2]))
+        covariance[k] += root @ root.T
         on_epoch(k, slam)
-    return Cloud(slam=slam, mean=mean, sampled=np.array(sampled, dtype=np.intp))
+    return Cloud(
+        slam=slam, mean=mean, covariance=covariance, sampled=np.array(sampled, dtype=np.intp)
+    )
+
+
+def rotated(root: Array, heading_rad: float) -> Array:
+    """A root (3, 3) of a pose's covariance in its own frame, on the map."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(heading_rad)
+    found: Array = turn @ root
+    return found
