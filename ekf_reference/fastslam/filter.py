@@ -182,20 +182,21 @@ class FastSlam:
         self.motion = AccumulatedMotion()
 
     def observe(self, seen: Measurements) -> Index:
-        """Sample the poses of an epoch, weigh them, update the maps, and resample.
+        """Resample where the last epoch asks for it, sample poses, weigh them, update the maps.
 
         Args:
             seen: Measurements of points of one instant; none are allowed.
 
         Returns:
-            (N, m) number of the landmark that each particle took each measurement for, before
-            resampling; negative where it did not use it.
+            (N, m) number of the landmark that each particle took each measurement for; negative
+            where it did not use it.
 
         Raises:
             ValueError: The measurements are not of points, or not finite.
         """
         if seen.width != 2 or not np.isfinite(seen.z).all():
             raise ValueError("measurements are not of points, or not finite")
+        self._resample()
         if self.options.proposal == "motion" or not len(seen):
             self.sample_motion()
         numbers = np.full((len(self.pose), len(seen)), FREE, dtype=np.int64)
@@ -209,7 +210,7 @@ class FastSlam:
         self.log_evidence += log_mean_exp(self.log_weight) - before
         if len(seen):
             rule.review(self.maps, self.pose, columns)
-        self._end_epoch()
+        self.history.add(self.pose, self.weight)
         return numbers
 
     def _fuse(self, seen: Measurements) -> Index:
@@ -273,17 +274,20 @@ class FastSlam:
         maps.initialise(self.pose, place, new, (seen.z, seen.noise), self.options.sensor)
         return np.where(new, place, columns)
 
-    def _end_epoch(self) -> None:
-        """Record the cloud, and resample where its effective sample size is too small."""
+    def _resample(self) -> None:
+        """Draw a new generation where the effective sample size is too small.
+
+        It waits for the next epoch, since the weighted cloud estimates better than its children.
+        """
         weight, n = self.weight, len(self.pose)
-        effective, parents = effective_sample_size(weight), None
-        if effective < self.options.resample_share * n:
-            parents = systematic_parents(weight, self.generator)
-        self.history.add(self.pose, weight, effective, parents)
-        if parents is not None:
-            self.log_weight = np.zeros(n)
-            self.pose = self.pose[parents]
-            self.maps.inherit(parents)
+        enough = effective_sample_size(weight) >= self.options.resample_share * n
+        if enough or not self.history.pose:
+            return
+        parents = systematic_parents(weight, self.generator)
+        self.history.inherit(parents)
+        self.log_weight = np.zeros(n)
+        self.pose = self.pose[parents]
+        self.maps.inherit(parents)
 
     def mixture_map(self) -> MixtureMap:
         """Return the map of all particles together."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.fastslam.resampling import effective_sample_size
 
 
 class CloudHistory:
@@ -13,7 +14,7 @@ class CloudHistory:
     Of an epoch all is recorded before resampling. N * 24 bytes an epoch, and N * 8 for each
     resampling.
 
-    pose: list of (N, 3). parents: list of (N,), None where the epoch did not resample. mean: list
+    pose: list of (N, 3). parents: list of (N,), None where nothing was resampled after. mean: list
     of (3,) weighted means. effective: list of effective sample sizes.
     """
 
@@ -31,12 +32,16 @@ class CloudHistory:
         other.mean, other.effective = list(self.mean), list(self.effective)
         return other
 
-    def add(self, pose: Array, weight: Array, effective: float, parents: Index | None) -> None:
-        """Append an epoch: poses (N, 3), weights (N,), and parents (N,) of the next generation."""
+    def add(self, pose: Array, weight: Array) -> None:
+        """Append an epoch: poses (N, 3) and weights (N,)."""
         self.pose.append(pose)
         self.mean.append(weight @ pose)
-        self.effective.append(effective)
-        self.parents.append(parents)
+        self.effective.append(effective_sample_size(weight))
+        self.parents.append(None)
+
+    def inherit(self, parents: Index) -> None:
+        """Note the parents (N,) of the generation that follows the last epoch."""
+        self.parents[-1] = parents
 
     def ancestors(self) -> Index:
         """Return the particle (K, N) from which each particle of the last cloud descends."""

@@ -81,9 +81,14 @@ def check_clouds(means: Array, moments: Array, smoother: Gaussian) -> CloudCheck
 
 
 def standardised_moments(pose: Array, weight: Array) -> Array:
-    """Return skewness and excess kurtosis (2, 3) of weighted poses (N, 3)."""
+    """Return skewness and excess kurtosis (2, 3) of weighted poses (N, 3).
+
+    A cloud that is a single point has the moments of a Gaussian.
+    """
     apart = pose - weight @ pose
-    variance = np.maximum(weight @ apart**2, np.finfo(float).tiny)
+    variance = weight @ apart**2
+    if not (variance > 0.0).all():
+        return np.zeros((2, 3))
     return np.stack(((weight @ apart**3) / variance**1.5, (weight @ apart**4) / variance**2 - 3.0))
 
 
