@@ -293,6 +293,11 @@ RUN_EXTENSIONS = (
         option="--high-level", field="extensions.high_level", kind=bool, off=True,
         settings=_SWITCH,
     ),
+    Flag(
+        option="--third", field="extensions.fastslam", choices=choices.Third, panel=ESTIMATORS,
+        settings={"none": ABSENT, "fastslam": {}},
+        help="Third estimator: fastslam (clouds of particles beside filter and smoother). [none]",
+    ),
 )
 FAIL_ON = Flag(
     option="--fail-on", panel=JOB, field="fail_on", metavar="WHAT,...",

@@ -303,6 +303,7 @@ ROOMS = {
     "models": {"core"},
     "filters": {"core", "models"},
     "association": {"association", "core"},
+    "fastslam": {"core", "fastslam", "models"},
     "features": {"core"},
     "dense": {"association", "core", "dense"},
     "scan_matching": {"core", "dense", "scan_matching"},

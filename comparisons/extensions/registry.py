@@ -18,6 +18,7 @@ EXTENSIONS = {
     "dense_maps": "comparisons.extensions.dense_maps.config:DenseMapsConfig",
     "dynamic": "comparisons.extensions.dynamic.config:DynamicConfig",
     "high_level": "comparisons.extensions.high_level.config:HighLevelConfig",
+    "fastslam": "comparisons.extensions.fastslam.config:FastSlamConfig",
 }
 """Name to the class of its settings. The order is that in which extensions prepare, attach, check
 and report; one that uses what another offers comes after it."""

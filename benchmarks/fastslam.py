@@ -1,0 +1,143 @@
+"""FastSLAM on Victoria Park: error, depletion and cost over the number of particles.
+
+    python benchmarks/fastslam.py [--particles 10 30 100] [--seeds 1] [--epochs K]
+        [--proposal measurement | motion] [--labelled | --data DIR] [--copies]
+
+By default the raw detections of Victoria Park (--data), which every particle associates for itself.
+A row a number of particles and seed: median distance to the GPS, also after the rigid motion that
+fits best; particles of the first tenth and of the middle of the log that have descendants at its
+end; mean share of the effective sample size; resamplings; landmarks that most particles have;
+seconds of processor time, and how many times faster than the log's own time.
+
+--labelled: the bundled log `victoria-park` instead, with its labels; it has no GPS, so its error
+is the median distance from the EKF's trajectory. --copies: what resampling costs per copied map at
+300 landmarks, and a measurement update beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from comparisons.adapters.ekf_factory import build_ekf, settle
+from comparisons.adapters.filter_loop import run_filter_loop
+from comparisons.adapters.timeline import Timeline, build_timeline
+from comparisons.arrays import Array
+from comparisons.checks.accuracy import assess_trajectory
+from comparisons.config import EkfConfig
+from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+from comparisons.logs.readers import victoria_park
+from ekf_reference.core.landmark_types import diagonal_noise
+from ekf_reference.core.measurements import Measurements
+from ekf_reference.core.trace import Trace
+from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions
+from ekf_reference.fastslam.resampling import systematic_parents
+from ekf_reference.models.motion import RelativePoseModel
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data" / "victoria_park"
+HEAD = (
+    f"{'particles':>9} {'seed':>4} {'error m':>8} {'aligned m':>9} {'first 10 %':>10} "
+    f"{'middle':>6} {'ESS/N':>6} {'resampled':>9} {'landmarks':>9} {'cpu s':>7} {'real time':>9}"
+)
+
+
+def ekf_trajectory(log: Log, timeline: Timeline) -> Array:
+    """The EKF's poses (K, 3), by the log's labels."""
+    ekf = build_ekf(log, settle(EkfConfig(), log), Trace())
+    return np.array([ekf.read_pose().pose for _ in run_filter_loop(ekf, log, timeline)])
+
+
+def errors(log: Log, timeline: Timeline, mean: Array, reference: Array | None) -> tuple[float, str]:
+    """Median distance from the reference, or to the GPS; and the same aligned."""
+    if reference is not None:
+        return float(np.median(np.linalg.norm((mean - reference)[:, :2], axis=1))), ""
+    found = assess_trajectory(timeline.epoch_time_s, mean, log)
+    assert found is not None
+    assert found.gps_median_m is not None
+    return found.gps_median_m, f"{found.gps_median_aligned_m:.2f}"
+
+
+def row(log: Log, timeline: Timeline, sampling: Sampling, reference: Array | None) -> str:
+    """Run once."""
+    begin = time.process_time()
+    slam = build_fastslam(log, sampling, known=log.measurements.labelled)
+    cloud = run_fastslam(slam, log, timeline)
+    cpu_s = time.process_time() - begin
+    error_m, aligned_m = errors(log, timeline, cloud.mean, reference)
+    distinct, n = slam.history.distinct(), sampling.particles
+    resampled = sum(parents is not None for parents in slam.history.parents)
+    landmarks = int((slam.mixture_map().share > 0.5).sum())
+    span_s = timeline.epoch_time_s[-1] - timeline.epoch_time_s[0]
+    return (
+        f"{n:>9} {sampling.seed:>4} {error_m:>8.2f} {aligned_m:>9} "
+        f"{distinct[len(distinct) // 10]:>10} {distinct[len(distinct) // 2]:>6} "
+        f"{np.mean(slam.history.effective) / n:>6.2f} "
+        f"{resampled:>9} {landmarks:>9} {cpu_s:>7.1f} {span_s / cpu_s:>9.1f}"
+    )
+
+
+def copies(particles: int, landmarks: int = 300) -> str:
+    """Milliseconds of a resampling and of a scan with 8 measurements."""
+    generator = np.random.default_rng(0)
+    options = FastSlamOptions(particles=particles, resample_share=0.0)
+    slam = FastSlam(RelativePoseModel(), np.zeros(3), np.diag((0.01,) * 3), generator, options)
+    z = np.column_stack((np.linspace(5.0, 60.0, landmarks), np.linspace(-3.0, 3.0, landmarks)))
+    noise = diagonal_noise(np.full((landmarks, 2), 0.1))
+    slam.observe(Measurements(z, noise, np.arange(landmarks)))
+    few = np.arange(0, landmarks, landmarks // 8)[:8]
+    repeats, spent = 20, [0.0, 0.0]
+    weight = generator.dirichlet(np.full(particles, 1.0))  # effective sample size of N / 2
+    for _ in range(repeats):
+        begin = time.process_time()
+        parents = systematic_parents(weight, generator)
+        slam.maps.inherit(parents)
+        middle = time.process_time()
+        slam.predict(np.zeros(3), np.diag((1e-4, 1e-4, 1e-5)), 1.0)
+        slam.observe(Measurements(z[few], noise[few], few))
+        spent[0] += middle - begin
+        spent[1] += time.process_time() - middle
+    copied = int((parents != np.arange(particles)).sum())
+    return f"{particles:>9} {copied:>7} " + " ".join(f"{1e3 * s / repeats:>12.2f}" for s in spent)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--particles", type=int, nargs="+", default=[10, 30, 100])
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--epochs", type=int, help="only so many of the log's")
+    parser.add_argument("--proposal", choices=("measurement", "motion"), default="measurement")
+    parser.add_argument("--labelled", action="store_true")
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--copies", action="store_true")
+    given = parser.parse_args()
+    if given.copies:
+        print(f"{'particles':>9} {'copied':>7} {'resample ms':>12} {'scan ms':>12}")
+        for particles in given.particles:
+            print(copies(particles))
+        return
+    if not given.labelled and not victoria_park.recognises(given.data):
+        parser.error(f"{given.data} holds no detections of Victoria Park; see --labelled")
+    log = open_log("victoria-park") if given.labelled else victoria_park.read(given.data)
+    timeline = build_timeline(log)
+    if given.epochs is not None:
+        timeline = timeline.prefix(given.epochs)
+    reference = ekf_trajectory(log, timeline) if given.labelled else None
+    print(f"{log.name}, {len(timeline.epoch_time_s):,} epochs, proposal {given.proposal}")
+    print(HEAD)
+    for particles in given.particles:
+        for seed in range(given.seeds):
+            sampling = Sampling(particles, given.proposal, seed)
+            print(row(log, timeline, sampling, reference), flush=True)
+
+
+if __name__ == "__main__":
+    main()

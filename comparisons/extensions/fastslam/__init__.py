@@ -1,0 +1,1 @@
+"""FastSLAM as a third estimator beside the filter and the smoother."""

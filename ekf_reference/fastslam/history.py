@@ -1,0 +1,66 @@
+"""What a cloud of particles was at every epoch, and which of them have descendants."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.fastslam.resampling import effective_sample_size
+
+
+class CloudHistory:
+    """Poses and parents of every epoch, so that a surviving particle's path can be traced back.
+
+    Of an epoch all is recorded before resampling. N * 24 bytes an epoch, and N * 8 for each
+    resampling.
+
+    pose: list of (N, 3). parents: list of (N,), None where nothing was resampled after. mean: list
+    of (3,) weighted means. effective: list of effective sample sizes.
+    """
+
+    def __init__(self) -> None:
+        """Start without epochs."""
+        self.pose: list[Array] = []
+        self.parents: list[Index | None] = []
+        self.mean: list[Array] = []
+        self.effective: list[float] = []
+
+    def copy(self) -> CloudHistory:
+        """Return a copy; the arrays, which nobody changes, are shared."""
+        other = CloudHistory()
+        other.pose, other.parents = list(self.pose), list(self.parents)
+        other.mean, other.effective = list(self.mean), list(self.effective)
+        return other
+
+    def add(self, pose: Array, weight: Array) -> None:
+        """Append an epoch: poses (N, 3) and weights (N,)."""
+        self.pose.append(pose)
+        self.mean.append(weight @ pose)
+        self.effective.append(effective_sample_size(weight))
+        self.parents.append(None)
+
+    def inherit(self, parents: Index) -> None:
+        """Note the parents (N,) of the generation that follows the last epoch."""
+        self.parents[-1] = parents
+
+    def ancestors(self) -> Index:
+        """Return the particle (K, N) from which each particle of the last cloud descends."""
+        if not self.pose:
+            return np.zeros((0, 0), dtype=np.intp)
+        found = np.empty((len(self.pose), len(self.pose[0])), dtype=np.intp)
+        index: Index = np.arange(found.shape[1])
+        for k in range(len(found) - 1, -1, -1):
+            parents = self.parents[k]
+            index = index if parents is None else parents[index]
+            found[k] = index
+        return found
+
+    def distinct(self) -> Index:
+        """Return how many particles (K,) of each epoch have descendants in the last cloud."""
+        ordered = np.sort(self.ancestors(), axis=1)
+        found: Index = 1 + np.count_nonzero(np.diff(ordered, axis=1), axis=1)
+        return found
+
+    def paths(self) -> Array:
+        """Return the paths (K, N, 3) of the particles of the last cloud."""
+        return np.stack([p[a] for p, a in zip(self.pose, self.ancestors(), strict=True)])
