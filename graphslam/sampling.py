@@ -433,6 +433,40 @@ def laplace_root(potential: AnchoredPotential, problem: SlamProblem, state: Arra
     return root
 
 
+class WhitenedPotential:
+    """A problem's density around its optimum, so that gtsam's Gaussian is the standard normal."""
+
+    def __init__(self, problem: SlamProblem, poses: Array, landmarks: Array) -> None:
+        """poses, landmarks: (K, 3), (L, 2) of the optimum. Raises as sample_posterior does."""
+        if problem.state_dimension > LARGEST_DIMENSION:
+            raise ValueError(
+                f"{problem.state_dimension} unknowns cannot be sampled, expected at most "
+                f"{LARGEST_DIMENSION}"
+            )
+        self._anchored = AnchoredPotential(SlamPotential(problem))
+        self._optimum = np.concatenate((poses.ravel(), landmarks.ravel()))
+        self._root = laplace_root(self._anchored, problem, self._optimum)
+        self._centre = self._anchored.to_anchored(self._optimum[:, None])
+        self._headings = np.arange(2, 3 * problem.pose_count, 3)
+
+    @property
+    def dimension(self) -> int:
+        """Numbers of a state."""
+        return len(self._optimum)
+
+    def __call__(self, whitened: Array) -> tuple[Array, Array]:
+        """Return energies (C,) and gradients (n, C)."""
+        energy, gradient = self._anchored(self._centre + self._root @ whitened)
+        return energy, self._root.T @ gradient
+
+    def to_world(self, whitened: Array) -> Array:
+        """Return states (n, C) in the world, headings within pi of the optimum's."""
+        optimum = self._optimum[:, None]
+        apart = self._anchored.to_world(self._centre + self._root @ whitened) - optimum
+        apart[self._headings] = wrap_angle(apart[self._headings])
+        return apart + optimum
+
+
 @dataclass(frozen=True, kw_only=True)
 class PosteriorDraws:
     """Draws of the last pose and all points, with the evidence that they are the posterior's.
@@ -571,31 +605,13 @@ def sample_posterior(
         ValueError: The log is too long, or has what cannot be sampled.
         SingularProblemError: Some direction is left without information.
     """
-    options = options or SamplingOptions()
-    if problem.state_dimension > LARGEST_DIMENSION:
-        raise ValueError(
-            f"{problem.state_dimension} unknowns cannot be sampled, expected at most "
-            f"{LARGEST_DIMENSION}"
-        )
-    anchored = AnchoredPotential(SlamPotential(problem))
-    optimum = np.concatenate((poses.ravel(), landmarks.ravel()))
-    root = laplace_root(anchored, problem, optimum)
-    centre = anchored.to_anchored(optimum[:, None])
-
-    def whitened(w: Array) -> tuple[Array, Array]:
-        energy, gradient = anchored(centre + root @ w)
-        return energy, root.T @ gradient
-
-    chains = sample_chains(whitened, len(optimum), rng, options)
+    density = WhitenedPotential(problem, poses, landmarks)
+    chains = sample_chains(density, density.dimension, rng, options)
     count, length, size = chains.draws.shape
-    flat = centre + root @ chains.draws.reshape(-1, size).T
-    states = anchored.to_world(flat) - optimum[:, None]
-    headings = np.arange(2, 3 * problem.pose_count, 3)
-    states[headings] = wrap_angle(states[headings])
+    states = density.to_world(chains.draws.reshape(-1, size).T)
     every = np.vstack((states, chains.energy.reshape(1, -1)))
-    kept = np.arange(3 * problem.pose_count - 3, len(optimum))
     return PosteriorDraws(
-        draws=(states[kept] + optimum[kept, None]).T.reshape(count, length, -1),
+        draws=states[3 * problem.pose_count - 3 :].T.reshape(count, length, -1),
         acceptance=chains.acceptance,
         step=chains.step,
         evidence=chain_evidence(every.T.reshape(count, length, -1)),

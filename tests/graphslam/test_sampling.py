@@ -26,6 +26,7 @@ from graphslam.sampling import (
     Potential,
     SamplingOptions,
     SlamPotential,
+    WhitenedPotential,
     laplace_root,
     sample_chains,
     sample_posterior,
@@ -251,13 +252,7 @@ def test_trajectory_leads_back_and_keeps_volume() -> None:
     """With the Metropolis step on the energy this is detailed balance."""
     problem = far_bearing()
     s = solved(problem)
-    optimum = np.concatenate((s.poses.ravel(), s.landmarks.ravel()))
-    anchored = AnchoredPotential(SlamPotential(problem))
-    root, centre = laplace_root(anchored, problem, optimum), anchored.to_anchored(optimum[:, None])
-
-    def potential(w: Array) -> tuple[Array, Array]:
-        energy, gradient = anchored(centre + root @ w)
-        return energy, root.T @ gradient
+    potential = WhitenedPotential(problem, s.poses, s.landmarks)
 
     def end(both: Array) -> Array:
         w, v = np.split(both, 2)
