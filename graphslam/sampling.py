@@ -61,6 +61,8 @@ _SMALL_TURN = 1e-4
 Potential = Callable[[Array], tuple[Array, Array]]
 """Takes states (n, C); returns negative log densities (C,) and their gradients (n, C)."""
 
+Progress = Callable[[int, int], None]
+
 
 class NotConvergedError(ArithmeticError):
     """The chains do not say what the posterior is."""
@@ -110,6 +112,7 @@ def sample_chains(
     dimension: int,
     rng: np.random.Generator,
     options: SamplingOptions | None = None,
+    progress: Progress = lambda done, total: None,
 ) -> Chains:
     """Draw from a density that is about a standard normal one.
 
@@ -118,6 +121,7 @@ def sample_chains(
         dimension: n.
         rng: Equal generators give equal draws, to the bit.
         options: How many.
+        progress: Called with the iterations done, and all.
 
     Returns:
         The draws after the warm-up, in which the step is set so that TARGET_ACCEPTANCE of the
@@ -127,7 +131,9 @@ def sample_chains(
     state = _START_SPREAD * rng.standard_normal((dimension, options.chains))
     at = _Point(state, *potential(state))
     log_step, settled = np.log(_FIRST_STEP), []
+    total = options.warm_up + options.draws
     for i in range(options.warm_up):
+        progress(i, total)
         at, chance = _proposed(potential, at, float(np.exp(log_step)), rng)
         log_step += 1.5 * (i + 1.0) ** -0.6 * (float(chance.mean()) - TARGET_ACCEPTANCE)
         log_step = float(np.clip(log_step, np.log(_LEAST_STEP), np.log(_ANGLE[1])))
@@ -137,6 +143,7 @@ def sample_chains(
     draws = np.empty((options.draws, dimension, options.chains))
     energy, chances = np.empty((options.draws, options.chains)), np.empty(options.draws)
     for i in range(options.draws):
+        progress(options.warm_up + i, total)
         at, chance = _proposed(potential, at, step, rng)
         draws[i], energy[i], chances[i] = at.state, at.energy, chance.mean()
     ordered = np.ascontiguousarray(draws.transpose(2, 0, 1))
@@ -588,6 +595,7 @@ def sample_posterior(
     landmarks: Array,
     rng: np.random.Generator,
     options: SamplingOptions | None = None,
+    progress: Progress = lambda done, total: None,
 ) -> PosteriorDraws:
     """Draw from the smoother's posterior.
 
@@ -597,6 +605,7 @@ def sample_posterior(
         landmarks: (L, 2) of the optimum.
         rng: Equal generators give equal draws, to the bit.
         options: How many draws.
+        progress: Called with the iterations done, and all.
 
     Returns:
         The draws with their evidence.
@@ -606,7 +615,7 @@ def sample_posterior(
         SingularProblemError: Some direction is left without information.
     """
     density = WhitenedPotential(problem, poses, landmarks)
-    chains = sample_chains(density, density.dimension, rng, options)
+    chains = sample_chains(density, density.dimension, rng, options, progress)
     count, length, size = chains.draws.shape
     states = density.to_world(chains.draws.reshape(-1, size).T)
     every = np.vstack((states, chains.energy.reshape(1, -1)))
