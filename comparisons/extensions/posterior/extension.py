@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.errors import InputError
@@ -54,21 +55,21 @@ class Posterior(Extension):
             except ValueError as error:
                 raise InputError(f"{prepared.log.name}: --posterior samples: {error}") from None
             found = check_posterior(draws, compared.ekf.estimate, gaps.smoothed)
-        return PosteriorFinding(found, compared)
+        return PosteriorFinding(found, gaps.smoothed.landmark_id)
 
 
 class PosteriorFinding(Finding):
     """What the draws say of both Gaussians."""
 
-    def __init__(self, check: PosteriorCheck, compared: Compared) -> None:
-        """Only a remark: what the draws say changes no verdict."""
+    def __init__(self, check: PosteriorCheck, landmark_id: NDArray[np.int64]) -> None:
+        """Only remarks: what the draws say changes no verdict. landmark_id: (L,)."""
         self.check = check
         self.result = posterior_result(check)
         self.entries = {"posterior": self.result}
         if check.smoother is None:
             self.remarks = [f"the draws of the posterior did not converge: {check.draws.lacks}"]
             return
-        failed = failures(check.smoother, compared.gaps.smoothed.landmark_id)
+        failed = failures(check.smoother, landmark_id)
         if failed:
             self.remarks = [
                 "the smoother's own covariance is too small for its exact posterior: "
