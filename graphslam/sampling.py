@@ -4,8 +4,8 @@ The density is exp(-1/2 squared norm of the whitened residuals) of the factors o
 with respect to dx dy dheading of poses and dx dy of points. Hamiltonian Monte Carlo draws from it,
 with the Gaussian part integrated exactly and only the rest by steps (Beskos, Pinski, Sanz-Serna,
 Stuart 2011, "Hybrid Monte Carlo on Hilbert spaces"; Shahbaba, Lan, Johnson, Neal 2014, "Split
-Hamiltonian Monte Carlo"): where the posterior is gtsam's Gaussian, every proposal is independent of
-the last draw and is accepted, in any dimension.
+Hamiltonian Monte Carlo"): where the posterior is gtsam's Gaussian, every proposal is accepted and
+forgets the last draw, in any dimension.
 
 The chains run in anchored coordinates: the first pose, and all else in its frame. The change has
 Jacobian 1, as it is a rigid motion. What turns with the start's heading is curved in the world and
@@ -60,7 +60,6 @@ _SMALL_TURN = 1e-4
 
 Potential = Callable[[Array], tuple[Array, Array]]
 """Takes states (n, C); returns negative log densities (C,) and their gradients (n, C)."""
-
 Progress = Callable[[int, int], None]
 
 
@@ -99,7 +98,8 @@ class Judgement(NamedTuple):
     """A Gaussian against the exact posterior, for some numbers of the state.
 
     coverage: share of the posterior in the Gaussian's ellipsoid. least, largest: generalised
-    eigenvalues of (Gaussian's covariance, posterior's); below 1 is optimistic.
+    eigenvalues of (Gaussian's covariance, posterior's); below 1 is optimistic. Where all are equal,
+    chance may put least above largest.
     """
 
     coverage: Estimated
