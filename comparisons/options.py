@@ -282,6 +282,10 @@ RUN_EXTENSIONS = (
         choices=choices.SmootherMatcher, settings={"ekf": ABSENT, "generalised-icp": {}},
     ),
     Flag(
+        option="--posterior", field="extensions.posterior",
+        choices=choices.Posterior, settings={"none": ABSENT, "samples": {}},
+    ),
+    Flag(
         option="--dense", field="extensions.dense_maps.layers", choices=choices.Layer, many=True,
         panel=SCANS,
         help="Dense map layer (repeatable): points, occupancy, particles, sog (sum of Gaussians) "

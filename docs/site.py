@@ -36,6 +36,7 @@ from comparisons.extensions.dense_maps.result import DenseResult
 from comparisons.extensions.high_level.result import HighLevelResult
 from comparisons.extensions.own_association.extension import OwnAssociationResult
 from comparisons.extensions.own_matching.result import OwnMatchingResult
+from comparisons.extensions.posterior.result import PosteriorResult
 from comparisons.extensions.registry import config_class
 from comparisons.extensions.scan_landmarks.result import ScanSlamResult
 from comparisons.extensions.scan_motion.result import (
@@ -60,6 +61,7 @@ RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
     "result.json: entries of extensions": (
         OwnAssociationResult,
         OwnMatchingResult,
+        PosteriorResult,
         ScanSlamResult,
         ScanOdometryResult,
         IncrementResult,

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 EXTENSIONS = {
     "own_association": "comparisons.extensions.own_association.config:OwnAssociationConfig",
     "own_matching": "comparisons.extensions.own_matching.config:OwnMatchingConfig",
+    "posterior": "comparisons.extensions.posterior.config:PosteriorConfig",
     "scan_motion": "comparisons.extensions.scan_motion.config:ScanMotionConfig",
     "scan_landmarks": "comparisons.extensions.scan_landmarks.config:ScanLandmarksConfig",
     "dense_maps": "comparisons.extensions.dense_maps.config:DenseMapsConfig",

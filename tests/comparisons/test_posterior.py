@@ -1,0 +1,157 @@
+"""`--posterior samples`: draws of the exact posterior judge both Gaussians."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError
+from comparisons.extensions.posterior.check import (
+    Judged,
+    PosteriorCheck,
+    fails,
+    failures,
+    judged,
+)
+from comparisons.extensions.posterior.extension import PosteriorFinding
+from comparisons.extensions.posterior.result import posterior_result, posterior_rows
+from comparisons.pipeline.compare import Comparison, compare
+from comparisons.report.result import build_result, run_rows
+from comparisons.settings import run_config
+from graphslam.chain_diagnostics import Estimated, chain_evidence
+from graphslam.sampling import Judgement, PosteriorDraws
+from tests.helpers import first_seconds, simulated
+
+Array = NDArray[np.float64]
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@cache
+def short() -> Comparison:
+    log = first_seconds(simulated(seed=1, loop_s=20.0), 2.5)
+    return compare(log, run_config(posterior="samples"))
+
+
+def finding() -> PosteriorFinding:
+    return short().find(PosteriorFinding)
+
+
+def judgement(coverage: float, least: float) -> Judgement:
+    return Judgement(Estimated(coverage, 0.003), Estimated(least, 0.02), Estimated(1.0, 0.02))
+
+
+def test_a_short_run_has_an_entry_and_rows() -> None:
+    found = short()
+    result = build_result(found)
+    entry = json.loads(result.model_dump_json())["posterior"]
+    assert entry["converged"]
+    assert entry["draws"] == 8000
+    assert entry["r_hat"] <= 1.01
+    assert min(entry["bulk"], entry["tail"]) >= 400
+    problem = found.gaps.result.problem
+    assert entry["unknowns"] == problem.state_dimension
+    assert len(entry["moments"]["mean"]) == 3 + 2 * problem.landmark_count
+    rows = [row for row in run_rows(found, result) if row.group == "Posterior (draws)"]
+    assert {row.inside for row in rows} == {True, None}
+    assert any(row.quantity.startswith("EKF, last pose") for row in rows)
+    assert any(row.quantity.startswith("smoother, whole") for row in rows)
+
+
+def test_on_a_nearly_linear_run_both_gaussians_hold() -> None:
+    check = finding().check
+    assert check.smoother is not None
+    assert check.ekf is not None
+    assert not finding().remarks
+    for one in (check.smoother, check.ekf):
+        assert abs(one.pose.coverage.value - 0.95) < 0.02
+
+
+def test_a_filter_that_is_overconfident_is_found_out() -> None:
+    """The broken variant: half of the filter's sigmas."""
+    estimate = short().ekf.estimate
+    quarter = replace(estimate, joint_covariance=0.25 * estimate.joint_covariance)
+    found = judged(finding().check.draws, quarter)
+    assert fails(found.pose)
+    assert found.pose.least.value == pytest.approx(0.25, abs=0.03)
+    assert failures(found, estimate.landmark_id)[0] == "the last pose"
+
+
+def test_what_fails_is_named() -> None:
+    good, narrow, flat = judgement(0.95, 1.0), judgement(0.5, 1.0), judgement(0.95, 0.3)
+    ids = np.array([4, 7, 9, 11])
+
+    def named(pose: Judgement, whole: Judgement, *landmarks: Judgement) -> list[str]:
+        return failures(Judged(pose, landmarks, whole), ids)
+
+    assert named(good, good, good, good, good, good) == []
+    assert named(narrow, good, good, flat, good, good) == ["the last pose", "landmark 7"]
+    assert named(good, good, flat, flat, flat, flat) == ["4 of 4 landmarks"]
+    assert named(good, flat, good, good, good, good) == ["the last pose and all landmarks together"]
+
+
+def test_chance_does_not_fail_a_gaussian() -> None:
+    near = Judgement(Estimated(0.895, 0.003), Estimated(0.75, 0.02), Estimated(1.0, 0.02))
+    assert not fails(near)
+    assert fails(near._replace(coverage=Estimated(0.885, 0.003)))
+
+
+def test_without_convergence_nothing_is_judged() -> None:
+    draws = np.random.default_rng(0).standard_normal((16, 100, 7))
+    draws[0] += 3.0
+    stuck = PosteriorDraws(draws=draws, acceptance=0.9, step=1.0, evidence=chain_evidence(draws))
+    check = PosteriorCheck(stuck, None, None)
+    result = posterior_result(check)
+    assert (result.converged, result.moments, result.ekf, result.smoother) == (
+        False,
+        None,
+        None,
+        None,
+    )
+    rows = posterior_rows(check, result)
+    assert rows[-1].value == "not converged"
+    assert any(row.inside is False for row in rows)
+    assert "did not converge: R-hat" in PosteriorFinding(check, np.arange(2)).remarks[0]
+
+
+def test_a_long_log_is_refused_before_the_smoother_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("comparisons.extensions.posterior.extension.LARGEST_DIMENSION", 30)
+    with pytest.raises(InputError, match=r"draws at most 30 unknowns .* not \d+; --end S") as error:
+        compare(short().log, run_config(posterior="samples"), no_smoother)
+    assert "\n" not in str(error.value)
+
+
+def no_smoother(stage: str, done: int, total: int) -> None:
+    assert "smoother" not in stage, stage
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"landmarks": "scans"}, "goes with landmarks that are points"),
+        ({"robust": "huber"}, "goes with the batch smoother"),
+        ({"smoother": "isam2"}, "goes with the batch smoother"),
+    ],
+)
+def test_what_it_does_not_go_with(settings: dict[str, str], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        run_config(posterior="samples", **settings)
+
+
+def test_who_does_not_ask_loads_none_of_it() -> None:
+    assert "posterior" not in run_config().extensions
+    assert "posterior" not in run_config(posterior="none").extensions
+    code = (
+        "import sys; from comparisons.pipeline.compare import compare\n"
+        "from comparisons.settings import run_config; run_config()\n"
+        "assert not [m for m in sys.modules if 'posterior' in m or 'sampling' in m]\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
