@@ -2,6 +2,7 @@
 
     python benchmarks/fastslam.py [--particles 10 30 100] [--seeds 1] [--epochs K]
         [--proposal measurement | motion] [--labelled | --data DIR] [--copies]
+        [--agreement [--wheelbase F]]
 
 By default the raw detections of Victoria Park (--data), which every particle associates for itself.
 A row a number of particles and seed: median distance to the GPS, also after the rigid motion that
@@ -11,13 +12,16 @@ seconds of processor time, and how many times faster than the log's own time.
 
 --labelled: the bundled log `victoria-park` instead, with its labels; it has no GPS, so its error
 is the median distance from the EKF's trajectory. --copies: what resampling costs per copied map at
-300 landmarks, and a measurement update beside it.
+300 landmarks, and a measurement update beside it. --agreement: the clouds of `slamcheck run
+--third fastslam` against the smoother on simulated loops of so many seeds, where FastSLAM alone has
+a wheelbase that is wrong by a factor F (1).
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +32,14 @@ from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory
 from comparisons.config import EkfConfig
+from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
-from comparisons.logs.bundled import open_log
+from comparisons.extensions.fastslam.extension import FastSlamExtension, compare_clouds
+from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers import victoria_park
+from comparisons.pipeline.compare import compare
 from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.core.trace import Trace
@@ -41,6 +49,7 @@ from ekf_reference.models.motion import RelativePoseModel
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data" / "victoria_park"
+CLOUDS = FastSlamConfig().clouds
 HEAD = (
     f"{'particles':>9} {'seed':>4} {'error m':>8} {'aligned m':>9} {'first 10 %':>10} "
     f"{'middle':>6} {'ESS/N':>6} {'resampled':>9} {'landmarks':>9} {'cpu s':>7} {'real time':>9}"
@@ -106,6 +115,32 @@ def copies(particles: int, landmarks: int = 300) -> str:
     return f"{particles:>9} {copied:>7} " + " ".join(f"{1e3 * s / repeats:>12.2f}" for s in spent)
 
 
+def agreement(particles: int, seeds: int, wheelbase: float) -> None:
+    """Print a row a seed, and how many disagree."""
+    print(
+        f"{'particles':>9} {'seed':>4} {'statistic':>9} {'limit':>6} {'independent':>11}  verdict"
+    )
+    extension, verdicts = FastSlamExtension(FastSlamConfig(particles=particles)), []
+    for seed in range(seeds):
+        found = compare(open_log("simulated-loop", choices=SimulationChoices(seed=seed)))
+        log, odometry = found.prepared.log, found.prepared.log.odometry
+        assert isinstance(odometry, SteeringOdometry)
+        vehicle = replace(odometry.vehicle, wheelbase_m=wheelbase * odometry.vehicle.wheelbase_m)
+        log = replace(log, odometry=replace(odometry, vehicle=vehicle))
+        clouds = [extension.cloud(found.prepared, log, k) for k in range(CLOUDS)]
+        check = compare_clouds(clouds, found.gaps.smoothed)
+        verdicts.append(check.agrees)
+        print(
+            f"{particles:>9} {seed:>4} {check.statistic:>9.1f} {check.limit:>6.1f} "
+            f"{check.independent:>11.2f}  {check.agrees} {'; '.join(check.shape)}",
+            flush=True,
+        )
+    print(
+        f"wheelbase x {wheelbase:g}: {verdicts.count(False)} of {seeds} disagree, "
+        f"{verdicts.count(True)} agree, {verdicts.count(None)} without verdict"
+    )
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -118,11 +153,17 @@ def main() -> None:
     parser.add_argument("--labelled", action="store_true")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--copies", action="store_true")
+    parser.add_argument("--agreement", action="store_true")
+    parser.add_argument("--wheelbase", type=float, default=1.0, metavar="F")
     given = parser.parse_args()
     if given.copies:
         print(f"{'particles':>9} {'copied':>7} {'resample ms':>12} {'scan ms':>12}")
         for particles in given.particles:
             print(copies(particles))
+        return
+    if given.agreement:
+        for particles in given.particles:
+            agreement(particles, given.seeds, given.wheelbase)
         return
     if not given.labelled and not victoria_park.recognises(given.data):
         parser.error(f"{given.data} holds no detections of Victoria Park; see --labelled")
