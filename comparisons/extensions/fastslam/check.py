@@ -4,7 +4,8 @@ Particles of one cloud share ancestors, so the number of particles, and the effe
 say too much of how well the cloud's mean is known. Independent clouds tell: the scatter of their
 means, V, is the Monte Carlo error of one. The mean of M clouds is not better by M: depletion also
 leaves a bias, which all clouds share and which averaging does not lessen. On simulated loops it is
-some three times the scatter of a cloud in the worst direction. So the smoother's pose is taken for one more draw.
+some three times the scatter of a cloud in the worst direction. So the smoother's pose is taken for
+one more draw.
 """
 
 from __future__ import annotations

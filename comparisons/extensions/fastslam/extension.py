@@ -185,7 +185,7 @@ def _remarks(check: CloudCheck, depleted: Depletion, own: FastSlamResult) -> lis
         found.append(
             f"FastSLAM gives no verdict: a cloud of {own.particles} particles knows the last pose "
             f"no better than {check.independent:.2g} independent particles would "
-            f"({depleted.middle} ancestors at the middle of the log)"
+            f"(particles at the middle of the log that have descendants: {depleted.middle})"
         )
     if check.agrees is False:
         found.append(
