@@ -17,10 +17,10 @@ class FastSlamConfig(ExtensionConfig):
 
     particles: int = Field(100, ge=4, le=100_000, description="Particles of each cloud")
     clouds: int = Field(
-        16,
+        24,
         ge=8,
         le=1000,
-        description="Independent clouds; how their means scatter is the Monte Carlo error",
+        description="Independent clouds; the scatter of their means is the Monte Carlo error",
     )
     proposal: Literal["1.0", "2.0"] = Field(
         "2.0",

@@ -118,7 +118,7 @@ class FastSlamFinding(Finding):
                 f"at most {own.limit:.1f}",
                 own.agrees,
             ),
-            Row(group, "independent particles of the posterior", f"{own.independent:.2f}", "1"),
+            Row(group, "independent particles of the posterior", f"{own.independent:.2g}"),
             Row(group, "effective sample size, mean", f"{own.effective:.0f}"),
             Row(group, "ancestors of the cloud: first, middle", f"{own.first}, {own.middle}"),
             *accuracy_rows("FastSLAM", own.accuracy),
@@ -183,9 +183,9 @@ def _remarks(check: CloudCheck, depleted: Depletion, own: FastSlamResult) -> lis
     found = []
     if check.agrees is None:
         found.append(
-            f"FastSLAM gives no verdict: {own.clouds} clouds of {own.particles} particles know the "
-            f"last pose no better than {check.independent:.2f} independent particles would "
-            f"({depleted.middle} ancestors at the middle of the log)"
+            f"FastSLAM gives no verdict: a cloud of {own.particles} particles knows the last pose "
+            f"no better than {check.independent:.2g} independent particles would "
+            f"(particles at the middle of the log that have descendants: {depleted.middle})"
         )
     if check.agrees is False:
         found.append(
@@ -233,7 +233,7 @@ class FastSlamResult(Model):
         statistic: squared difference over the smoother's variance and the Monte Carlo error's.
         limit: largest statistic at the level.
         level: probability, at most, of a disagreement where there is none.
-        independent: independent particles that know the last pose as well as all clouds together.
+        independent: independent particles that know the last pose as well as one cloud.
         agrees: whether the clouds agree with the smoother; null where they are too small to tell.
         verdict: the same in words.
         shape: what of the clouds is not Gaussian.
