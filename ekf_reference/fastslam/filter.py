@@ -176,7 +176,7 @@ class FastSlam:
         return found
 
     def sample_motion(self) -> None:
-        """Sample the motion since the last sampled pose, without a measurement."""
+        """Sample the motion since the last sampled pose, without a measurement (eq. 2.9)."""
         noise = self.generator.standard_normal(self.pose.shape)
         self.pose = moved(self.predicted_pose(), noise @ self.motion.root_at_arrival().T)
         self.motion = AccumulatedMotion()
@@ -214,9 +214,9 @@ class FastSlam:
         return numbers
 
     def _fuse(self, seen: Measurements) -> Index:
-        """Sample, weigh and map with measurements of distinct landmarks; return columns (N, m).
+        """Sample, weigh (eq. 2.10) and map with measurements of distinct landmarks.
 
-        Without motion left to sample, the same lines are FastSLAM 1.0.
+        Without motion left to sample, the same lines are FastSLAM 1.0. Returns columns (N, m).
         """
         options, maps = self.options, self.maps
         sensor, rule = options.sensor, options.association

@@ -166,7 +166,7 @@ class ParticleMaps:
     def update(
         self, columns: Index, used: Mask, at: Expected, innovation: Array, noise: Array
     ) -> None:
-        """Fuse measurements with the landmarks, the pose being known.
+        """Fuse measurements with the landmarks, the pose being known (Nieto 2005, eq. 2.20).
 
         Args:
             columns: (N, m), distinct in each row where used.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from comparisons.experiments.reproduction import (
     nieto_car_park,
     nieto_car_park_scans,
     nieto_dense,
+    nieto_fastslam,
     nieto_high_level,
     nieto_motion,
     nieto_regions,
@@ -30,6 +32,8 @@ from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore
 from comparisons.experiments.reproduction.interface import Sources
 from comparisons.extensions.dense_maps.accuracy import surface_error
 from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.simulate.waypoints import WaypointRun
+from comparisons.logs.simulate.waypoints import simulate as simulate_waypoints
 from ekf_reference.dense.layers.layer import Samples
 from tests.helpers import first_seconds
 
@@ -71,6 +75,16 @@ def splits() -> update_split.Split:
     }
     each = tuple(update_split.SplitLog(name, runs) for name in ("a loop", "another"))
     return update_split.Split("made up", each)
+
+
+def clouds() -> nieto_fastslam.Clouds:
+    """Of a simulated drive with positions; what is claimed of Victoria Park is made up."""
+    log = simulate_waypoints(np.random.default_rng(2), WaypointRun(most_s=30.0))
+    found = nieto_fastslam.clouds_of(log, (5, 20))
+    most = found.runs[-1]
+    trees = np.resize(most.landmark, (120, 2))
+    right = replace(most, median_m=1.5, landmark=trees, distinct=np.full_like(most.distinct, 2))
+    return replace(found, runs=(found.runs[0], right))
 
 
 def rounds() -> nieto_dense.Rounds:
@@ -179,6 +193,7 @@ def car_park_scans() -> nieto_car_park_scans.CarParkScans:
 
 SMALL: dict[str, Callable[[], Any]] = {
     "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
+    "section 2.10, FastSLAM": clouds,
     "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
     "Examples 3.1 and 3.2": lambda: nieto_regions.examples(Sources(drives=2)),
     "Misono's Fig. 5": lambda: misono.drives(Sources(drives=1)),

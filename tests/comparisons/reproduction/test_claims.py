@@ -19,7 +19,7 @@ from comparisons.experiments.reproduction.interface import (
 from comparisons.experiments.reproduction.nieto_dense_claims import LITERALLY
 from comparisons.experiments.reproduction.registry import FIGURES
 from comparisons.report.picture import blank
-from tests.comparisons.reproduction.small import data, round_of, samples
+from tests.comparisons.reproduction.small import CORNERS, data, round_of, samples
 
 BY_NAME = {figure.name: figure for figure in FIGURES}
 
@@ -70,6 +70,10 @@ def each(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 def closed(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda maps: replace(maps, closed=tuple(change(m) for m in maps.closed))
+
+
+def most_particles(**changed: Any) -> Callable[[Any], Any]:
+    return lambda found: replace(found, runs=(*found.runs[:-1], replace(found.runs[-1], **changed)))
 
 
 def blurred(motion: Any) -> Any:
@@ -449,6 +453,9 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N2.11", drives(swapped), {1}),
     ("N2.11", drives(lambda d: replace(d, end=d.before)), {2}),
     ("N2.12", lambda f: replace(f, before=f.after, after=f.before), {0}),
+    ("N2.13", most_particles(median_m=5.0), {0}),
+    ("N2.13", most_particles(landmark=CORNERS), {1}),
+    ("N2.13", most_particles(distinct=np.full(50, 20)), {2}),
     ("N3.4", drives(independent), {0}),
     ("N3.4", drives(scattered), {3}),
     ("N3.5", each(never_local), {2, 3}),
@@ -531,6 +538,7 @@ def test_every_figure_has_a_broken_variant() -> None:
 SOUND = {
     "N2.11": 3,
     "N2.12": 1,
+    "N2.13": 3,
     "N3.18": 1,
     "N3.20": 4,
     "N4.15": 1,
