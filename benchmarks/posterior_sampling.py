@@ -369,16 +369,16 @@ def kernels(seed: int) -> None:
         run, _ = run_filter(prepared)
         problem = build_problem(prepared.log, run)
         result = smooth(problem, {"ekf": (run.departed, run.estimate.landmark)})
-        anchored = Counted(WhitenedPotential(problem, result.poses, result.landmarks))
+        along = Counted(WhitenedPotential(problem, result.poses, result.landmarks))
         found = {}
-        chains = sample_chains(anchored, problem.state_dimension, rng)
-        calls = anchored.calls
+        chains = sample_chains(along, problem.state_dimension, rng)
+        calls = along.calls
         found["HMC"] = chains.draws, chains.acceptance, calls
         world = Counted(in_the_world(problem, result))
         chains = sample_chains(world, problem.state_dimension, rng)
-        found["HMC, not anchored"] = chains.draws, chains.acceptance, world.calls
+        found["HMC, in the world"] = chains.draws, chains.acceptance, world.calls
         for label, local in (("Crank-Nicolson", True), ("independence", False)):
-            drawn, rate = metropolis(anchored, problem.state_dimension, rng, calls, local=local)
+            drawn, rate = metropolis(along, problem.state_dimension, rng, calls, local=local)
             found[label] = drawn, rate, calls
         for label, (drawn, accepted, spent) in found.items():
             evidence = chain_evidence(drawn)

@@ -7,9 +7,9 @@ Stuart 2011, "Hybrid Monte Carlo on Hilbert spaces"; Shahbaba, Lan, Johnson, Nea
 Hamiltonian Monte Carlo"): where the posterior is gtsam's Gaussian, every proposal is accepted and
 forgets the last draw, in any dimension.
 
-The chains run in anchored coordinates: the first pose, and all else in its frame. The change has
-Jacobian 1, as it is a rigid motion. What turns with the start's heading is curved in the world and
-straight there.
+The coordinates are those along the path: each pose in the frame of the one before, each point in
+the frame of the pose that measured it first. The change has Jacobian 1, as rigid motions have. What
+swings with an uncertain heading is curved in the world, and straight there.
 
 One density may have several separate modes; chains find the one that they start in. The smoother's
 search for other minima is the evidence that there is one.
@@ -344,38 +344,41 @@ def _half_cotangent(turn: Array) -> tuple[Array, Array]:
     return value, slope
 
 
-class AnchoredPotential:
-    """The same density in the first pose's frame.
+class ChainPotential:
+    """The same density in coordinates along the path.
 
-    Coordinates q (n, C): the first pose in the world, then poses and points in its frame.
+    q (n, C): every pose in the frame of the one before, the first in the world; every point in the
+    frame of the pose that measured it first.
     """
 
     def __init__(self, potential: SlamPotential) -> None:
         """potential: of states in the world."""
         self._world = potential
+        problem = potential.problem
+        count = problem.pose_count
+        anchor = np.full(problem.landmark_count, count, dtype=np.intp)
+        np.minimum.at(anchor, problem.measurement_landmark, problem.measurement_pose)
+        self._anchor: Index = np.where(anchor < count, anchor, 0)
+        self._to_anchor = _sums(self._anchor, count)
 
     def to_world(self, q: Array) -> Array:
         """Return states (n, C) in the world."""
-        state = q.copy()
-        here = q[:3]
-        for part in self._world.split(state):  # views of the new state
-            turned = _turned(part, here[2])
-            part[:, :2] = turned + here[:2]
-            if part.shape[1] == 3:
-                part[:, 2] += here[2]
-        state[:3] = here
+        state = np.empty_like(q)
+        (steps, local), (poses, points) = self._world.split(q), self._world.split(state)
+        poses[:, 2] = np.cumsum(steps[:, 2], axis=0)
+        poses[:, :2] = np.cumsum(_turned(steps, _before(poses[:, 2])), axis=0)
+        here = poses[self._anchor]
+        points[:] = here[:, :2] + _turned(local, here[:, 2])
         return state
 
-    def to_anchored(self, state: Array) -> Array:
+    def to_chain(self, state: Array) -> Array:
         """Return coordinates (n, C) of states in the world."""
-        q = state.copy()
-        here = state[:3]
-        for part in self._world.split(q):
-            part[:, :2] -= here[:2]
-            part[:, :2] = _turned(part, -here[2])
-            if part.shape[1] == 3:
-                part[:, 2] -= here[2]
-        q[:3] = here
+        q = np.empty_like(state)
+        (steps, local), (poses, points) = self._world.split(q), self._world.split(state)
+        steps[:] = np.diff(poses, axis=0, prepend=0.0)
+        steps[:, :2] = _turned(steps, -_before(poses[:, 2]))
+        here = poses[self._anchor]
+        local[:] = _turned(points - here[:, :2], -here[:, 2])
         return q
 
     def __call__(self, q: Array) -> tuple[Array, Array]:
@@ -385,31 +388,50 @@ class AnchoredPotential:
         return energy, self.pulled_back(state, gradient)
 
     def pulled_back(self, state: Array, gradient: Array) -> Array:
-        """Return gradients (n, C) in the coordinates from those in the world at states (n, C)."""
-        found = gradient.copy()
-        here = state[:3]
-        total = np.zeros_like(here)
-        every = zip(self._world.split(found), self._world.split(state), strict=True)
-        for part, places in every:
-            arm = places[:, :2] - here[:2]
-            total[:2] += part[:, :2].sum(axis=0)
-            total[2] += np.sum(arm[:, 0] * part[:, 1] - arm[:, 1] * part[:, 0], axis=0)
-            if part.shape[1] == 3:
-                total[2] += part[:, 2].sum(axis=0)
-            part[:, :2] = _turned(part, -here[2])
-        found[:3] = total
+        """Return gradients (n, C) in the coordinates from those in the world at states (n, C).
+
+        As of forces on a chain of rigid bodies: a step moves, and its turn swings, all that comes
+        after it.
+        """
+        found, columns = np.empty_like(gradient), gradient.shape[1]
+        (poses, points), (by_pose, by_point) = self._world.split(state), self._world.split(gradient)
+        steps, local = self._world.split(found)
+        carried = self._to_anchor @ by_point.reshape(len(by_point), -1)
+        force = _after(by_pose[:, :2] + carried.reshape(-1, 2, columns))
+        torque = by_pose[:, 2] + _cross(poses, by_pose)
+        torque = _after(torque + self._to_anchor @ _cross(points, by_point))
+        steps[:, :2] = _turned(force, -_before(poses[:, 2]))
+        steps[:, 2] = torque - _cross(poses, force)
+        local[:] = _turned(by_point, -poses[self._anchor, 2])
         return found
 
 
+def _before(heading: Array) -> Array:
+    """Of headings (K, C), that of the pose before; zero before the first."""
+    return np.concatenate((np.zeros((1, heading.shape[1])), heading[:-1]))
+
+
+def _after(terms: Array) -> Array:
+    """Sums of terms (K, ...) from each row to the last."""
+    sums: Array = np.cumsum(terms[::-1], axis=0)[::-1]
+    return sums
+
+
+def _cross(places: Array, forces: Array) -> Array:
+    """Moments (N, C) about the origin of forces at places, (N, w, C) each."""
+    moments: Array = places[:, 0] * forces[:, 1] - places[:, 1] * forces[:, 0]
+    return moments
+
+
 def _turned(places: Array, heading_rad: Array) -> Array:
-    """Rotate x, y of (N, w, C) by headings (C,); returns (N, 2, C)."""
+    """Rotate x, y of (N, w, C) by headings (N, C); returns (N, 2, C)."""
     cos, sin = np.cos(heading_rad), np.sin(heading_rad)
     x, y = places[:, 0], places[:, 1]
     return np.stack((cos * x - sin * y, sin * x + cos * y), axis=1)
 
 
-def laplace_root(potential: AnchoredPotential, problem: SlamProblem, state: Array) -> Array:
-    """Return a root of gtsam's covariance at an optimum, in anchored coordinates.
+def laplace_root(potential: ChainPotential, problem: SlamProblem, state: Array) -> Array:
+    """Return a root of gtsam's covariance at an optimum, in coordinates along the path.
 
     Args:
         potential: Of the problem.
@@ -450,10 +472,10 @@ class WhitenedPotential:
                 f"{problem.state_dimension} unknowns cannot be sampled, expected at most "
                 f"{LARGEST_DIMENSION}"
             )
-        self._anchored = AnchoredPotential(SlamPotential(problem))
+        self._chain = ChainPotential(SlamPotential(problem))
         self._optimum = np.concatenate((poses.ravel(), landmarks.ravel()))
-        self._root = laplace_root(self._anchored, problem, self._optimum)
-        self._centre = self._anchored.to_anchored(self._optimum[:, None])
+        self._root = laplace_root(self._chain, problem, self._optimum)
+        self._centre = self._chain.to_chain(self._optimum[:, None])
         self._headings = np.arange(2, 3 * problem.pose_count, 3)
 
     @property
@@ -463,13 +485,13 @@ class WhitenedPotential:
 
     def __call__(self, whitened: Array) -> tuple[Array, Array]:
         """Return energies (C,) and gradients (n, C)."""
-        energy, gradient = self._anchored(self._centre + self._root @ whitened)
+        energy, gradient = self._chain(self._centre + self._root @ whitened)
         return energy, self._root.T @ gradient
 
     def to_world(self, whitened: Array) -> Array:
         """Return states (n, C) in the world, headings within pi of the optimum's."""
         optimum = self._optimum[:, None]
-        apart = self._anchored.to_world(self._centre + self._root @ whitened) - optimum
+        apart = self._chain.to_world(self._centre + self._root @ whitened) - optimum
         apart[self._headings] = wrap_angle(apart[self._headings])
         return apart + optimum
 

@@ -19,7 +19,7 @@ from graphslam.graph_builder import build_graph, to_values
 from graphslam.marginals import SingularProblemError
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.sampling import (
-    AnchoredPotential,
+    ChainPotential,
     Chains,
     NotConvergedError,
     PosteriorDraws,
@@ -194,16 +194,16 @@ def test_a_bearing_that_is_not_wrapped_is_found(monkeypatch: pytest.MonkeyPatch)
     assert SlamPotential(problem)(at)[0][0] != pytest.approx(expected, rel=0.5)
 
 
-@pytest.mark.parametrize("anchored", [False, True])
-def test_gradient_is_that_of_central_differences(anchored: bool) -> None:
+@pytest.mark.parametrize("chained", [False, True])
+def test_gradient_is_that_of_central_differences(chained: bool) -> None:
     problem = everything()
     potential: Potential = SlamPotential(problem)
-    if anchored:
-        potential = AnchoredPotential(SlamPotential(problem))
+    if chained:
+        potential = ChainPotential(SlamPotential(problem))
     at = states(problem, 1, 0.2)
     at[0] += 1.0  # the residuals are large
-    if anchored:
-        at = AnchoredPotential(SlamPotential(problem)).to_anchored(at)
+    if chained:
+        at = ChainPotential(SlamPotential(problem)).to_chain(at)
     gradient, expected = potential(at)[1][:, 0], by_differences(potential, at)
     scale = 1e-6 * np.abs(expected).max()
     np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=scale)
@@ -219,15 +219,15 @@ def test_gradient_of_a_motion_without_turn_is_that_of_central_differences() -> N
     np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
 
-def test_anchored_coordinates_keep_volume_and_lead_back() -> None:
+def test_coordinates_along_the_path_keep_volume_and_lead_back() -> None:
     problem = everything()
-    anchored = AnchoredPotential(SlamPotential(problem))
+    chained = ChainPotential(SlamPotential(problem))
     at = states(problem, 3, 0.3)
-    q = anchored.to_anchored(at)
-    np.testing.assert_allclose(anchored.to_world(q), at, atol=1e-12)
+    q = chained.to_chain(at)
+    np.testing.assert_allclose(chained.to_world(q), at, atol=1e-12)
     moved, step = q[:, :1], 1e-6
-    ahead = anchored.to_world(moved + step * np.eye(len(q)))
-    behind = anchored.to_world(moved - step * np.eye(len(q)))
+    ahead = chained.to_world(moved + step * np.eye(len(q)))
+    behind = chained.to_world(moved - step * np.eye(len(q)))
     sign, logarithm = np.linalg.slogdet((ahead - behind) / (2.0 * step))
     assert sign == 1.0
     assert logarithm == pytest.approx(0.0, abs=1e-6)
@@ -237,10 +237,10 @@ def test_laplace_root_is_the_smoothers_joint_marginal() -> None:
     problem = everything()
     s = solved(problem)
     optimum = np.concatenate((s.poses.ravel(), s.landmarks.ravel()))
-    anchored = AnchoredPotential(SlamPotential(problem))
-    root = laplace_root(anchored, problem, optimum)
-    centre, step = anchored.to_anchored(optimum[:, None]), 1e-6
-    to_world = anchored.to_world(centre + step * root) - anchored.to_world(centre - step * root)
+    chained = ChainPotential(SlamPotential(problem))
+    root = laplace_root(chained, problem, optimum)
+    centre, step = chained.to_chain(optimum[:, None]), 1e-6
+    to_world = chained.to_world(centre + step * root) - chained.to_world(centre - step * root)
     to_world /= 2.0 * step
     expected = s.joint(range(problem.pose_count), range(problem.landmark_count))
     scale = np.sqrt(np.diag(expected))
