@@ -33,6 +33,7 @@ from comparisons.config import JOBS, Configured
 from comparisons.experiments.montecarlo.models import MonteCarloResult
 from comparisons.experiments.reproduction.models import ReproductionResult
 from comparisons.extensions.dense_maps.result import DenseResult
+from comparisons.extensions.fastslam.extension import FastSlamResult
 from comparisons.extensions.high_level.result import HighLevelResult
 from comparisons.extensions.own_association.extension import OwnAssociationResult
 from comparisons.extensions.own_matching.result import OwnMatchingResult
@@ -62,6 +63,7 @@ RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
         OwnAssociationResult,
         OwnMatchingResult,
         PosteriorResult,
+        FastSlamResult,
         ScanSlamResult,
         ScanOdometryResult,
         IncrementResult,
