@@ -38,7 +38,6 @@ from comparisons.audit.smoothing import Anchors, Averaged, averaged
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.audit.trace_file import Trace, TraceCounts
 from comparisons.checks.consistency.normalised import faults
-from comparisons.errors import InputError
 from graphslam.event_smoother import EventSmoother
 from graphslam.marginals import Marginal
 
@@ -458,6 +457,3 @@ class _Pass:
                 ),
             )
         )
-
-
-__all__ = ["Audit", "Finding", "InputError", "audit"]

@@ -64,8 +64,9 @@ def test_a_browser_builds_layers_and_curves(report: Path, tmp_path: Path) -> Non
     layers = len(re.findall('<g class="layer', dom))
     assert layers >= 9
     assert dom.count('type="checkbox"') == layers
-    # Curves of east, north, heading, NEES, NIS and whiteness, and two maps of correlations.
-    assert dom.count("<figure>") == 6 + 2
+    # Curves of east, north, heading, NEES, spurious heading, NIS and whiteness, and two maps of
+    # correlations.
+    assert dom.count("<figure>") == 7 + 2
     assert len(re.findall(r'<path d="M[^"]{200,}"[^>]* class="line"', dom)) >= 5
     assert "NaN" not in dom.split("<script", 1)[0]
     assert "<title>owned</title>" not in dom
@@ -148,7 +149,7 @@ def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
     dom = tried(report, tmp_path, STEPS)
     assert came_up(dom)
     assert shown(dom, "now") == "2"  # the pose on both trajectories
-    assert shown(dom, "cursors") == "5"  # all curves over time
+    assert shown(dom, "cursors") == "6"  # all curves over time
     whole, wheel, drag = (shown(dom, name) for name in ("whole", "wheel", "drag"))
     assert len({whole, wheel, drag}) == 3
     assert shown(dom, "zoomed") == shown(dom, "label") == shown(dom, "chosen") == "true"
