@@ -306,13 +306,13 @@ def report(name: str, solved: list[Solved], rng: np.random.Generator) -> Iterato
 def calibration(names: list[str], problems: int, seed: int) -> None:
     """Print every case."""
     for name in names:
-        begun = time.process_time()
+        start_s = time.process_time()
         rng = np.random.default_rng([seed, list(CASES).index(name)])
         case = CASES[name]()
         solved = [solve(draw_problem(case, rng), rng) for _ in range(problems)]
         for line in report(name, solved, rng):
             print(line, flush=True)
-        print(f"  {time.process_time() - begun:.0f} s of processor time")
+        print(f"  {time.process_time() - start_s:.0f} s of processor time")
 
 
 class Counted:

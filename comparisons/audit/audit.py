@@ -7,6 +7,7 @@ fault is found where it happens.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -151,8 +152,7 @@ class _Pass:
         self.trace, self.tolerance = trace, tolerance
         self.replay: Replay
         self.smoother: EventSmoother
-        self.findings: list[Finding] = []
-        self.logs: dict[str, InnovationLog] = {}
+        self.logs: defaultdict[str, InnovationLog] = defaultdict(InnovationLog)
         self.anchors = Anchors()
         self.nees: list[tuple[int, float, int]] = []
         self.blocks: dict[str, int] = {}
@@ -163,7 +163,7 @@ class _Pass:
         self.known: set[str] = set()
         self.sound = self.optimal = True
         self.broken: set[str] = set()
-        self.unlike: dict[str, tuple[Finding, int]] = {}
+        self.found: dict[str, tuple[Finding, int]] = {}
         self.pending: list[Finding] = []
         self.start: Replay | None = None
         self.spurious: SpuriousInformation | None = None
@@ -257,10 +257,7 @@ class _Pass:
 
     def _update(self, event: Update) -> None:
         fused = self.replay.update(event)
-        log = self.logs.get(event.sensor)
-        if log is None:
-            log = self.logs[event.sensor] = InnovationLog()
-        log.add(event.number, event.time_s, fused.whitened, event.used)
+        self.logs[event.sensor].add(event.number, event.time_s, fused.whitened, event.used)
         if not event.used:
             return
         self.smoother.measure(event.blocks, event.jacobian, event.noise, event.residual)
@@ -374,8 +371,7 @@ class _Pass:
             text = f"between events {first} and {last}, {cause.what}"
             return Finding(check, True, text, first, None, cause.blocks)
         sensor = event.sensor if isinstance(event, Update) else None
-        tail = ", nor later ones of its kind" if cause.repeated else ""
-        tail = "" if cause.sound else tail
+        tail = ", as at later ones of its kind" if cause.repeated and not cause.sound else ""
         text = f"{name_of(event)}: {cause.what}{tail}"
         return Finding(check, not cause.sound, text, event.number, sensor, cause.blocks)
 
@@ -392,8 +388,8 @@ class _Pass:
     def _add(self, finding: Finding, kind: str) -> None:
         """Keep the first finding of a kind, and count the others."""
         key = f"{finding.check}|{finding.sensor}|{kind}"
-        first, count = self.unlike.get(key, (finding, 0))
-        self.unlike[key] = first, count + 1
+        first, count = self.found.get(key, (finding, 0))
+        self.found[key] = first, count + 1
 
     def _error(self, snapshot: Snapshot, error: Array) -> None:
         """Note the error squared, in units of the recorded covariance."""
@@ -442,7 +438,7 @@ class _Pass:
     def _ordered(self) -> tuple[Finding, ...]:
         """Return findings, faults first, those of one event's algebra before what follows."""
         found = []
-        for first, count in self.unlike.values():
+        for first, count in self.found.values():
             more = f"; and {count - 1:,} more" if count > 1 else ""
             found.append(first._replace(text=first.text + more))
         rank = {"covariance": 1, "algebra": 0, "correction": 0, "gain": 0}

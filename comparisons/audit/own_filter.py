@@ -113,7 +113,7 @@ class _Events:
             yield Directions(*self._next(), (VEHICLE,), basis, tuple(_directions(p)), blind)
         fused = {w: _fused(one) for w, one in trace.measurements.items()}
         fixes, merges = _fused(trace.positions), _by_step(trace.merges.step)
-        begun = {w: _by_step(one.step) for w, one in trace.initialisations.items()}
+        initialised = {w: _by_step(one.step) for w, one in trace.initialisations.items()}
         gone = _by_step(trace.removals.step)
         for step in range(len(trace.f) + 1):
             if step:
@@ -122,7 +122,7 @@ class _Events:
                 f, q = trace.f[step - 1], trace.q[step - 1]
                 yield Predict(*self._next(), (VEHICLE,), f, q)
             for width in SENSORS:
-                new, seen = begun[width].get(step, []), fused[width].get(step, [])
+                new, seen = initialised[width].get(step, []), fused[width].get(step, [])
                 yield from self._landmarks(width, new, seen)
                 if width == POINT:
                     for begin, end in fixes.get(step, []):
@@ -144,11 +144,11 @@ class _Events:
         return f"scan landmark {landmark_index}"
 
     def _landmarks(
-        self, width: int, begun: list[int], fused: list[tuple[int, int]]
+        self, width: int, initialised: list[int], fused: list[tuple[int, int]]
     ) -> Iterator[Event]:
         """Yield what is initialised and measured at one step."""
         new, seen = self._run.trace.initialisations[width], self._run.trace.measurements[width]
-        for row in begun:
+        for row in initialised:
             name = self._name(width, int(new.landmark_index[row]))
             jacobians = new.jacobian_pose[row], new.jacobian_other[row]
             yield Augment(*self._next(), name, (VEHICLE,), *jacobians, new.noise[row])

@@ -133,12 +133,12 @@ class SpuriousInformation:
     def _update(self, event: Update) -> None:
         at, u = self._replay.layout.columns(event.blocks), self._u
         fused = self._replay.update(event._replace(correction=None, gain=None))
-        told = event.jacobian @ u[at]
-        whitened = fused.inverse_root @ told
+        sensed = event.jacobian @ u[at]
+        whitened = fused.inverse_root @ sensed
         share = whitened.T @ whitened
         if not np.isfinite(share).all():
             return
-        self._u = u - fused.gain @ told
+        self._u = u - fused.gain @ sensed
         self._information += share
         self._by_sensor[event.sensor] += share
         gross = np.abs(fused.inverse_root) @ (np.abs(event.jacobian) @ np.abs(u[at]))
