@@ -2,7 +2,7 @@
 
     python benchmarks/fastslam.py [--particles 10 30 100] [--seeds 1] [--epochs K]
         [--proposal measurement | motion] [--labelled | --data DIR] [--copies]
-        [--agreement [--wheelbase F]]
+        [--agreement [--wheelbase F ...]]
 
 By default the raw detections of Victoria Park (--data), which every particle associates for itself.
 A row a number of particles and seed: median distance to the GPS, also after the rigid motion that
@@ -13,14 +13,15 @@ seconds of processor time, and how many times faster than the log's own time.
 --labelled: the bundled log `victoria-park` instead, with its labels; it has no GPS, so its error
 is the median distance from the EKF's trajectory. --copies: what resampling costs per copied map at
 300 landmarks, and a measurement update beside it. --agreement: the clouds of `slamcheck run
---third fastslam` against the smoother on simulated loops of so many seeds, where FastSLAM alone has
-a wheelbase that is wrong by a factor F (1).
+--third fastslam` against the smoother, over stretches of simulated loops of so many seeds, where
+FastSLAM alone has a wheelbase that is wrong by the factors F (1).
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,9 +33,15 @@ from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory
 from comparisons.config import EkfConfig
+from comparisons.extensions.fastslam.check import check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
-from comparisons.extensions.fastslam.extension import FastSlamExtension, compare_clouds
+from comparisons.extensions.fastslam.drive import (
+    Sampling,
+    association_rule,
+    build_fastslam,
+    run_fastslam,
+)
+from comparisons.extensions.fastslam.stretches import StretchComparison
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
@@ -50,6 +57,7 @@ from ekf_reference.models.motion import RelativePoseModel
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data" / "victoria_park"
 CLOUDS = FastSlamConfig().clouds
+VERDICTS = {True: "agree", False: "disagree", None: "no verdict"}
 HEAD = (
     f"{'particles':>9} {'seed':>4} {'error m':>8} {'aligned m':>9} {'first 10 %':>10} "
     f"{'middle':>6} {'ESS/N':>6} {'resampled':>9} {'landmarks':>9} {'cpu s':>7} {'real time':>9}"
@@ -75,7 +83,8 @@ def errors(log: Log, timeline: Timeline, mean: Array, reference: Array | None) -
 def row(log: Log, timeline: Timeline, sampling: Sampling, reference: Array | None) -> str:
     """Run once."""
     begin = time.process_time()
-    slam = build_fastslam(log, sampling, known=log.measurements.labelled)
+    rule = association_rule(log, known=log.measurements.labelled)
+    slam = build_fastslam(log, sampling, rule)
     cloud = run_fastslam(slam, log, timeline)
     cpu_s = time.process_time() - begin
     error_m, aligned_m = errors(log, timeline, cloud.mean, reference)
@@ -115,30 +124,43 @@ def copies(particles: int, landmarks: int = 300) -> str:
     return f"{particles:>9} {copied:>7} " + " ".join(f"{1e3 * s / repeats:>12.2f}" for s in spent)
 
 
-def agreement(particles: int, seeds: int, wheelbase: float) -> None:
-    """Print a row a seed, and how many disagree."""
+def agreement(particles: int, seeds: int, wheelbases: Sequence[float]) -> None:
+    """Print a row a seed and wheelbase, and how many disagree."""
     print(
-        f"{'particles':>9} {'seed':>4} {'statistic':>9} {'limit':>6} {'independent':>11}  verdict"
+        f"{'wheelbase':>9} {'particles':>9} {'seed':>4} {'stretches':>9} {'mean s':>6} "
+        f"{'energy':>6} {'p':>6} {'shift^2':>7} {'spread':>6} {'independent':>11} "
+        f"{'cpu s':>6}  verdict"
     )
-    extension, verdicts = FastSlamExtension(FastSlamConfig(particles=particles)), []
+    verdicts: dict[float, list[bool | None]] = {factor: [] for factor in wheelbases}
     for seed in range(seeds):
         found = compare(open_log("simulated-loop", choices=SimulationChoices(seed=seed)))
-        log, odometry = found.prepared.log, found.prepared.log.odometry
-        assert isinstance(odometry, SteeringOdometry)
-        vehicle = replace(odometry.vehicle, wheelbase_m=wheelbase * odometry.vehicle.wheelbase_m)
-        log = replace(log, odometry=replace(odometry, vehicle=vehicle))
-        clouds = [extension.cloud(found.prepared, log, k) for k in range(CLOUDS)]
-        check = compare_clouds(clouds, found.gaps.smoothed)
-        verdicts.append(check.agrees)
+        for factor in wheelbases:
+            begin = time.process_time()
+            believed = with_wheelbase(found.prepared.log, factor)
+            sampling = Sampling(particles, seed=seed)
+            check = check_clouds(StretchComparison(found.gaps, believed, sampling).run(CLOUDS))
+            verdicts[factor].append(check.agrees)
+            length_s = np.mean([one.end_s - one.begin_s for one in check.stretches])
+            print(
+                f"{factor:>9g} {particles:>9} {seed:>4} {len(check.stretches):>9} {length_s:>6.1f} "
+                f"{check.energy:>6.2f} {check.p:>6.4f} {check.mean:>7.2f} {check.spread:>6.2f} "
+                f"{check.independent:>11.1f} {time.process_time() - begin:>6.1f}  "
+                f"{VERDICTS[check.agrees]} {'; '.join(check.shape)}",
+                flush=True,
+            )
+    for factor, said in verdicts.items():
         print(
-            f"{particles:>9} {seed:>4} {check.statistic:>9.1f} {check.limit:>6.1f} "
-            f"{check.independent:>11.2f}  {check.agrees} {'; '.join(check.shape)}",
-            flush=True,
+            f"wheelbase x {factor:g}: {said.count(False)} of {seeds} disagree, "
+            f"{said.count(True)} agree, {said.count(None)} without verdict"
         )
-    print(
-        f"wheelbase x {wheelbase:g}: {verdicts.count(False)} of {seeds} disagree, "
-        f"{verdicts.count(True)} agree, {verdicts.count(None)} without verdict"
-    )
+
+
+def with_wheelbase(log: Log, factor: float) -> Log:
+    """The log with a wheelbase that is wrong by a factor."""
+    odometry = log.odometry
+    assert isinstance(odometry, SteeringOdometry)
+    vehicle = replace(odometry.vehicle, wheelbase_m=factor * odometry.vehicle.wheelbase_m)
+    return replace(log, odometry=replace(odometry, vehicle=vehicle))
 
 
 def main() -> None:
@@ -154,7 +176,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--copies", action="store_true")
     parser.add_argument("--agreement", action="store_true")
-    parser.add_argument("--wheelbase", type=float, default=1.0, metavar="F")
+    parser.add_argument("--wheelbase", type=float, nargs="+", default=[1.0], metavar="F")
     given = parser.parse_args()
     if given.copies:
         print(f"{'particles':>9} {'copied':>7} {'resample ms':>12} {'scan ms':>12}")

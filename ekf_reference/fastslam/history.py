@@ -15,7 +15,8 @@ class CloudHistory:
     resampling.
 
     pose: list of (N, 3). parents: list of (N,), None where nothing was resampled after. mean: list
-    of (3,) weighted means. effective: list of effective sample sizes.
+    of (3,) weighted means. effective: list of effective sample sizes. origin: (N,) particle of the
+    first epoch from which each present one descends; None before the first resampling.
     """
 
     def __init__(self) -> None:
@@ -24,12 +25,14 @@ class CloudHistory:
         self.parents: list[Index | None] = []
         self.mean: list[Array] = []
         self.effective: list[float] = []
+        self.origin: Index | None = None
 
     def copy(self) -> CloudHistory:
         """Return a copy; the arrays, which nobody changes, are shared."""
         other = CloudHistory()
         other.pose, other.parents = list(self.pose), list(self.parents)
         other.mean, other.effective = list(self.mean), list(self.effective)
+        other.origin = self.origin
         return other
 
     def add(self, pose: Array, weight: Array) -> None:
@@ -42,6 +45,21 @@ class CloudHistory:
     def inherit(self, parents: Index) -> None:
         """Note the parents (N,) of the generation that follows the last epoch."""
         self.parents[-1] = parents
+        self.origin = parents if self.origin is None else self.origin[parents]
+
+    def effective_ancestors(self, weight: Array) -> float:
+        """Return 1 / sum w^2 over the particles of the first epoch.
+
+        Args:
+            weight: (N,) of the present particles, which sum to one.
+
+        Returns:
+            The effective sample size where a particle has the weight of all its descendants.
+        """
+        if self.origin is None:
+            return effective_sample_size(weight)
+        of_origin: Array = np.bincount(self.origin, weight).astype(float)
+        return effective_sample_size(of_origin)
 
     def ancestors(self) -> Index:
         """Return the particle (K, N) from which each particle of the last cloud descends."""

@@ -25,7 +25,12 @@ from comparisons.experiments.reproduction.interface import (
     at_least,
     at_most,
 )
-from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
+from comparisons.extensions.fastslam.drive import (
+    Sampling,
+    association_rule,
+    build_fastslam,
+    run_fastslam,
+)
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_reference, draw_trajectory
@@ -90,7 +95,8 @@ def _run(log: Log, particles: int) -> CloudRun:
     timeline, positions = build_timeline(log), log.positions
     if positions is None:
         raise TypeError("no positions")
-    slam = build_fastslam(log, Sampling(particles), known=log.measurements.labelled)
+    rule = association_rule(log, known=log.measurements.labelled)
+    slam = build_fastslam(log, Sampling(particles), rule)
     cloud = run_fastslam(slam, log, timeline)
     found = assess_trajectory(timeline.epoch_time_s, cloud.mean, log)
     path, time_s = cloud.mean[:, :2], timeline.epoch_time_s

@@ -1,27 +1,25 @@
-"""The clouds of independent FastSLAMs against the smoother, at the last pose.
+"""The clouds of independent FastSLAMs against the smoother's posterior, over stretches of a log.
 
-Particles of one cloud share ancestors, so the number of particles, and the effective sample size,
-say too much of how well the cloud's mean is known. Independent clouds tell: the scatter of their
-means, V, is the Monte Carlo error of one. The mean of M clouds is not better by M: depletion also
-leaves a bias, which all clouds share and which averaging does not lessen. On simulated loops it is
-some three times the scatter of a cloud in the worst direction. So the smoother's pose is taken for
-one more draw.
+Particles of one cloud share ancestors, so that the number of particles, and the effective sample
+size, say too much of how well a cloud samples. Independent clouds do not: one particle of each is
+an independent draw. Where FastSLAM and the smoother have the same posterior, these draws, whitened
+by the smoother's Gaussian, are standard normal.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigvalsh
-from scipy.special import fdtri, stdtrit
+from scipy.special import chdtri, stdtrit
 
 from comparisons.arrays import Array
-from comparisons.checks.agreement import Gaussian
-from ekf_reference.core.geometry import wrap_angle
+from comparisons.extensions.fastslam.energy import SIMULATIONS, energy, simulated
+from comparisons.extensions.fastslam.stretches import StretchClouds
 
 LEVEL = 1e-3
-"""Probability, at most, that clouds and smoother of one posterior are said to disagree."""
+"""Probability of a disagreement where both posteriors are the same."""
 LARGEST_SKEWNESS = 0.5
 LEAST_KURTOSIS = -0.8
 """Excess kurtosis below which a distribution is flat or has several modes; a uniform has -1.2."""
@@ -29,82 +27,114 @@ AXES = ("east", "north", "heading")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CloudCheck:
-    """Clouds against the smoother.
+class StretchCheck:
+    """One stretch: a Gaussian of d = 3 + 2 D numbers, the last pose and D landmarks.
 
-    difference: (3,) mean of the clouds' means minus the smoother's last pose. scatter: (3,)
-    standard deviations of the clouds' means. statistic: d^T (P + (1 + 1 / M) V)^-1 d. limit: what
-    it exceeds with a probability of LEVEL at most. independent: least number, over all directions,
-    of independent particles of the smoother's posterior that know the mean as well as a cloud.
-    agrees: None where the clouds are too small to tell. shape: what is not Gaussian.
+    energy: of the draws, over its mean where the posteriors are one. shift: distance of the clouds'
+    mean last pose from the smoother's, in sigma. spread: variance of the draws over the smoother's,
+    mean of all d directions.
     """
 
-    difference: Array
-    scatter: Array
-    statistic: float
-    limit: float
+    begin_s: float
+    end_s: float
+    landmarks: int
+    energy: float
+    shift: float
+    spread: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudCheck:
+    """Clouds against the smoother, all stretches together.
+
+    stretches: one by one. clouds: of all stretches. energy: as of one. p: probability of so much
+    energy where the posteriors are one. mean, mean_limit: squared distance of the draws' means from
+    the smoother's, over its expectation, and what it exceeds with a probability of LEVEL.
+    independent: least number, over all directions, of independent particles that know the last pose
+    as well as a cloud. agrees: None where the clouds are too small to tell. shape: what is not
+    Gaussian.
+    """
+
+    stretches: tuple[StretchCheck, ...]
+    clouds: int
+    energy: float
+    p: float
+    mean: float
+    mean_limit: float
     independent: float
     agrees: bool | None
     shape: tuple[str, ...]
 
+    @property
+    def worst(self) -> StretchCheck:
+        """The stretch with the most energy."""
+        return max(self.stretches, key=lambda one: one.energy)
 
-def check_clouds(means: Array, moments: Array, smoother: Gaussian) -> CloudCheck:
-    """Compare.
+    @property
+    def spread(self) -> float:
+        """Variance of the draws over the smoother's, mean of all stretches and directions."""
+        dimension = [3 + 2 * one.landmarks for one in self.stretches]
+        return float(np.average([one.spread for one in self.stretches], weights=dimension))
 
-    Args:
-        means: (M, 3) weighted mean of each cloud's last pose.
-        moments: (M, 2, 3) skewness and excess kurtosis of each cloud's last pose.
-        smoother: Of the last pose.
 
-    Returns:
-        The comparison. The limit is Hotelling's for one more draw of the clouds' distribution; P
-        only adds to it. It holds where the clouds' bias is like the error of one of them.
+def check_clouds(stretches: Sequence[StretchClouds]) -> CloudCheck:
+    """Compare. The test is exact for draws that are independent; the energies of stretches add up.
+
+    A disagreement needs clouds that know the pose as well as one independent particle. Draws whose
+    means agree, from clouds that are not Gaussian, differ in shape alone: no disagreement.
     """
-    count = len(means)
-    apart = means - smoother.mean
-    apart[:, 2] = wrap_angle(apart[:, 2])
-    difference, v = apart.mean(axis=0), np.cov(apart.T)
-    p = smoother.covariance
-    statistic = float(difference @ np.linalg.solve(p + (1.0 + 1.0 / count) * v, difference))
-    quantile = float(fdtri(3, count - 3, 1.0 - LEVEL))
-    limit = 3.0 * (count - 1) / (count - 3) * quantile
-    independent = 1.0 / float(eigvalsh(v, p)[-1])
-    agrees: bool | None = statistic <= limit
-    if agrees and independent < 1.0:
-        agrees = None
+    generator = np.random.default_rng(0)
+    found, null, observed = [], np.zeros(SIMULATIONS), 0.0
+    mean, size = 0.0, 0
+    for one in stretches:
+        m, d = one.draw.shape
+        own, expected = float(energy(one.draw)), simulated(m, d, generator)
+        observed, null = observed + own, null + expected
+        centre = one.draw.mean(axis=0)
+        mean, size = mean + m * float(centre @ centre), size + d
+        found.append(
+            StretchCheck(
+                begin_s=one.begin_s,
+                end_s=one.end_s,
+                landmarks=(d - 3) // 2,
+                energy=own / float(expected.mean()),
+                shift=float(np.linalg.norm(one.mean[:, :3].mean(axis=0))),
+                spread=float(((one.draw - centre) ** 2).sum() / ((m - 1) * d)),
+            )
+        )
+    p = float(1 + np.count_nonzero(null >= observed)) / (SIMULATIONS + 1)
+    limit = float(chdtri(size, LEVEL)) / size
+    scatter = np.mean([np.cov(one.mean[:, :3].T) for one in stretches], axis=0)
+    independent = 1.0 / float(np.linalg.eigvalsh(scatter)[-1])
+    shape = tuple(words for one in stretches for words in _shape(one, len(stretches)))
+    same = p > LEVEL or (mean / size <= limit and bool(shape))
     return CloudCheck(
-        difference=difference,
-        scatter=np.sqrt(np.diag(v)),
-        statistic=statistic,
-        limit=limit,
+        stretches=tuple(found),
+        clouds=sum(len(one.draw) for one in stretches),
+        energy=observed / float(null.mean()),
+        p=p,
+        mean=mean / size,
+        mean_limit=limit,
         independent=independent,
-        agrees=agrees,
-        shape=_shape(moments),
+        agrees=same if independent >= 1.0 else None,
+        shape=shape,
     )
 
 
-def standardised_moments(pose: Array, weight: Array) -> Array:
-    """Return skewness and excess kurtosis (2, 3) of weighted poses (N, 3).
-
-    A cloud that is a single point has the moments of a Gaussian.
-    """
-    apart = pose - weight @ pose
-    variance = weight @ apart**2
-    if not (variance > 0.0).all():
-        return np.zeros((2, 3))
-    return np.stack(((weight @ apart**3) / variance**1.5, (weight @ apart**4) / variance**2 - 3.0))
-
-
-def _shape(moments: Array) -> tuple[str, ...]:
-    """What the clouds' moments (M, 2, 3) say together, each at LEVEL shared among the six."""
+def _shape(stretch: StretchClouds, stretches: int) -> list[str]:
+    """What a stretch's moments say together, at LEVEL shared among the six of every stretch."""
+    moments = stretch.moments
     count = len(moments)
-    mean = moments.mean(axis=0)
-    error = moments.std(axis=0, ddof=1) / np.sqrt(count)
-    times = float(stdtrit(count - 1, 1.0 - LEVEL / 12.0))
+    mean: Array = moments.mean(axis=0)
+    error: Array = moments.std(axis=0, ddof=1) / np.sqrt(count)
+    times = float(stdtrit(count - 1, 1.0 - LEVEL / (12.0 * stretches)))
+    where = f"from {stretch.begin_s:.1f} to {stretch.end_s:.1f} s"
     found = []
     for axis, skewness, kurtosis, by, width in zip(AXES, *mean, *error, strict=True):
         if abs(skewness) - times * by > LARGEST_SKEWNESS:
-            found.append(f"{axis} is skew (skewness {skewness:.2f})")
+            found.append(f"{axis} {where} is skew (skewness {skewness:.2f})")
         if kurtosis + times * width < LEAST_KURTOSIS:
-            found.append(f"{axis} is flat or has several modes (excess kurtosis {kurtosis:.2f})")
-    return tuple(found)
+            found.append(
+                f"{axis} {where} is flat or has several modes (excess kurtosis {kurtosis:.2f})"
+            )
+    return found

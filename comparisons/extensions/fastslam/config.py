@@ -17,10 +17,11 @@ class FastSlamConfig(ExtensionConfig):
 
     particles: int = Field(100, ge=4, le=100_000, description="Particles of each cloud")
     clouds: int = Field(
-        24,
-        ge=8,
-        le=1000,
-        description="Independent clouds; the scatter of their means is the Monte Carlo error",
+        192,
+        ge=16,
+        le=10_000,
+        description="Independent clouds, divided among at most 12 stretches of the log; each gives "
+        "one draw of the posterior",
     )
     proposal: Literal["1.0", "2.0"] = Field(
         "2.0",

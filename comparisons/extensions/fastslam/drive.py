@@ -1,4 +1,4 @@
-"""FastSLAM driven through a log."""
+"""FastSLAM driven through a log, or through a stretch of it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import motion_model
 from comparisons.adapters.timeline import Timeline
@@ -17,11 +18,29 @@ from ekf_reference.core.ekf import Stabilisation
 from ekf_reference.core.geometry import rotation
 from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
-from ekf_reference.fastslam.association import KnownIdentities, PerParticleLikelihood, View
+from ekf_reference.fastslam.association import (
+    KnownIdentities,
+    ParticleAssociation,
+    PerParticleLikelihood,
+    View,
+)
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
 
 VIEW = View(range_m=30.0, half_angle_rad=1.2)
 """Where a landmark should be detected when it exists, for logs without labels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Depletion:
+    """How small a cloud is.
+
+    effective: mean effective sample size over the epochs. first, middle: particles of the first and
+    of the middle epoch that have descendants in the last cloud.
+    """
+
+    effective: float
+    first: int
+    middle: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,35 +57,82 @@ class Cloud:
     covariance: Array
     sampled: Index
 
+    def depletion(self) -> Depletion:
+        """Return how depleted it is."""
+        history = self.slam.history
+        distinct = history.distinct()
+        return Depletion(
+            effective=float(np.mean(history.effective)),
+            first=int(distinct[0]),
+            middle=int(distinct[len(distinct) // 2]),
+        )
+
 
 class Sampling(NamedTuple):
     """How to sample: particles, proposal, and the seed of all random numbers."""
 
     particles: int = 100
     proposal: Proposal = "measurement"
-    seed: int = 0
+    seed: int | tuple[int, ...] = 0
 
 
-def build_fastslam(log: Log, sampling: Sampling, *, known: bool) -> FastSlam:
-    """Return a FastSLAM at the log's prior.
+class Start(NamedTuple):
+    """What is known at first: pose (3,) and the covariance (3, 3) of its additive global error."""
 
-    known: associate by the log's labels, else every particle for itself.
-    """
+    pose: Array
+    covariance: Array
+
+
+def build_fastslam(
+    log: Log, sampling: Sampling, rule: ParticleAssociation, start: Start | None = None
+) -> FastSlam:
+    """Return a FastSLAM with the log's vehicle, at the log's prior unless a start is given."""
     stabilisation = Stabilisation()
     if not isinstance(log.odometry, RelativePoses):
         noise = log.odometry.noise
         stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
-    rule = (
-        KnownIdentities(log.measurements.label_gate) if known else PerParticleLikelihood(view=VIEW)
-    )
+    start = start or Start(log.prior.pose, log.prior.covariance)
     options = FastSlamOptions(
         particles=sampling.particles, proposal=sampling.proposal, association=rule
     )
     generator = np.random.default_rng(sampling.seed)
-    prior = log.prior
-    return FastSlam(
-        motion_model(log), prior.pose, prior.covariance, generator, options, stabilisation
-    )
+    return FastSlam(motion_model(log), *start, generator, options, stabilisation)
+
+
+def association_rule(log: Log, *, known: bool) -> ParticleAssociation:
+    """Return the rule for a whole log: by its labels, or every particle for itself."""
+    if known:
+        return KnownIdentities(log.measurements.label_gate)
+    return PerParticleLikelihood(view=VIEW)
+
+
+class Inputs:
+    """Controls and measurements by epoch."""
+
+    def __init__(self, log: Log, timeline: Timeline, identity: NDArray[np.int64]) -> None:
+        """identity: (M,) landmark of each of the log's measurements, negative where unknown."""
+        seen = log.measurements
+        self._timeline, self._identity = timeline, identity
+        self._z = np.column_stack((seen.range_m, seen.bearing_rad))
+        self._noise = diagonal_noise(np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad)))
+        self._steps, self._rows = timeline.steps_until(), timeline.measurements_until()
+        self.epochs = len(self._steps)
+
+    def predict(self, slam: FastSlam, epoch: int) -> None:
+        """Move from the epoch before."""
+        first = int(self._steps[epoch - 1]) if epoch else 0
+        for i in range(first, int(self._steps[epoch])):
+            slam.predict(
+                self._timeline.control[i],
+                self._timeline.control_covariance[i],
+                self._timeline.step_duration_s[i],
+            )
+
+    def seen(self, epoch: int) -> Measurements:
+        """Return the epoch's measurements, of which there may be none."""
+        rows = slice(int(self._rows[epoch]), int(self._rows[epoch + 1]))
+        time_s = float(self._timeline.epoch_time_s[epoch])
+        return Measurements(self._z[rows], self._noise[rows], self._identity[rows], time_s=time_s)
 
 
 def run_fastslam(
@@ -80,20 +146,14 @@ def run_fastslam(
     Poses are sampled at epochs with measurements and at the last one; in between the motion
     accumulates, so that FastSLAM 2.0 conditions all of it on the next measurements.
     """
-    seen = log.measurements
-    z = np.column_stack((seen.range_m, seen.bearing_rad))
-    noise = diagonal_noise(np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad)))
-    steps, first, done = timeline.steps_until(), timeline.measurements_until(), 0
-    mean, covariance = np.empty((len(steps), 3)), np.empty((len(steps), 3, 3))
+    inputs = Inputs(log, timeline, log.measurements.landmark)
+    mean, covariance = np.empty((inputs.epochs, 3)), np.empty((inputs.epochs, 3, 3))
     sampled = []
-    for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
-        for i in range(done, int(steps[k])):
-            slam.predict(
-                timeline.control[i], timeline.control_covariance[i], timeline.step_duration_s[i]
-            )
-        done, rows = int(steps[k]), slice(int(first[k]), int(first[k + 1]))
-        if rows.start < rows.stop or k + 1 == len(steps):
-            slam.observe(Measurements(z[rows], noise[rows], seen.landmark[rows], time_s=time_s))
+    for k in range(inputs.epochs):
+        inputs.predict(slam, k)
+        seen = inputs.seen(k)
+        if len(seen) or k + 1 == inputs.epochs:
+            slam.observe(seen)
             sampled.append(k)
         weight, pose = slam.weight, slam.predicted_pose()
         mean[k] = weight @ pose

@@ -1,0 +1,117 @@
+"""FastSLAM in `result.json`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+
+from comparisons.arrays import Array
+from comparisons.checks.accuracy import Accuracy
+from comparisons.extensions.fastslam.check import LEVEL, CloudCheck
+from comparisons.extensions.fastslam.config import FastSlamConfig
+from comparisons.extensions.fastslam.drive import Depletion
+from comparisons.report.model import Model
+from comparisons.report.models import AccuracyResult
+from comparisons.report.sections import accuracy_result
+
+_AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
+
+
+class StretchResult(Model):
+    """Clouds against the smoother over one stretch of the log.
+
+    Attributes:
+        begin_s: time at which the pose is known.
+        end_s: time of the last pose.
+        landmarks: point landmarks of the stretch.
+        energy: energy distance over its mean where both posteriors are one.
+        shift: distance of the clouds' mean last pose from the smoother's, in sigma.
+        spread: variance of pose and map over the smoother's, mean of all directions.
+    """
+
+    begin_s: float
+    end_s: float
+    landmarks: int
+    energy: float
+    shift: float
+    spread: float
+
+
+class FastSlamResult(Model):
+    """Entry `fastslam`: clouds of particles compared with the smoother.
+
+    See comparisons.extensions.fastslam.check.
+
+    Attributes:
+        particles: particles of each cloud.
+        clouds: independent clouds of all stretches together, one draw each.
+        stretches: stretches that were compared.
+        energy: energy distance of all stretches over its mean where both posteriors are one.
+        p: probability of so large an energy distance where both posteriors are one.
+        level: largest p of a disagreement.
+        mean: squared shift of pose and map from the smoother's, over its expectation.
+        mean_limit: what `mean` exceeds with probability `level`.
+        spread: variance of pose and map over the smoother's, mean of all directions.
+        independent: independent particles that know the last pose as well as one cloud.
+        agrees: whether the clouds agree with the smoother; null where they are too small to tell.
+        verdict: the same in words.
+        shape: what of the clouds is not Gaussian.
+        difference_m: whole log, last pose: distance of one cloud's mean from the smoother's.
+        difference_rad: the same of the heading.
+        effective: mean effective sample size of the whole log's cloud.
+        first: particles of its first epoch that have descendants.
+        middle: particles of its middle epoch that have descendants.
+        accuracy: errors of its estimate.
+    """
+
+    particles: int
+    clouds: int
+    stretches: list[StretchResult]
+    energy: float
+    p: float
+    level: float
+    mean: float
+    mean_limit: float
+    spread: float
+    independent: float
+    agrees: bool | None
+    verdict: str
+    shape: list[str]
+    difference_m: float
+    difference_rad: float
+    effective: float
+    first: int
+    middle: int
+    accuracy: AccuracyResult | None
+
+
+def fastslam_result(
+    settings: FastSlamConfig,
+    check: CloudCheck,
+    depletion: Depletion,
+    apart: Array,
+    accuracy: Accuracy | None,
+) -> FastSlamResult:
+    """Return what was found. apart: (3,) last pose of the whole log's cloud from the smoother's."""
+    return FastSlamResult(
+        particles=settings.particles,
+        clouds=check.clouds,
+        stretches=[StretchResult(**asdict(one)) for one in check.stretches],
+        energy=check.energy,
+        p=check.p,
+        level=LEVEL,
+        mean=check.mean,
+        mean_limit=check.mean_limit,
+        spread=check.spread,
+        independent=check.independent,
+        agrees=check.agrees,
+        verdict=_AGREES[check.agrees],
+        shape=list(check.shape),
+        difference_m=float(np.hypot(*apart[:2])),
+        difference_rad=float(abs(apart[2])),
+        effective=depletion.effective,
+        first=depletion.first,
+        middle=depletion.middle,
+        accuracy=accuracy_result(accuracy),
+    )

@@ -1,0 +1,227 @@
+"""Stretches of a log that are short enough for FastSLAM, and both posteriors at their ends.
+
+Resampling loses ancestors: after a loop most particles descend from one, and the cloud is no sample
+of the posterior any more. So a log is cut where few ancestors of the stretch's first particles are
+left. The first stretch starts at the log's prior; the others at a known pose, the smoother's, with
+an empty map. Of each stretch the smoother finds the posterior from the same measurements, with the
+same association.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from comparisons.arrays import Array, Index
+from comparisons.extensions.fastslam.drive import Inputs, Sampling, Start, build_fastslam
+from comparisons.logs.log import Log
+from comparisons.pipeline.gaps import Gaps
+from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.fastslam.association import KnownIdentities
+from ekf_reference.fastslam.filter import FastSlam
+from graphslam.problem import SlamProblem
+from graphslam.smoother import smooth
+
+LEAST_ANCESTORS = 5.0
+"""Effective ancestors, of the first cloud of a stretch, below which the stretch ends."""
+MOST_STRETCHES = 12
+"""Stretches that are compared, evenly chosen from all of the log."""
+LEAST_CLOUDS = 8
+"""Of a stretch."""
+KNOWN_SIGMA = np.array([1e-3, 1e-3, 1e-4])
+"""Of a known pose: x, y [m], heading [rad]; exact but for a covariance that can be inverted."""
+
+
+class Stretch(NamedTuple):
+    """Epochs first to last, both included, and what is known at the first."""
+
+    first: int
+    last: int
+    start: Start
+
+
+@dataclass(frozen=True, kw_only=True)
+class StretchClouds:
+    """Independent clouds at the end of a stretch, in sigma of the smoother's posterior.
+
+    All errors are whitened by the Cholesky factor of the smoother's covariance of the last pose and
+    the D landmarks of the stretch, d = 3 + 2 D.
+
+    begin_s, end_s: of the stretch. draw: (M, d) one particle of each cloud, drawn by weight, with
+    a map drawn from its Gaussians; where the posteriors are one, independent standard normal. mean:
+    (M, d) weighted means of the clouds. moments: (M, 2, 3) skewness and excess kurtosis of x, y and
+    heading.
+    """
+
+    begin_s: float
+    end_s: float
+    draw: Array
+    mean: Array
+    moments: Array
+
+
+class StretchComparison:
+    """FastSLAM and the smoother on stretches of one log."""
+
+    def __init__(self, gaps: Gaps, log: Log, sampling: Sampling) -> None:
+        """Take the measurements and the association that both estimators had.
+
+        Args:
+            gaps: Both estimators on the whole log.
+            log: Which FastSLAM believes; its instants are those of the estimators' log.
+            sampling: How to sample; its seed is that of all clouds.
+        """
+        run = gaps.run
+        self._log, self._sampling = log, sampling
+        self._problem, self._smoothed, self._timeline = gaps.problem, gaps.result, run.timeline
+        self._inputs = Inputs(log, run.timeline, np.asarray(run.landmark_index, dtype=np.int64))
+
+    def run(
+        self, clouds: int, progress: Callable[[int, int], None] = lambda done, total: None
+    ) -> list[StretchClouds]:
+        """Run so many clouds, divided among the stretches. progress: called before each stretch."""
+        chosen = self.stretches(min(MOST_STRETCHES, clouds // LEAST_CLOUDS))
+        found = []
+        for k, stretch in enumerate(chosen):
+            progress(k, len(chosen))
+            found.append(self.clouds(stretch, k, clouds // len(chosen)))
+        return found
+
+    def stretches(self, most: int) -> list[Stretch]:
+        """Return the stretches to compare, by one cloud that starts anew in each."""
+        found: list[Stretch] = []
+        first, last = 0, self._inputs.epochs - 1
+        while first < last:
+            found.append(self._stretch(first, len(found)))
+            first = found[-1].last
+        few = np.linspace(0, len(found) - 1, min(len(found), most))
+        return [found[k] for k in few.round().astype(int)]
+
+    def _stretch(self, first: int, number: int) -> Stretch:
+        """Drive until too few ancestors are left, or to the end of the log."""
+        known = Start(self._smoothed.poses[first], np.diag(KNOWN_SIGMA**2))
+        prior = Start(self._problem.prior_pose, self._problem.prior_covariance)
+        start = known if first else prior
+        slam = self._slam(start, (number,))
+        enough = first
+        for k in range(first, self._inputs.epochs):
+            if not self._advance(slam, k, first):
+                continue
+            if slam.history.effective_ancestors(slam.weight) < LEAST_ANCESTORS:
+                # Where already the first measurements are too many, they are the stretch.
+                return Stretch(first, enough if enough > first else max(k, first + 1), start)
+            enough = k
+        return Stretch(first, self._inputs.epochs - 1, start)
+
+    def _driven(self, stretch: Stretch, number: tuple[int, ...]) -> FastSlam:
+        """Return a cloud at the end of a stretch, all of its motion sampled."""
+        slam = self._slam(stretch.start, number)
+        for epoch in range(stretch.first, stretch.last + 1):
+            self._advance(slam, epoch, stretch.first)
+        if slam.motion.covariance.any():
+            slam.sample_motion()
+        return slam
+
+    def clouds(self, stretch: Stretch, number: int, count: int) -> StretchClouds:
+        """Run independent clouds through a stretch, and the smoother.
+
+        Args:
+            stretch: One of `stretches`.
+            number: Of the stretch, for the seeds.
+            count: M, clouds.
+        """
+        first, last, _ = stretch
+        problem, landmarks = between(self._problem, stretch)
+        smoothed = self._smoothed
+        guess = smoothed.poses[first : last + 1], smoothed.landmarks[landmarks]
+        posterior = smooth(problem, {"whole log": guess}).marginal()
+        root = np.asarray(np.linalg.cholesky(posterior.covariance), dtype=float)
+        draws, means, moments = [], [], []
+        for k in range(count):
+            slam = self._driven(stretch, (number, k))
+            columns = slam.maps.columns_of(landmarks)
+            draws.append(draw_particle(slam, columns))
+            pose, weight = slam.pose, slam.weight
+            places = np.einsum("n,nli->li", weight, slam.maps.mean[:, columns])
+            means.append(np.concatenate((weight @ pose, places.ravel())))
+            moments.append(standardised_moments(pose, weight))
+        time_s = self._timeline.epoch_time_s
+        return StretchClouds(
+            begin_s=float(time_s[first]),
+            end_s=float(time_s[last]),
+            draw=_whitened(np.array(draws), posterior.mean, root),
+            mean=_whitened(np.array(means), posterior.mean, root),
+            moments=np.array(moments),
+        )
+
+    def _slam(self, start: Start, number: tuple[int, ...]) -> FastSlam:
+        seed = self._sampling.seed
+        seeds = (seed,) if isinstance(seed, int) else seed
+        # A length of its own for each use: seeds of the pilots and of the clouds differ.
+        sampling = self._sampling._replace(seed=(*seeds, len(number), *number))
+        return build_fastslam(self._log, sampling, KnownIdentities(), start)
+
+    def _advance(self, slam: FastSlam, epoch: int, first: int) -> bool:
+        """Move to an epoch, unless it is the first, and observe; return whether that was done."""
+        if epoch > first:
+            self._inputs.predict(slam, epoch)
+        seen = self._inputs.seen(epoch)
+        seen = seen.take(np.flatnonzero(seen.identity >= 0))
+        if len(seen):
+            slam.observe(seen)
+        return len(seen) > 0
+
+
+def between(problem: SlamProblem, stretch: Stretch) -> tuple[SlamProblem, Index]:
+    """Return the motion and the measurements of a stretch, and the landmarks (D,) that it has."""
+    first, last, start = stretch
+    pose = problem.measurement_pose
+    rows = np.flatnonzero((pose >= first) & (pose <= last))
+    landmarks, index = np.unique(problem.measurement_landmark[rows], return_inverse=True)
+    part = replace(
+        problem,
+        prior_pose=start.pose,
+        prior_covariance=start.covariance,
+        increment=problem.increment[first:last],
+        increment_covariance=problem.increment_covariance[first:last],
+        measurement_pose=pose[rows] - first,
+        measurement_landmark=index,
+        z=problem.z[rows],
+        sigma=problem.sigma[rows],
+        landmark_count=len(landmarks),
+    )
+    return part, landmarks
+
+
+def draw_particle(slam: FastSlam, columns: Index) -> Array:
+    """Return one particle's pose and a draw of its map, (3 + 2 D,), by weight.
+
+    columns: (D,) of landmarks that all particles have.
+    """
+    generator, maps = slam.generator, slam.maps
+    i = int(generator.choice(len(slam.pose), p=slam.weight))
+    root = np.linalg.cholesky(maps.covariance[i, columns])
+    error = root @ generator.standard_normal((len(columns), 2, 1))
+    return np.concatenate((slam.pose[i], (maps.mean[i, columns] + error[..., 0]).ravel()))
+
+
+def standardised_moments(pose: Array, weight: Array) -> Array:
+    """Return skewness and excess kurtosis (2, 3) of weighted poses (N, 3).
+
+    A cloud that is a single point has the moments of a Gaussian.
+    """
+    apart = pose - weight @ pose
+    variance = weight @ apart**2
+    if not (variance > 0.0).all():
+        return np.zeros((2, 3))
+    return np.stack(((weight @ apart**3) / variance**1.5, (weight @ apart**4) / variance**2 - 3.0))
+
+
+def _whitened(states: Array, mean: Array, root: Array) -> Array:
+    """States (M, d) as errors, in the axes of the root's columns."""
+    apart = states - mean
+    apart[:, 2] = wrap_angle(apart[:, 2])
+    return np.asarray(np.linalg.solve(root, apart.T).T)
