@@ -6,90 +6,34 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from comparisons.arrays import Array
-from comparisons.checks.agreement import Gaussian
 from comparisons.config import RunConfig
-from comparisons.extensions.fastslam.check import (
-    LEVEL,
-    CloudCheck,
-    check_clouds,
-    standardised_moments,
-)
+from comparisons.errors import InputError
+from comparisons.extensions.fastslam.check import check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
+from comparisons.extensions.fastslam.drive import Sampling, Start
 from comparisons.extensions.fastslam.extension import (
     FastSlamExtension,
     FastSlamFinding,
     cloud_estimate,
-    compare_clouds,
 )
-from comparisons.logs.bundled import SimulationChoices, open_log
-from comparisons.logs.log import Log
+from comparisons.extensions.fastslam.stretches import (
+    Stretch,
+    StretchComparison,
+    between,
+    draw_particle,
+)
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Landmarks, Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.report.result import build_result
-
-CLOUDS = 16
-NO_SHAPE = np.zeros((CLOUDS, 2, 3))
-ROOT_P = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.01, 0.02, 0.02]])
-SMOOTHER = Gaussian(np.array([1.0, -2.0, 3.1]), ROOT_P @ ROOT_P.T)
-
-
-def clouds_of(scatter: float, shift: float, seed: int) -> CloudCheck:
-    """Clouds whose means scatter by so many sigma of the smoother, shifted by so many."""
-    generator = np.random.default_rng(seed)
-    means = scatter * generator.standard_normal((CLOUDS, 3)) @ ROOT_P.T
-    means += SMOOTHER.mean + shift * ROOT_P[:, 1] + (0.0, 0.0, 2.0 * np.pi)
-    return check_clouds(means, NO_SHAPE, SMOOTHER)
-
-
-def test_the_level_holds_where_the_bias_is_like_the_error_of_a_cloud() -> None:
-    tiny = Gaussian(SMOOTHER.mean, 1e-12 * SMOOTHER.covariance)
-    generator, statistic = np.random.default_rng(5), []
-    for _ in range(4000):
-        bias = generator.standard_normal(3)
-        means = SMOOTHER.mean + (bias + generator.standard_normal((CLOUDS, 3))) @ ROOT_P.T
-        statistic.append(check_clouds(means, NO_SHAPE, tiny))
-    beyond = sum(one.agrees is False for one in statistic)
-    assert 0 < beyond < 4000 * LEVEL + 5.0 * (4000 * LEVEL) ** 0.5
-    chi_square = 16.27  # the limit as if the scatter were known
-    assert sum(one.statistic > chi_square for one in statistic) > 60
-
-
-def test_agreement_disagreement_and_no_verdict() -> None:
-    near, far, wide = (clouds_of(*case, 1) for case in ((0.5, 0.3), (0.5, 12.0), (20.0, 0.3)))
-    assert (near.agrees, far.agrees, wide.agrees) == (True, False, None)
-    assert near.independent > 1.0 > wide.independent
-    far_and_wide = clouds_of(20.0, 900.0, 1)
-    assert far_and_wide.agrees is False  # small clouds may still tell that something is wrong
-
-
-def moments(draw: str, clouds: int = CLOUDS) -> Array:
-    generator = np.random.default_rng(2)
-    found = []
-    for _ in range(clouds):
-        pose = generator.standard_normal((400, 3))
-        if draw == "skew":
-            pose[:, 0] = generator.exponential(size=400)
-        if draw == "modes":
-            pose[:, 2] += 8.0 * (generator.random(400) < 0.5)
-        found.append(standardised_moments(pose, np.full(400, 1 / 400)))
-    return np.array(found)
-
-
-@pytest.mark.parametrize(
-    ("draw", "words"), [("gauss", []), ("skew", ["east is skew"]), ("modes", ["heading is flat"])]
-)
-def test_shapes_that_are_not_gaussian_are_named(draw: str, words: list[str]) -> None:
-    means = SMOOTHER.mean + 0.1 * np.random.default_rng(0).standard_normal((CLOUDS, 3)) @ ROOT_P.T
-    shape = check_clouds(means, moments(draw), SMOOTHER).shape
-    assert len(shape) == len(words)
-    assert all(one.startswith(word) for one, word in zip(shape, words, strict=True))
 
 
 def test_what_fastslam_does_not_estimate_is_refused() -> None:
@@ -102,18 +46,36 @@ def test_what_fastslam_does_not_estimate_is_refused() -> None:
             RunConfig.model_validate(given)
 
 
+def test_surveyed_landmarks_are_refused() -> None:
+    log = open_log("simulated-loop")
+    known = Landmarks(np.array([3]), np.array([[10.0, 4.0]]), np.eye(2)[None])
+    seen = log.measurements
+    log = replace(log, known_landmarks=known, known_measurements=seen.chosen(seen.landmark == 3))
+    given = RunConfig.model_validate({"extensions": {"fastslam": {}}})
+    with pytest.raises(InputError, match="--third fastslam takes no surveyed landmarks"):
+        compare(log, given)
+
+
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
-    given = {"extensions": {"fastslam": {"particles": 12, "clouds": 8}}}
+    given = {"extensions": {"fastslam": {"particles": 40, "clouds": 48}}}
     return compare(open_log("simulated-loop"), RunConfig.model_validate(given))
+
+
+@pytest.fixture(scope="module")
+def stretches(comparison: Comparison) -> StretchComparison:
+    return StretchComparison(comparison.gaps, comparison.prepared.log, Sampling(40))
 
 
 def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     found = comparison.findings["fastslam"]
     assert isinstance(found, FastSlamFinding)
-    result = json.loads(build_result(comparison).model_dump_json())
-    assert result["fastslam"]["particles"] == 12
-    assert result["fastslam"]["agrees"] is found.check.agrees
+    assert found.check.agrees is True
+    result = json.loads(build_result(comparison).model_dump_json())["fastslam"]
+    assert (result["particles"], result["clouds"]) == (40, 48)
+    assert result["verdict"] == "agree"
+    assert len(result["stretches"]) == 6
+    assert result["stretches"][0]["begin_s"] == 0.0
     estimate = found.estimates["fastslam"]
     smoothed = comparison.gaps.smoothed
     assert estimate.pose.shape == smoothed.pose.shape
@@ -122,18 +84,60 @@ def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     assert np.linalg.norm(estimate.pose[:, :2] - smoothed.pose[:, :2], axis=1).max() < 4.0
     assert {row.group for row in found.rows()} >= {"FastSLAM"}
     assert not found.causes  # it has no say in the verdict
+    assert not found.remarks
 
 
 def test_the_joint_covariance_has_the_clouds_own_blocks(comparison: Comparison) -> None:
-    extension = FastSlamExtension(FastSlamConfig(particles=12, clouds=8))
-    log = comparison.prepared.log
-    cloud = extension.cloud(comparison.prepared, log, 0)
+    extension = FastSlamExtension(FastSlamConfig(particles=12))
+    cloud = extension.cloud(comparison.prepared)
     estimate = cloud_estimate(cloud, comparison.ekf.estimate.time_s)
     np.testing.assert_allclose(
         estimate.joint_covariance[:3, :3], estimate.pose_covariance[-1], atol=1e-12
     )
     mixture = cloud.slam.mixture_map()
     np.testing.assert_allclose(estimate.landmark_covariances(), mixture.covariance, atol=1e-12)
+
+
+def test_stretches_cover_the_log_and_end_before_the_cloud_is_depleted(
+    comparison: Comparison, stretches: StretchComparison
+) -> None:
+    found = stretches.stretches(1000)
+    epochs = len(comparison.prepared.timeline.epoch_time_s)
+    assert (found[0].first, found[-1].last) == (0, epochs - 1)
+    assert all(a.last == b.first for a, b in pairwise(found))
+    assert len(found) > 10
+    np.testing.assert_array_equal(found[0].start.covariance, comparison.log.prior.covariance)
+    np.testing.assert_array_equal(found[3].start.pose, comparison.gaps.result.poses[found[3].first])
+    few = stretches.stretches(4)
+    assert [one.first for one in few[:: len(few) - 1]] == [0, found[-1].first]
+
+
+def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
+    comparison: Comparison, stretches: StretchComparison
+) -> None:
+    problem = comparison.gaps.problem
+    whole = Stretch(0, problem.pose_count - 1, Start(problem.prior_pose, problem.prior_covariance))
+    same, landmarks = between(problem, whole)
+    np.testing.assert_array_equal(landmarks, np.arange(problem.landmark_count))
+    for name in ("increment", "z", "measurement_pose", "measurement_landmark"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(problem, name))
+    part, landmarks = between(problem, stretches.stretches(8)[4])
+    assert part.measurement_pose.min() >= 0
+    assert part.measurement_pose.max() < part.pose_count
+    assert part.landmark_count == len(landmarks) == len(np.unique(part.measurement_landmark))
+
+
+def test_draws_of_a_cloud_have_its_means_and_covariances(comparison: Comparison) -> None:
+    cloud = FastSlamExtension(FastSlamConfig(particles=30)).cloud(comparison.prepared)
+    slam = cloud.slam
+    columns = slam.maps.columns_of(slam.mixture_map().number)[:3]
+    draws = np.array([draw_particle(slam, columns) for _ in range(4000)])
+    own = cloud_estimate(cloud, comparison.ekf.estimate.time_s)
+    sigma = np.sqrt(np.diag(own.joint_covariance)[:9])
+    error = (draws.mean(axis=0) - np.concatenate((own.pose[-1], own.landmark[:3].ravel()))) / sigma
+    assert np.abs(error).max() < 5.0 / np.sqrt(4000)
+    ratio = np.cov(draws.T) / own.joint_covariance[:9, :9]
+    np.testing.assert_allclose(np.diag(ratio), 1.0, atol=0.15)
 
 
 def wrong_wheelbase(log: Log, factor: float) -> Log:
@@ -143,17 +147,34 @@ def wrong_wheelbase(log: Log, factor: float) -> Log:
     return replace(log, odometry=replace(odometry, vehicle=vehicle))
 
 
+def louder(log: Log, factor: float) -> Log:
+    seen = log.measurements
+    range_m, bearing_rad = factor * seen.sigma_range_m, factor * seen.sigma_bearing_rad
+    seen = replace(seen, sigma_range_m=range_m, sigma_bearing_rad=bearing_rad)
+    return replace(log, measurements=seen)
+
+
 @pytest.mark.slow
-def test_only_a_wrong_wheelbase_in_fastslam_alone_disagrees() -> None:
-    found = compare(open_log("simulated-loop", choices=SimulationChoices(seed=3)))
-    prepared, smoothed = found.prepared, found.gaps.smoothed
-    extension = FastSlamExtension(FastSlamConfig(particles=30))
-    agrees = []
-    for log in (prepared.log, wrong_wheelbase(prepared.log, 1.25)):
-        clouds = [extension.cloud(prepared, log, k) for k in range(CLOUDS)]
-        agrees.append(compare_clouds(clouds, smoothed).agrees)
-    assert agrees[0] is not False
-    assert agrees[1] is False
+def test_what_fastslam_alone_has_wrong_disagrees(comparison: Comparison) -> None:
+    log, gaps = comparison.prepared.log, comparison.gaps
+    verdicts = {}
+    for name, believed in (
+        ("same", log),
+        ("wheelbase", wrong_wheelbase(log, 1.25)),
+        ("noise", louder(log, 1.5)),
+        ("quiet", louder(log, 0.7)),
+    ):
+        clouds = StretchComparison(gaps, believed, Sampling(50)).run(48)
+        verdicts[name] = check_clouds(clouds).agrees
+    assert verdicts == {"same": True, "wheelbase": False, "noise": False, "quiet": False}
+
+
+def test_a_cloud_that_is_too_small_gives_no_verdict(comparison: Comparison) -> None:
+    given = RunConfig.model_validate({"extensions": {"fastslam": {"particles": 4, "clouds": 16}}})
+    found = compare(comparison.log, given).findings["fastslam"]
+    assert isinstance(found, FastSlamFinding)
+    assert found.check.agrees is None
+    assert "gives no verdict: clouds of 4 particles are too small" in found.remarks[0]
 
 
 @pytest.mark.slow

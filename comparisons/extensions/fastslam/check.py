@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri, stdtrit
+from scipy.special import chdtri, fdtri, stdtrit
 
 from comparisons.arrays import Array
 from comparisons.extensions.fastslam.energy import SIMULATIONS, energy, simulated
@@ -20,6 +20,9 @@ from comparisons.extensions.fastslam.stretches import StretchClouds
 
 LEVEL = 1e-3
 """Probability of a disagreement where both posteriors are the same."""
+LARGEST_RATIO = 1.25
+"""Of the draws' variance to the smoother's, or the inverse, that is no disagreement: the energy
+distance alone hardly sees variances that are too small."""
 LARGEST_SKEWNESS = 0.5
 LEAST_KURTOSIS = -0.8
 """Excess kurtosis below which a distribution is flat or has several modes; a uniform has -1.2."""
@@ -49,7 +52,8 @@ class CloudCheck:
 
     stretches: one by one. clouds: of all stretches. energy: as of one. p: probability of so much
     energy where the posteriors are one. mean, mean_limit: squared distance of the draws' means from
-    the smoother's, over its expectation, and what it exceeds with a probability of LEVEL.
+    the smoother's, over what their scatter explains, and what that exceeds with a probability of
+    LEVEL. spread: variance of the draws over the smoother's, mean of all stretches and directions.
     independent: least number, over all directions, of independent particles that know the last pose
     as well as a cloud. agrees: None where the clouds are too small to tell. shape: what is not
     Gaussian.
@@ -61,6 +65,7 @@ class CloudCheck:
     p: float
     mean: float
     mean_limit: float
+    spread: float
     independent: float
     agrees: bool | None
     shape: tuple[str, ...]
@@ -70,28 +75,26 @@ class CloudCheck:
         """The stretch with the most energy."""
         return max(self.stretches, key=lambda one: one.energy)
 
-    @property
-    def spread(self) -> float:
-        """Variance of the draws over the smoother's, mean of all stretches and directions."""
-        dimension = [3 + 2 * one.landmarks for one in self.stretches]
-        return float(np.average([one.spread for one in self.stretches], weights=dimension))
-
 
 def check_clouds(stretches: Sequence[StretchClouds]) -> CloudCheck:
     """Compare. The test is exact for draws that are independent; the energies of stretches add up.
 
-    A disagreement needs clouds that know the pose as well as one independent particle. Draws whose
-    means agree, from clouds that are not Gaussian, differ in shape alone: no disagreement.
+    A disagreement is an energy distance at LEVEL, or a variance beyond LARGEST_RATIO by more than
+    chance. Draws whose means agree, from clouds that are not Gaussian, differ in shape alone: no
+    disagreement. A verdict needs clouds that know the pose as well as one independent particle;
+    agreement needs stretches that most clouds get through.
     """
     generator = np.random.default_rng(0)
     found, null, observed = [], np.zeros(SIMULATIONS), 0.0
-    mean, size = 0.0, 0
+    means, scatter, size, freedom = 0.0, 0.0, 0, 0
     for one in stretches:
         m, d = one.draw.shape
         own, expected = float(energy(one.draw)), simulated(m, d, generator)
         observed, null = observed + own, null + expected
         centre = one.draw.mean(axis=0)
-        mean, size = mean + m * float(centre @ centre), size + d
+        means, size = means + m * float(centre @ centre), size + d
+        within = float(((one.draw - centre) ** 2).sum())
+        scatter, freedom = scatter + within, freedom + (m - 1) * d
         found.append(
             StretchCheck(
                 begin_s=one.begin_s,
@@ -99,26 +102,36 @@ def check_clouds(stretches: Sequence[StretchClouds]) -> CloudCheck:
                 landmarks=(d - 3) // 2,
                 energy=own / float(expected.mean()),
                 shift=float(np.linalg.norm(one.mean[:, :3].mean(axis=0))),
-                spread=float(((one.draw - centre) ** 2).sum() / ((m - 1) * d)),
+                spread=within / ((m - 1) * d),
             )
         )
     p = float(1 + np.count_nonzero(null >= observed)) / (SIMULATIONS + 1)
-    limit = float(chdtri(size, LEVEL)) / size
-    scatter = np.mean([np.cov(one.mean[:, :3].T) for one in stretches], axis=0)
-    independent = 1.0 / float(np.linalg.eigvalsh(scatter)[-1])
+    spread = scatter / freedom
+    mean, limit = means / size / spread, float(fdtri(size, freedom, 1.0 - LEVEL))
+    of_means = np.mean([np.cov(one.mean[:, :3].T) for one in stretches], axis=0)
+    independent = 1.0 / float(np.linalg.eigvalsh(of_means)[-1])
     shape = tuple(words for one in stretches for words in _shape(one, len(stretches)))
-    same = p > LEVEL or (mean / size <= limit and bool(shape))
+    same = p > LEVEL and not _beyond(spread, freedom)
+    same = same or (mean <= limit and bool(shape))
+    enough = not same or np.mean([one.depleted for one in stretches]) <= 0.5
     return CloudCheck(
         stretches=tuple(found),
         clouds=sum(len(one.draw) for one in stretches),
         energy=observed / float(null.mean()),
         p=p,
-        mean=mean / size,
+        mean=mean,
         mean_limit=limit,
+        spread=spread,
         independent=independent,
-        agrees=same if independent >= 1.0 else None,
+        agrees=same if enough and independent >= 1.0 else None,
         shape=shape,
     )
+
+
+def _beyond(ratio: float, freedom: int) -> bool:
+    """Whether a ratio of variances, with so many degrees of freedom, lies outside the limits."""
+    low, high = ratio * freedom / chdtri(freedom, np.array((LEVEL / 2, 1.0 - LEVEL / 2)))
+    return bool(low > LARGEST_RATIO or high < 1.0 / LARGEST_RATIO)
 
 
 def _shape(stretch: StretchClouds, stretches: int) -> list[str]:

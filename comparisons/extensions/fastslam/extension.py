@@ -51,14 +51,9 @@ class FastSlamExtension(Extension):
         )
 
     def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:
-        """Refuse what FastSLAM would leave out. Raises InputError."""
-        log = prepared.log
-        for taken, what in (
-            (surveyed(log)[0], "surveyed landmarks"),
-            (log.loop_closures, "loop closures"),
-        ):
-            if taken:
-                raise InputError(f"{log.name}: --third fastslam takes no {what}")
+        """Refuse surveyed landmarks, which FastSLAM would estimate anew. Raises InputError."""
+        if surveyed(prepared.log)[0]:
+            raise InputError(f"{prepared.log.name}: --third fastslam takes no surveyed landmarks")
         return prepared
 
     def check(self, compared: Compared) -> FastSlamFinding:
@@ -103,38 +98,43 @@ class FastSlamFinding(Finding):
     def rows(self) -> Sequence[Row]:
         """Return how the clouds compare with the smoother, and how depleted the whole log's is."""
         own, group = self.result, "FastSLAM"
-        known = f"{own.independent:.2g}"
+        ran = f"{own.particles:,}, {own.clouds:,}, {len(own.stretches):,}"
+        turned = f"{np.degrees(own.difference_rad):.2f} deg"
         return [
+            Row(group, "clouds against the smoother", own.verdict),
+            Row(group, "particles of a cloud, clouds, stretches", ran),
+            Row(group, "stretches: mean length", f"{own.length_s:.1f} s"),
             Row(
                 group,
-                "particles of each cloud, clouds, stretches",
-                f"{own.particles:,}, {own.clouds:,}, {len(own.stretches):,}",
+                "stretches: independent particles of a cloud",
+                f"{own.independent:.2g}",
+                "at least 1",
+                own.independent >= 1.0,
             ),
-            Row(group, "stretches: independent particles of a cloud", known, "at least 1"),
             Row(
                 group,
-                "stretches: probability of the energy distance, if both posteriors are one",
+                "stretches: p of the energy distance",
                 f"{own.p:.4f}",
                 f"above {LEVEL:g}",
-                own.agrees,
+                own.p > LEVEL,
             ),
-            Row(group, "stretches: energy (1 where both are one)", f"{own.energy:.2f}"),
+            Row(group, "stretches: energy distance (1 expected)", f"{own.energy:.2f}"),
             Row(
                 group,
-                "stretches: squared shift of pose and map (1 where both are one)",
+                "stretches: squared shift (1 expected)",
                 f"{own.mean:.2f}",
                 f"at most {own.mean_limit:.2f}",
             ),
-            Row(group, "stretches: variance over the smoother's", f"{own.spread:.2f}"),
+            Row(group, "stretches: variance (1 expected)", f"{own.spread:.2f}"),
             Row(
                 group,
-                "whole log, last pose: difference from the smoother",
-                f"{own.difference_m:.3f} m, {np.degrees(own.difference_rad):.2f} deg",
+                "whole log: last pose from the smoother's",
+                f"{own.difference_m:.3f} m, {turned}",
             ),
-            Row(group, "whole log: effective sample size, mean", f"{own.effective:.0f}"),
+            Row(group, "whole log: mean effective sample size", f"{own.effective:.0f}"),
             Row(
                 group,
-                "whole log: particles with descendants, first and middle epoch",
+                "whole log: ancestors in first and middle epoch",
                 f"{own.first}, {own.middle}",
             ),
             *accuracy_rows("FastSLAM", own.accuracy),
@@ -180,9 +180,9 @@ def cloud_estimate(cloud: Cloud, time_s: Array) -> Estimate:
 def _remarks(check: CloudCheck, own: FastSlamResult) -> list[str]:
     if check.agrees is None:
         return [
-            f"FastSLAM gives no verdict: over stretches of the log a cloud of {own.particles} "
-            f"particles knows the last pose no better than {check.independent:.2g} independent "
-            "particles would; more particles may"
+            f"FastSLAM gives no verdict: clouds of {own.particles} particles are too small; they "
+            f"know a last pose like {check.independent:.2g} independent particles, after stretches "
+            f"of {own.length_s:.1f} s; more particles may"
         ]
     found = []
     if not check.agrees:

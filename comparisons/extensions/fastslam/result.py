@@ -47,10 +47,11 @@ class FastSlamResult(Model):
         particles: particles of each cloud.
         clouds: independent clouds of all stretches together, one draw each.
         stretches: stretches that were compared.
+        length_s: their mean length.
         energy: energy distance of all stretches over its mean where both posteriors are one.
         p: probability of so large an energy distance where both posteriors are one.
         level: largest p of a disagreement.
-        mean: squared shift of pose and map from the smoother's, over its expectation.
+        mean: squared shift of pose and map from the smoother's, over what their scatter explains.
         mean_limit: what `mean` exceeds with probability `level`.
         spread: variance of pose and map over the smoother's, mean of all directions.
         independent: independent particles that know the last pose as well as one cloud.
@@ -68,6 +69,7 @@ class FastSlamResult(Model):
     particles: int
     clouds: int
     stretches: list[StretchResult]
+    length_s: float
     energy: float
     p: float
     level: float
@@ -98,6 +100,7 @@ def fastslam_result(
         particles=settings.particles,
         clouds=check.clouds,
         stretches=[StretchResult(**asdict(one)) for one in check.stretches],
+        length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
         energy=check.energy,
         p=check.p,
         level=LEVEL,

@@ -36,11 +36,15 @@ KNOWN_SIGMA = np.array([1e-3, 1e-3, 1e-4])
 
 
 class Stretch(NamedTuple):
-    """Epochs first to last, both included, and what is known at the first."""
+    """Epochs first to last, both included, and what is known at the first.
+
+    depleted: already its first measurements leave fewer than LEAST_ANCESTORS.
+    """
 
     first: int
     last: int
     start: Start
+    depleted: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +57,7 @@ class StretchClouds:
     begin_s, end_s: of the stretch. draw: (M, d) one particle of each cloud, drawn by weight, with
     a map drawn from its Gaussians; where the posteriors are one, independent standard normal. mean:
     (M, d) weighted means of the clouds. moments: (M, 2, 3) skewness and excess kurtosis of x, y and
-    heading.
+    heading. depleted: of the stretch.
     """
 
     begin_s: float
@@ -61,6 +65,7 @@ class StretchClouds:
     draw: Array
     mean: Array
     moments: Array
+    depleted: bool = False
 
 
 class StretchComparison:
@@ -111,8 +116,9 @@ class StretchComparison:
             if not self._advance(slam, k, first):
                 continue
             if slam.history.effective_ancestors(slam.weight) < LEAST_ANCESTORS:
-                # Where already the first measurements are too many, they are the stretch.
-                return Stretch(first, enough if enough > first else max(k, first + 1), start)
+                if enough > first:
+                    return Stretch(first, enough, start)
+                return Stretch(first, max(k, first + 1), start, depleted=True)
             enough = k
         return Stretch(first, self._inputs.epochs - 1, start)
 
@@ -133,7 +139,7 @@ class StretchComparison:
             number: Of the stretch, for the seeds.
             count: M, clouds.
         """
-        first, last, _ = stretch
+        first, last = stretch.first, stretch.last
         problem, landmarks = between(self._problem, stretch)
         smoothed = self._smoothed
         guess = smoothed.poses[first : last + 1], smoothed.landmarks[landmarks]
@@ -155,6 +161,7 @@ class StretchComparison:
             draw=_whitened(np.array(draws), posterior.mean, root),
             mean=_whitened(np.array(means), posterior.mean, root),
             moments=np.array(moments),
+            depleted=stretch.depleted,
         )
 
     def _slam(self, start: Start, number: tuple[int, ...]) -> FastSlam:
@@ -177,7 +184,7 @@ class StretchComparison:
 
 def between(problem: SlamProblem, stretch: Stretch) -> tuple[SlamProblem, Index]:
     """Return the motion and the measurements of a stretch, and the landmarks (D,) that it has."""
-    first, last, start = stretch
+    first, last, start, _ = stretch
     pose = problem.measurement_pose
     rows = np.flatnonzero((pose >= first) & (pose <= last))
     landmarks, index = np.unique(problem.measurement_landmark[rows], return_inverse=True)
