@@ -106,8 +106,6 @@ def test_stretches_cover_the_log_and_end_before_the_cloud_is_depleted(
     assert (found[0].first, found[-1].last) == (0, epochs - 1)
     assert all(a.last == b.first for a, b in pairwise(found))
     assert len(found) > 10
-    np.testing.assert_array_equal(found[0].start.covariance, comparison.log.prior.covariance)
-    np.testing.assert_array_equal(found[3].start.pose, comparison.gaps.result.poses[found[3].first])
     few = stretches.stretches(4)
     assert [one.first for one in few[:: len(few) - 1]] == [0, found[-1].first]
 
@@ -116,12 +114,12 @@ def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
     comparison: Comparison, stretches: StretchComparison
 ) -> None:
     problem = comparison.gaps.problem
-    whole = Stretch(0, problem.pose_count - 1, Start(problem.prior_pose, problem.prior_covariance))
-    same, landmarks = between(problem, whole)
+    prior = Start(problem.prior_pose, problem.prior_covariance)
+    same, landmarks = between(problem, Stretch(0, problem.pose_count - 1), prior)
     np.testing.assert_array_equal(landmarks, np.arange(problem.landmark_count))
     for name in ("increment", "z", "measurement_pose", "measurement_landmark"):
         np.testing.assert_array_equal(getattr(same, name), getattr(problem, name))
-    part, landmarks = between(problem, stretches.stretches(8)[4])
+    part, landmarks = between(problem, stretches.stretches(8)[4], prior)
     assert part.measurement_pose.min() >= 0
     assert part.measurement_pose.max() < part.pose_count
     assert part.landmark_count == len(landmarks) == len(np.unique(part.measurement_landmark))

@@ -2,9 +2,9 @@
 
 Resampling loses ancestors: after a loop most particles descend from one, and the cloud is no sample
 of the posterior any more. So a log is cut where few ancestors of the stretch's first particles are
-left. The first stretch starts at the log's prior; the others at a known pose, the smoother's, with
-an empty map. Of each stretch the smoother finds the posterior from the same measurements, with the
-same association.
+left. Each stretch starts with an empty map at a known pose, the smoother's: the prior of the whole
+log only moves all of it. Of each stretch the smoother finds the posterior from the same
+measurements, with the same association.
 """
 
 from __future__ import annotations
@@ -36,14 +36,13 @@ KNOWN_SIGMA = np.array([1e-3, 1e-3, 1e-4])
 
 
 class Stretch(NamedTuple):
-    """Epochs first to last, both included, and what is known at the first.
+    """Epochs first to last, both included.
 
     depleted: already its first measurements leave fewer than LEAST_ANCESTORS.
     """
 
     first: int
     last: int
-    start: Start
     depleted: bool = False
 
 
@@ -107,24 +106,21 @@ class StretchComparison:
 
     def _stretch(self, first: int, number: int) -> Stretch:
         """Drive until too few ancestors are left, or to the end of the log."""
-        known = Start(self._smoothed.poses[first], np.diag(KNOWN_SIGMA**2))
-        prior = Start(self._problem.prior_pose, self._problem.prior_covariance)
-        start = known if first else prior
-        slam = self._slam(start, (number,))
+        slam = self._slam(first, (number,))
         enough = first
         for k in range(first, self._inputs.epochs):
             if not self._advance(slam, k, first):
                 continue
             if slam.history.effective_ancestors(slam.weight) < LEAST_ANCESTORS:
                 if enough > first:
-                    return Stretch(first, enough, start)
-                return Stretch(first, max(k, first + 1), start, depleted=True)
+                    return Stretch(first, enough)
+                return Stretch(first, max(k, first + 1), depleted=True)
             enough = k
-        return Stretch(first, self._inputs.epochs - 1, start)
+        return Stretch(first, self._inputs.epochs - 1)
 
     def _driven(self, stretch: Stretch, number: tuple[int, ...]) -> FastSlam:
         """Return a cloud at the end of a stretch, all of its motion sampled."""
-        slam = self._slam(stretch.start, number)
+        slam = self._slam(stretch.first, number)
         for epoch in range(stretch.first, stretch.last + 1):
             self._advance(slam, epoch, stretch.first)
         if slam.motion.covariance.any():
@@ -140,7 +136,7 @@ class StretchComparison:
             count: M, clouds.
         """
         first, last = stretch.first, stretch.last
-        problem, landmarks = between(self._problem, stretch)
+        problem, landmarks = between(self._problem, stretch, self._known(first))
         smoothed = self._smoothed
         guess = smoothed.poses[first : last + 1], smoothed.landmarks[landmarks]
         posterior = smooth(problem, {"whole log": guess}).marginal()
@@ -164,12 +160,17 @@ class StretchComparison:
             depleted=stretch.depleted,
         )
 
-    def _slam(self, start: Start, number: tuple[int, ...]) -> FastSlam:
+    def _slam(self, first: int, number: tuple[int, ...]) -> FastSlam:
+        """Return a cloud at the known pose of an epoch."""
         seed = self._sampling.seed
         seeds = (seed,) if isinstance(seed, int) else seed
         # A length of its own for each use: seeds of the pilots and of the clouds differ.
         sampling = self._sampling._replace(seed=(*seeds, len(number), *number))
-        return build_fastslam(self._log, sampling, KnownIdentities(), start)
+        return build_fastslam(self._log, sampling, KnownIdentities(), self._known(first))
+
+    def _known(self, epoch: int) -> Start:
+        """Return the smoother's pose, taken for known."""
+        return Start(self._smoothed.poses[epoch], np.diag(KNOWN_SIGMA**2))
 
     def _advance(self, slam: FastSlam, epoch: int, first: int) -> bool:
         """Move to an epoch, unless it is the first, and observe; return whether that was done."""
@@ -182,9 +183,9 @@ class StretchComparison:
         return len(seen) > 0
 
 
-def between(problem: SlamProblem, stretch: Stretch) -> tuple[SlamProblem, Index]:
+def between(problem: SlamProblem, stretch: Stretch, start: Start) -> tuple[SlamProblem, Index]:
     """Return the motion and the measurements of a stretch, and the landmarks (D,) that it has."""
-    first, last, start, _ = stretch
+    first, last = stretch.first, stretch.last
     pose = problem.measurement_pose
     rows = np.flatnonzero((pose >= first) & (pose <= last))
     landmarks, index = np.unique(problem.measurement_landmark[rows], return_inverse=True)
