@@ -13,30 +13,40 @@ from comparisons.extensions.fastslam.check import (
     CloudCheck,
     check_clouds,
 )
-from comparisons.extensions.fastslam.energy import SIMULATIONS, energy, simulated
+from comparisons.extensions.fastslam.energy import SIMULATIONS, energy, permuted, simulated
 from comparisons.extensions.fastslam.stretches import StretchClouds, standardised_moments
 
 CLOUDS, STRETCHES, DIMENSION = 16, 6, 9
 
 
 def stretch(
-    generator: np.random.Generator, *, shift: float = 0.0, spread: float = 1.0, scatter: float = 0.3
+    generator: np.random.Generator,
+    *,
+    shift: float = 0.0,
+    spread: float = 1.0,
+    scatter: float = 0.3,
+    exact: float | None = None,
 ) -> StretchClouds:
-    """Draws of variance `spread` around `shift`; the clouds' means scatter by `scatter` sigma."""
+    """Draws of variance `spread` around `shift`; the clouds' means scatter by `scatter` sigma.
+
+    exact: standard deviation of the exact posterior, where that is known.
+    """
     at = np.zeros(DIMENSION)
     at[1] = shift
     return StretchClouds(
         begin_s=10.0,
         end_s=15.0,
+        depleted=False,
         draw=at + np.sqrt(spread) * generator.standard_normal((CLOUDS, DIMENSION)),
         mean=at + scatter * generator.standard_normal((CLOUDS, DIMENSION)),
         moments=np.zeros((CLOUDS, 2, 3)),
+        exact=lambda rng: None if exact is None else exact * rng.standard_normal((96, DIMENSION)),
     )
 
 
-def checked(seed: int = 0, **kind: float) -> CloudCheck:
+def checked(seed: int = 0, **kind: float | None) -> CloudCheck:
     generator = np.random.default_rng(seed)
-    return check_clouds([stretch(generator, **kind) for _ in range(STRETCHES)])
+    return check_clouds([stretch(generator, **kind) for _ in range(STRETCHES)])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("dimension", [3, 100, 101, 300])
@@ -113,12 +123,51 @@ def moments(draw: str) -> Array:
     ],
 )
 def test_shapes_that_are_not_gaussian_are_named(draw: str, words: list[str]) -> None:
-    generator = np.random.default_rng(0)
-    one = stretch(generator, spread=2.0)
-    shaped = StretchClouds(**{**vars(one), "moments": moments(draw)})
-    found = check_clouds([shaped])
+    one = stretch(np.random.default_rng(0))
+    found = check_clouds([StretchClouds(**{**vars(one), "moments": moments(draw)})])
     assert len(found.shape) == len(words)
     assert all(one.startswith(word) for one, word in zip(found.shape, words, strict=True))
-    # Means that agree, and a shape that explains the distance, are no disagreement.
+    assert found.agrees is True
+
+
+@pytest.mark.parametrize(
+    ("exact", "agrees"), [(None, False), (1.0, False), (1.5, True), (2.5, False)]
+)
+def test_clouds_like_the_exact_posterior_agree_where_its_gaussian_does_not(
+    exact: float | None, agrees: bool
+) -> None:
+    found = checked(spread=1.5**2, exact=exact)
     assert found.p <= LEVEL
-    assert found.agrees is bool(words)
+    assert found.exact is not None
+    assert found.exact.stretches == (0 if exact is None else STRETCHES)
+    assert found.exact.explains is agrees
+    assert found.agrees is agrees
+    assert (found.exact.gaussian <= LEVEL) is (exact in {1.5, 2.5})
+
+
+def test_the_exact_posterior_is_not_sought_where_the_gaussian_will_do() -> None:
+    assert checked(exact=3.0).exact is None
+
+
+def test_p_between_draws_is_uniform_where_they_are_of_one_distribution() -> None:
+    generator = np.random.default_rng(3)
+    p: list[float] = []
+    broken: list[float] = []
+    for _ in range(120):
+        first, second = generator.standard_normal((12, 5)), generator.standard_normal((40, 5))
+        for found, draw in ((p, first), (broken, first + 0.3)):
+            own, chance = permuted(draw, second, generator)
+            found.append((1 + np.count_nonzero(chance >= own)) / (SIMULATIONS + 1))
+    assert kstest(p, "uniform").pvalue > 0.01
+    assert kstest(broken, "uniform").pvalue < 1e-6
+
+
+def test_the_energy_between_draws_is_that_of_the_definition() -> None:
+    generator = np.random.default_rng(4)
+    first, second = generator.standard_normal((5, 3)), generator.standard_normal((8, 3)) + 1.0
+    mean = [
+        np.linalg.norm(a[:, None] - b, axis=2).mean()
+        for a, b in ((first, second), (first, first), (second, second))
+    ]
+    expected = 40 / 13 * (2 * mean[0] - mean[1] - mean[2])
+    assert permuted(first, second, generator)[0] == pytest.approx(expected, rel=1e-12)

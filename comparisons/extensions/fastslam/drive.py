@@ -69,11 +69,12 @@ class Cloud:
 
 
 class Sampling(NamedTuple):
-    """How to sample: particles, proposal, and the seed of all random numbers."""
+    """How to sample: particles, proposal, the seed, and the numbers of this run's use of it."""
 
     particles: int = 100
     proposal: Proposal = "measurement"
-    seed: int | tuple[int, ...] = 0
+    seed: int = 0
+    stream: tuple[int, ...] = ()
 
 
 class Start(NamedTuple):
@@ -95,7 +96,7 @@ def build_fastslam(
     options = FastSlamOptions(
         particles=sampling.particles, proposal=sampling.proposal, association=rule
     )
-    generator = np.random.default_rng(sampling.seed)
+    generator = np.random.default_rng((sampling.seed, *sampling.stream))
     return FastSlam(motion_model(log), *start, generator, options, stabilisation)
 
 

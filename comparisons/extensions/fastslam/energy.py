@@ -1,6 +1,6 @@
-"""The energy distance of draws from a standard normal distribution, as a test.
+"""The energy distance of draws from a standard normal distribution, or from others, as a test.
 
-Source: Szekely and Rizzo 2005, "A new test for multivariate normality".
+Source: Szekely and Rizzo 2005, "A new test for multivariate normality"; 2013, "Energy statistics".
 """
 
 from __future__ import annotations
@@ -24,10 +24,7 @@ def energy(draw: Array) -> Array:
     """
     m, d = draw.shape[-2:]
     square = (draw * draw).sum(axis=-1)
-    inner = draw @ draw.swapaxes(-1, -2)
-    apart = square[..., :, None] + square[..., None, :] - 2.0 * inner
-    np.einsum("...ii->...i", apart)[...] = 0.0
-    among = np.sqrt(np.maximum(apart, 0.0)).mean(axis=(-1, -2))
+    among = _distances(draw).mean(axis=(-1, -2))
     normal = float(np.sqrt(2.0) * _distance(np.zeros(1), d)[0])
     found: Array = m * (2.0 * _distance(square, d).mean(axis=-1) - normal - among)
     return found
@@ -41,6 +38,30 @@ def simulated(draws: int, dimension: int, generator: np.random.Generator) -> Arr
         count = min(part, SIMULATIONS - first)
         found.append(energy(generator.standard_normal((count, draws, dimension))))
     return np.concatenate(found)
+
+
+def permuted(first: Array, second: Array, generator: np.random.Generator) -> tuple[float, Array]:
+    """Return the energy between draws (M, d) and (N, d), and those (SIMULATIONS,) of permutations.
+
+    M N / (M + N) times 2 E|u - v| - E|u - u'| - E|v - v'|.
+    """
+    m, n = len(first), len(second)
+    apart = _distances(np.vstack((first, second)))
+    of_first = np.tile(np.arange(m + n) < m, (SIMULATIONS + 1, 1))
+    generator.permuted(of_first[1:], axis=1, out=of_first[1:])
+    # x^T A x with x = 1 / M on the first and -1 / N on the second is minus the distance.
+    x = np.where(of_first, 1.0 / m, -1.0 / n)
+    found: Array = -(m * n / (m + n)) * ((x @ apart) * x).sum(axis=1)
+    return float(found[0]), found[1:]
+
+
+def _distances(draw: Array) -> Array:
+    """Distances (..., M, M) between draws (..., M, d)."""
+    square = (draw * draw).sum(axis=-1)
+    inner = draw @ draw.swapaxes(-1, -2)
+    apart = square[..., :, None] + square[..., None, :] - 2.0 * inner
+    np.einsum("...ii->...i", apart)[...] = 0.0
+    return np.asarray(np.sqrt(np.maximum(apart, 0.0)))
 
 
 def _distance(square: Array, d: int) -> Array:

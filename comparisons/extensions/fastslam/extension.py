@@ -184,14 +184,21 @@ def _remarks(check: CloudCheck, own: FastSlamResult) -> list[str]:
             f"know a last pose like {check.independent:.2g} independent particles, after stretches "
             f"of {own.length_s:.1f} s; more particles may"
         ]
-    found = []
+    found, worst = [], check.worst
+    where = f"most from {worst.begin_s:.1f} to {worst.end_s:.1f} s"
     if not check.agrees:
-        worst = check.worst
         found.append(
             f"FastSLAM disagrees with the smoother over stretches of the log (p {check.p:.4f}, "
-            f"level {LEVEL:g}), most from {worst.begin_s:.1f} to {worst.end_s:.1f} s: the last "
-            f"pose is {worst.shift:.1f} sigma off, variances are {worst.spread:.2f} times the "
-            "smoother's"
+            f"level {LEVEL:g}), {where}: the last pose is {worst.shift:.1f} sigma off, variances "
+            f"are {worst.spread:.2f} times the smoother's"
+        )
+    exact = check.exact
+    if exact is not None and exact.gaussian <= LEVEL:
+        found.append(
+            "the posterior is not Gaussian: draws of the smoother's exact posterior differ from "
+            f"its Gaussian over stretches of the log (p {exact.gaussian:.4f}), and "
+            + ("not " if exact.explains else "")
+            + f"from FastSLAM (p {exact.clouds:.4f}), {where}"
         )
     if check.shape:
         found.append(f"FastSLAM's posterior is not Gaussian: {'; '.join(check.shape)}")

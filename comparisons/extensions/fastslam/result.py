@@ -38,6 +38,20 @@ class StretchResult(Model):
     spread: float
 
 
+class ExactResult(Model):
+    """Draws of the smoother's exact posterior, which stretches that are short enough have.
+
+    Attributes:
+        stretches: stretches that could be sampled.
+        clouds: p of the energy distance between them and the clouds.
+        gaussian: p of the energy distance between them and the smoother's Gaussian.
+    """
+
+    stretches: int
+    clouds: float
+    gaussian: float
+
+
 class FastSlamResult(Model):
     """Entry `fastslam`: clouds of particles compared with the smoother.
 
@@ -57,6 +71,7 @@ class FastSlamResult(Model):
         independent: independent particles that know the last pose as well as one cloud.
         agrees: whether the clouds agree with the smoother; null where they are too small to tell.
         verdict: the same in words.
+        exact: the smoother's exact posterior; null where the clouds agree with its Gaussian.
         shape: what of the clouds is not Gaussian.
         difference_m: whole log, last pose: distance of one cloud's mean from the smoother's.
         difference_rad: the same of the heading.
@@ -79,6 +94,7 @@ class FastSlamResult(Model):
     independent: float
     agrees: bool | None
     verdict: str
+    exact: ExactResult | None
     shape: list[str]
     difference_m: float
     difference_rad: float
@@ -110,6 +126,7 @@ def fastslam_result(
         independent=check.independent,
         agrees=check.agrees,
         verdict=_AGREES[check.agrees],
+        exact=check.exact and ExactResult(**asdict(check.exact)),
         shape=list(check.shape),
         difference_m=float(np.hypot(*apart[:2])),
         difference_rad=float(abs(apart[2])),

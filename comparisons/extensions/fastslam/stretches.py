@@ -1,4 +1,4 @@
-"""Stretches of a log that are short enough for FastSLAM, and both posteriors at their ends.
+"""Stretches of a log that are short enough for FastSLAM, and the clouds at their ends.
 
 Resampling loses ancestors: after a loop most particles descend from one, and the cloud is no sample
 of the posterior any more. So a log is cut where few ancestors of the stretch's first particles are
@@ -10,20 +10,18 @@ measurements, with the same association.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.extensions.fastslam.drive import Inputs, Sampling, Start, build_fastslam
+from comparisons.extensions.fastslam.reference import reference_of
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Gaps
-from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.fastslam.association import KnownIdentities
 from ekf_reference.fastslam.filter import FastSlam
-from graphslam.problem import SlamProblem
-from graphslam.smoother import smooth
 
 LEAST_ANCESTORS = 5.0
 """Effective ancestors, of the first cloud of a stretch, below which the stretch ends."""
@@ -53,18 +51,20 @@ class StretchClouds:
     All errors are whitened by the Cholesky factor of the smoother's covariance of the last pose and
     the D landmarks of the stretch, d = 3 + 2 D.
 
-    begin_s, end_s: of the stretch. draw: (M, d) one particle of each cloud, drawn by weight, with
-    a map drawn from its Gaussians; where the posteriors are one, independent standard normal. mean:
-    (M, d) weighted means of the clouds. moments: (M, 2, 3) skewness and excess kurtosis of x, y and
-    heading. depleted: of the stretch.
+    begin_s, end_s: of the stretch. depleted: of the stretch. draw: (M, d) one particle of each
+    cloud, drawn by weight, with a map drawn from its Gaussians; where the posteriors are one,
+    independent standard normal. mean: (M, d) weighted means of the clouds. moments: (M, 2, 3)
+    skewness and excess kurtosis of x, y and heading. exact: draws (M', d) of the smoother's exact
+    posterior, or None where there are none to be had.
     """
 
     begin_s: float
     end_s: float
+    depleted: bool
     draw: Array
     mean: Array
     moments: Array
-    depleted: bool = False
+    exact: Callable[[np.random.Generator], Array | None]
 
 
 class StretchComparison:
@@ -80,7 +80,11 @@ class StretchComparison:
         """
         run = gaps.run
         self._log, self._sampling = log, sampling
-        self._problem, self._smoothed, self._timeline = gaps.problem, gaps.result, run.timeline
+        self._problem, self._whole, self._time_s = (
+            gaps.problem,
+            gaps.result,
+            run.timeline.epoch_time_s,
+        )
         self._inputs = Inputs(log, run.timeline, np.asarray(run.landmark_index, dtype=np.int64))
 
     def run(
@@ -118,6 +122,34 @@ class StretchComparison:
             enough = k
         return Stretch(first, self._inputs.epochs - 1)
 
+    def clouds(self, stretch: Stretch, number: int, count: int) -> StretchClouds:
+        """Run independent clouds through a stretch, and the smoother.
+
+        Args:
+            stretch: One of `stretches`.
+            number: Of the stretch, for the seeds.
+            count: M, clouds.
+        """
+        first, last, depleted = stretch
+        reference = reference_of(self._problem, self._whole, (first, last), self._known(first))
+        draws, means, moments = [], [], []
+        for k in range(count):
+            slam = self._driven(stretch, (number, k))
+            columns = slam.maps.columns_of(reference.landmarks)
+            draws.append(draw_particle(slam, columns))
+            places = np.einsum("n,nli->li", slam.weight, slam.maps.mean[:, columns])
+            means.append(np.concatenate((slam.mean_pose(), places.ravel())))
+            moments.append(standardised_moments(slam.pose, slam.weight))
+        return StretchClouds(
+            begin_s=float(self._time_s[first]),
+            end_s=float(self._time_s[last]),
+            depleted=depleted,
+            draw=reference.whitened(np.array(draws)),
+            mean=reference.whitened(np.array(means)),
+            moments=np.array(moments),
+            exact=reference.exact_draws,
+        )
+
     def _driven(self, stretch: Stretch, number: tuple[int, ...]) -> FastSlam:
         """Return a cloud at the end of a stretch, all of its motion sampled."""
         slam = self._slam(stretch.first, number)
@@ -127,50 +159,17 @@ class StretchComparison:
             slam.sample_motion()
         return slam
 
-    def clouds(self, stretch: Stretch, number: int, count: int) -> StretchClouds:
-        """Run independent clouds through a stretch, and the smoother.
-
-        Args:
-            stretch: One of `stretches`.
-            number: Of the stretch, for the seeds.
-            count: M, clouds.
-        """
-        first, last = stretch.first, stretch.last
-        problem, landmarks = between(self._problem, stretch, self._known(first))
-        smoothed = self._smoothed
-        guess = smoothed.poses[first : last + 1], smoothed.landmarks[landmarks]
-        posterior = smooth(problem, {"whole log": guess}).marginal()
-        root = np.asarray(np.linalg.cholesky(posterior.covariance), dtype=float)
-        draws, means, moments = [], [], []
-        for k in range(count):
-            slam = self._driven(stretch, (number, k))
-            columns = slam.maps.columns_of(landmarks)
-            draws.append(draw_particle(slam, columns))
-            pose, weight = slam.pose, slam.weight
-            places = np.einsum("n,nli->li", weight, slam.maps.mean[:, columns])
-            means.append(np.concatenate((weight @ pose, places.ravel())))
-            moments.append(standardised_moments(pose, weight))
-        time_s = self._timeline.epoch_time_s
-        return StretchClouds(
-            begin_s=float(time_s[first]),
-            end_s=float(time_s[last]),
-            draw=_whitened(np.array(draws), posterior.mean, root),
-            mean=_whitened(np.array(means), posterior.mean, root),
-            moments=np.array(moments),
-            depleted=stretch.depleted,
-        )
-
     def _slam(self, first: int, number: tuple[int, ...]) -> FastSlam:
-        """Return a cloud at the known pose of an epoch."""
-        seed = self._sampling.seed
-        seeds = (seed,) if isinstance(seed, int) else seed
-        # A length of its own for each use: seeds of the pilots and of the clouds differ.
-        sampling = self._sampling._replace(seed=(*seeds, len(number), *number))
+        """Return a cloud at the known pose of an epoch.
+
+        number: of the stretch, or of the stretch and the cloud; their random numbers are apart.
+        """
+        sampling = self._sampling._replace(stream=(len(number), *number))
         return build_fastslam(self._log, sampling, KnownIdentities(), self._known(first))
 
     def _known(self, epoch: int) -> Start:
         """Return the smoother's pose, taken for known."""
-        return Start(self._smoothed.poses[epoch], np.diag(KNOWN_SIGMA**2))
+        return Start(self._whole.poses[epoch], np.diag(KNOWN_SIGMA**2))
 
     def _advance(self, slam: FastSlam, epoch: int, first: int) -> bool:
         """Move to an epoch, unless it is the first, and observe; return whether that was done."""
@@ -181,27 +180,6 @@ class StretchComparison:
         if len(seen):
             slam.observe(seen)
         return len(seen) > 0
-
-
-def between(problem: SlamProblem, stretch: Stretch, start: Start) -> tuple[SlamProblem, Index]:
-    """Return the motion and the measurements of a stretch, and the landmarks (D,) that it has."""
-    first, last = stretch.first, stretch.last
-    pose = problem.measurement_pose
-    rows = np.flatnonzero((pose >= first) & (pose <= last))
-    landmarks, index = np.unique(problem.measurement_landmark[rows], return_inverse=True)
-    part = replace(
-        problem,
-        prior_pose=start.pose,
-        prior_covariance=start.covariance,
-        increment=problem.increment[first:last],
-        increment_covariance=problem.increment_covariance[first:last],
-        measurement_pose=pose[rows] - first,
-        measurement_landmark=index,
-        z=problem.z[rows],
-        sigma=problem.sigma[rows],
-        landmark_count=len(landmarks),
-    )
-    return part, landmarks
 
 
 def draw_particle(slam: FastSlam, columns: Index) -> Array:
@@ -226,10 +204,3 @@ def standardised_moments(pose: Array, weight: Array) -> Array:
     if not (variance > 0.0).all():
         return np.zeros((2, 3))
     return np.stack(((weight @ apart**3) / variance**1.5, (weight @ apart**4) / variance**2 - 3.0))
-
-
-def _whitened(states: Array, mean: Array, root: Array) -> Array:
-    """States (M, d) as errors, in the axes of the root's columns."""
-    apart = states - mean
-    apart[:, 2] = wrap_angle(apart[:, 2])
-    return np.asarray(np.linalg.solve(root, apart.T).T)
