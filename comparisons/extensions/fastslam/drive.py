@@ -17,7 +17,12 @@ from ekf_reference.core.ekf import Stabilisation
 from ekf_reference.core.geometry import rotation
 from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
-from ekf_reference.fastslam.association import KnownIdentities, PerParticleLikelihood, View
+from ekf_reference.fastslam.association import (
+    Choice,
+    KnownIdentities,
+    PerParticleLikelihood,
+    View,
+)
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
 
 VIEW = View(range_m=30.0, half_angle_rad=1.2)
@@ -40,11 +45,12 @@ class Cloud:
 
 
 class Sampling(NamedTuple):
-    """How to sample: particles, proposal, and the seed of all random numbers."""
+    """How to sample. seed: of all random numbers. choice: of associations without labels."""
 
     particles: int = 100
     proposal: Proposal = "measurement"
     seed: int = 0
+    choice: Choice = "likeliest"
 
 
 def build_fastslam(log: Log, sampling: Sampling, *, known: bool) -> FastSlam:
@@ -57,7 +63,9 @@ def build_fastslam(log: Log, sampling: Sampling, *, known: bool) -> FastSlam:
         noise = log.odometry.noise
         stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
     rule = (
-        KnownIdentities(log.measurements.label_gate) if known else PerParticleLikelihood(view=VIEW)
+        KnownIdentities(log.measurements.label_gate)
+        if known
+        else PerParticleLikelihood(view=VIEW, choice=sampling.choice)
     )
     options = FastSlamOptions(
         particles=sampling.particles, proposal=sampling.proposal, association=rule
