@@ -1,10 +1,12 @@
 """FastSLAM on Victoria Park: error, depletion and cost over the number of particles.
 
     python benchmarks/fastslam.py [--particles 10 30 100] [--seeds 1] [--epochs K]
+        [--choice likeliest | sampled]
         [--proposal measurement | motion] [--labelled | --data DIR] [--copies]
         [--agreement [--wheelbase F ...]]
 
-By default the raw detections of Victoria Park (--data), which every particle associates for itself.
+By default the raw detections of Victoria Park (--data), which every particle associates for itself:
+the likeliest pairs, or sampled ones (--choice).
 A row a number of particles and seed: median distance to the GPS, also after the rigid motion that
 fits best; particles of the first tenth and of the middle of the log that have descendants at its
 end; mean share of the effective sample size; resamplings; landmarks that most particles have;
@@ -37,7 +39,6 @@ from comparisons.extensions.fastslam.check import check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import (
     Sampling,
-    association_rule,
     build_fastslam,
     run_fastslam,
 )
@@ -83,8 +84,7 @@ def errors(log: Log, timeline: Timeline, mean: Array, reference: Array | None) -
 def row(log: Log, timeline: Timeline, sampling: Sampling, reference: Array | None) -> str:
     """Run once."""
     begin = time.process_time()
-    rule = association_rule(log, known=log.measurements.labelled)
-    slam = build_fastslam(log, sampling, rule)
+    slam = build_fastslam(log, sampling, known=log.measurements.labelled)
     cloud = run_fastslam(slam, log, timeline)
     cpu_s = time.process_time() - begin
     error_m, aligned_m = errors(log, timeline, cloud.mean, reference)
@@ -172,6 +172,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--epochs", type=int, help="only so many of the log's")
     parser.add_argument("--proposal", choices=("measurement", "motion"), default="measurement")
+    parser.add_argument("--choice", choices=("likeliest", "sampled"), default="likeliest")
     parser.add_argument("--labelled", action="store_true")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--copies", action="store_true")
@@ -194,11 +195,14 @@ def main() -> None:
     if given.epochs is not None:
         timeline = timeline.prefix(given.epochs)
     reference = ekf_trajectory(log, timeline) if given.labelled else None
-    print(f"{log.name}, {len(timeline.epoch_time_s):,} epochs, proposal {given.proposal}")
+    print(
+        f"{log.name}, {len(timeline.epoch_time_s):,} epochs, proposal {given.proposal}, "
+        f"choice {given.choice}"
+    )
     print(HEAD)
     for particles in given.particles:
         for seed in range(given.seeds):
-            sampling = Sampling(particles, given.proposal, seed)
+            sampling = Sampling(particles, given.proposal, seed, given.choice)
             print(row(log, timeline, sampling, reference), flush=True)
 
 

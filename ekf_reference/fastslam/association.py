@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ NEW = -1
 """The measurement is of a landmark that the particle does not have yet."""
 UNUSED = -2
 """The measurement is not used by the particle."""
+Choice = Literal["likeliest", "sampled"]
+"""How a particle decides: for the likeliest pairs, or by chance in proportion to the likelihood, so
+that particles at the same pose hold different hypotheses and resampling decides between them."""
 LOG_TWO_PI = math.log(2.0 * math.pi)
 _UPPER = (0, 0), (0, 1), (1, 1)
 
@@ -36,6 +39,18 @@ class Sight(NamedTuple):
     pose: Array
     root: Array
     sensor: MeasurementModel
+
+
+class Assignment(NamedTuple):
+    """What the measurements of a scan are of, in every particle.
+
+    column: (N, m) of the landmark, NEW or UNUSED; distinct in each row where not negative.
+    log_correction: (N,) ln of prior over proposal, by which the weight of a particle that sampled
+    its assignment is multiplied; zero where nothing was sampled.
+    """
+
+    column: Index
+    log_correction: Array
 
 
 class ParticleAssociation(Protocol):
@@ -55,8 +70,14 @@ class ParticleAssociation(Protocol):
     def numbers(self, seen: Measurements, serial: int) -> NDArray[np.int64]:
         """Return the numbers (m,) that columns of new landmarks get; serial: the next free one."""
 
-    def assign(self, maps: ParticleMaps, sight: Sight, seen: Measurements) -> Index:
-        """Return the column of each measurement (N, m), NEW or UNUSED; distinct in each row."""
+    def assign(
+        self,
+        maps: ParticleMaps,
+        sight: Sight,
+        seen: Measurements,
+        generator: np.random.Generator,
+    ) -> Assignment:
+        """Assign the measurements. generator: of all random numbers."""
 
     def review(self, maps: ParticleMaps, pose: Array, columns: Index) -> None:
         """Change the evidence for landmarks.
@@ -90,12 +111,19 @@ class KnownIdentities:
         """Return the labels."""
         return seen.identity
 
-    def assign(self, maps: ParticleMaps, sight: Sight, seen: Measurements) -> Index:
+    def assign(
+        self,
+        maps: ParticleMaps,
+        sight: Sight,
+        seen: Measurements,
+        generator: np.random.Generator,
+    ) -> Assignment:
         """Look the labels up."""
         column = maps.columns_of(seen.identity)
         column = np.where(column == FREE, NEW, column)
         column[seen.identity < 0] = UNUSED
-        return np.tile(column, (len(sight.pose), 1))
+        n = len(sight.pose)
+        return Assignment(np.tile(column, (n, 1)), np.zeros(n))
 
     def review(self, maps: ParticleMaps, pose: Array, columns: Index) -> None:
         """Keep everything: a label proves that its landmark exists."""
@@ -111,11 +139,14 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class PerParticleLikelihood:
-    """Every particle takes the likeliest pairs, each landmark once in a scan.
+    """Every particle takes the likeliest pairs, or samples them, each landmark once in a scan.
 
-    A pair is possible within `gate` (nis, Nieto 2005, eq. 2.58) and where it is likelier than a new
-    landmark of density `new_density` [1 / (m rad)]; the likeliest pair is taken first. A
-    measurement whose nis exceeds `new_gate` for every landmark starts a new one; others are unused.
+    A pair is possible within `gate` (nis, Nieto 2005, eq. 2.58). A measurement without a pair has
+    the density `new_density` [1 / (m rad)]; it starts a landmark where its nis exceeds `new_gate`
+    for every other, and is not used otherwise. choice: "likeliest" takes the likeliest pair first,
+    then the next, as long as they are likelier than `new_density`. "sampled" draws them by
+    `sampled_pairs`, which states the prior: the weighted particles then are of the joint posterior
+    of path and associations.
     Evidence for a landmark, in log odds: `gain` for each measurement, `loss` where it lies within
     `view` and is not measured, at most `most_evidence`; below zero it is removed (Montemerlo and
     Thrun 2003). margin_m: how uncertain motion and landmarks may be, when landmarks near a
@@ -123,6 +154,7 @@ class PerParticleLikelihood:
     """
 
     view: View
+    choice: Choice = "likeliest"
     gate: float = 13.82
     new_gate: float = 25.0
     new_density: float = 1e-3
@@ -144,7 +176,13 @@ class PerParticleLikelihood:
         """Return serial numbers."""
         return serial + np.arange(len(seen), dtype=np.int64)
 
-    def assign(self, maps: ParticleMaps, sight: Sight, seen: Measurements) -> Index:
+    def assign(
+        self,
+        maps: ParticleMaps,
+        sight: Sight,
+        seen: Measurements,
+        generator: np.random.Generator,
+    ) -> Assignment:
         """Assign by likelihood, every particle for itself."""
         measured = sight.sensor.invert(np.zeros(3), seen.z)
         spread = measured.jacobian_z @ seen.noise @ measured.jacobian_z.swapaxes(1, 2)
@@ -152,7 +190,7 @@ class PerParticleLikelihood:
         columns = maps.around(sight.pose, measured.landmark, reach_m)
         n, m = len(sight.pose), len(seen)
         if not len(columns):
-            return np.full((n, m), NEW, dtype=np.intp)
+            return Assignment(np.full((n, m), NEW, dtype=np.intp), np.zeros(n))
         at = maps.expected(sight.pose, columns, sight.sensor)
         by_motion = at.by_pose @ sight.root
         own = at.spread + by_motion @ by_motion.swapaxes(-1, -2)
@@ -163,10 +201,15 @@ class PerParticleLikelihood:
         nis = (x * (d * x - 2.0 * b * y) + a * y * y) / determinant
         nis = np.where(maps.has(columns)[:, None], nis, np.inf)
         likelihood = -0.5 * (nis + np.log(determinant)) - LOG_TWO_PI
-        possible = (nis <= self.gate) & (likelihood > self.log_unmatched)
-        choice = best_pairs(np.where(possible, likelihood, -np.inf))
+        score = np.where(nis <= self.gate, likelihood, -np.inf)
+        if self.choice == "sampled":
+            pair, log_correction = sampled_pairs(score, self.log_unmatched, generator)
+        else:
+            pair = best_pairs(np.where(score > self.log_unmatched, score, -np.inf))
+            log_correction = np.zeros(n)
         far = nis.min(axis=2) > self.new_gate
-        return np.where(choice >= 0, columns[choice], np.where(far, NEW, UNUSED))
+        column = np.where(pair >= 0, columns[pair], np.where(far, NEW, UNUSED))
+        return Assignment(column, log_correction)
 
     def review(self, maps: ParticleMaps, pose: Array, columns: Index) -> None:
         """Add to the evidence of what was measured; lessen that of what should have been."""
@@ -208,6 +251,46 @@ def best_pairs(score: Array) -> Index:
         score[rows, :, landmark] = -np.inf
         rows = rows[_finite(score[rows])]
     return choice
+
+
+def sampled_pairs(
+    score: Array, log_unmatched: float, generator: np.random.Generator
+) -> tuple[Index, Array]:
+    """Draw a landmark for every measurement, in every particle, none twice.
+
+    Measurement after measurement takes one of the K landmarks that are possible for it and not
+    taken yet, or none. Prior: equal odds of the landmarks, 1 / K each, against 1 for none.
+    Proposal: prior times density of this measurement alone, normalised. The scan's densities are
+    not independent where the pose is uncertain, and what is taken excludes others later: the ratio
+    returned makes the weight right for that too.
+
+    Args:
+        score: (N, m, K) log densities, -inf where a pair is not possible.
+        log_unmatched: Log density of a measurement of no landmark.
+        generator: Gives N m uniform numbers.
+
+    Returns:
+        (N, m) the landmark, -1 for none; (N,) ln of prior over proposal of what was drawn.
+
+    Source: Montemerlo and Thrun 2003.
+    """
+    n, m, k = score.shape
+    row, uniform = np.arange(n), generator.random((m, n, 1))
+    drawn, log_ratio = np.full((n, m), -1, dtype=np.intp), np.zeros(n)
+    free = np.ones((n, k), dtype=bool)
+    for j in range(m):
+        own = np.where(free, score[:, j], -np.inf)
+        log_prior = -np.log(np.maximum(np.isfinite(own).sum(axis=1, keepdims=True), 1))
+        own = np.column_stack((own + log_prior, np.full(n, log_unmatched)))
+        most = own.max(axis=1)
+        bounds = np.cumsum(np.exp(own - most[:, None]), axis=1)
+        pick = (bounds <= uniform[j] * bounds[:, -1:]).sum(axis=1)
+        paired = np.flatnonzero(pick < k)
+        log_ratio += most + np.log(bounds[:, -1]) - own[row, pick]
+        log_ratio[paired] += log_prior[paired, 0]
+        drawn[paired, j] = pick[paired]
+        free[paired, pick[paired]] = False
+    return drawn, log_ratio
 
 
 def _finite(score: Array) -> Mask:

@@ -221,7 +221,7 @@ class FastSlam:
         options, maps = self.options, self.maps
         sensor, rule = options.sensor, options.association
         sight = Sight(self.predicted_pose(), self.motion.root_at_arrival(), sensor)
-        columns = rule.assign(maps, sight, seen)
+        columns, log_correction = rule.assign(maps, sight, seen, self.generator)
         matched = columns >= 0
         at = maps.expected(sight.pose, columns, sensor)
         nu = sensor.innovation(seen.z[None], at.z)[..., None]
@@ -247,6 +247,7 @@ class FastSlam:
         beyond = np.where(matched & ~used, -0.5 * (rule.gate + np.log(s_determinant)), 0.0)
         beyond = np.where(matched & ~used, beyond - LOG_TWO_PI, 0.0)
         self.log_weight += beyond.sum(axis=1) + rule.log_unmatched * (~matched).sum(axis=1)
+        self.log_weight += log_correction
         # The sample of N(A^-1 b, A^-1), A the information: the proposal of FastSLAM 2.0.
         noise = self.generator.standard_normal(half.shape)
         u = np.linalg.solve(root.swapaxes(-1, -2), half + noise)[..., 0]

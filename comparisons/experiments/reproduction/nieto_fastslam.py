@@ -27,7 +27,6 @@ from comparisons.experiments.reproduction.interface import (
 )
 from comparisons.extensions.fastslam.drive import (
     Sampling,
-    association_rule,
     build_fastslam,
     run_fastslam,
 )
@@ -95,8 +94,7 @@ def _run(log: Log, particles: int) -> CloudRun:
     timeline, positions = build_timeline(log), log.positions
     if positions is None:
         raise TypeError("no positions")
-    rule = association_rule(log, known=log.measurements.labelled)
-    slam = build_fastslam(log, Sampling(particles), rule)
+    slam = build_fastslam(log, Sampling(particles), known=log.measurements.labelled)
     cloud = run_fastslam(slam, log, timeline)
     found = assess_trajectory(timeline.epoch_time_s, cloud.mean, log)
     path, time_s = cloud.mean[:, :2], timeline.epoch_time_s

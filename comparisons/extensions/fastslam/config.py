@@ -28,6 +28,11 @@ class FastSlamConfig(ExtensionConfig):
         description="Distribution from which poses are sampled. 1.0: the motion; 2.0: the motion "
         "conditioned on the measurements",
     )
+    association: Literal["likeliest", "sampled"] = Field(
+        "likeliest",
+        description="Of measurements without labels, by every particle for itself. sampled: drawn "
+        "in proportion to the likelihood, so that particles hold several hypotheses",
+    )
     seed: int = Field(0, ge=0, description="Seed of all random numbers")
 
     def check_with(self, config: Configured) -> None:

@@ -19,6 +19,7 @@ from ekf_reference.core.geometry import rotation
 from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam.association import (
+    Choice,
     KnownIdentities,
     ParticleAssociation,
     PerParticleLikelihood,
@@ -69,11 +70,16 @@ class Cloud:
 
 
 class Sampling(NamedTuple):
-    """How to sample: particles, proposal, the seed, and the numbers of this run's use of it."""
+    """How to sample.
+
+    choice: of associations, in logs without labels. seed: of all random numbers; a stream of their
+    own for every cloud.
+    """
 
     particles: int = 100
     proposal: Proposal = "measurement"
     seed: int = 0
+    choice: Choice = "likeliest"
     stream: tuple[int, ...] = ()
 
 
@@ -84,27 +90,30 @@ class Start(NamedTuple):
     covariance: Array
 
 
-def build_fastslam(
-    log: Log, sampling: Sampling, rule: ParticleAssociation, start: Start | None = None
+def build_fastslam(log: Log, sampling: Sampling, *, known: bool) -> FastSlam:
+    """Return a FastSLAM at the log's prior.
+
+    known: associate by the log's labels, else every particle for itself.
+    """
+    rule: ParticleAssociation = PerParticleLikelihood(view=VIEW, choice=sampling.choice)
+    if known:
+        rule = KnownIdentities(log.measurements.label_gate)
+    return start_fastslam(log, sampling, rule, Start(log.prior.pose, log.prior.covariance))
+
+
+def start_fastslam(
+    log: Log, sampling: Sampling, rule: ParticleAssociation, start: Start
 ) -> FastSlam:
-    """Return a FastSLAM with the log's vehicle, at the log's prior unless a start is given."""
+    """Return a FastSLAM with the log's vehicle."""
     stabilisation = Stabilisation()
     if not isinstance(log.odometry, RelativePoses):
         noise = log.odometry.noise
         stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
-    start = start or Start(log.prior.pose, log.prior.covariance)
     options = FastSlamOptions(
         particles=sampling.particles, proposal=sampling.proposal, association=rule
     )
     generator = np.random.default_rng((sampling.seed, *sampling.stream))
     return FastSlam(motion_model(log), *start, generator, options, stabilisation)
-
-
-def association_rule(log: Log, *, known: bool) -> ParticleAssociation:
-    """Return the rule for a whole log: by its labels, or every particle for itself."""
-    if known:
-        return KnownIdentities(log.measurements.label_gate)
-    return PerParticleLikelihood(view=VIEW)
 
 
 class Inputs:

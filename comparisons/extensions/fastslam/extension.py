@@ -16,7 +16,6 @@ from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import (
     Cloud,
     Sampling,
-    association_rule,
     build_fastslam,
     run_fastslam,
 )
@@ -48,6 +47,7 @@ class FastSlamExtension(Extension):
             settings.particles,
             "motion" if settings.proposal == "1.0" else "measurement",
             settings.seed,
+            settings.association,
         )
 
     def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:
@@ -70,8 +70,8 @@ class FastSlamExtension(Extension):
     def cloud(self, prepared: Prepared[Any]) -> Cloud:
         """Run one cloud through the whole log."""
         log = prepared.log
-        rule = association_rule(log, known=prepared.labelled)
-        return run_fastslam(build_fastslam(log, self.sampling, rule), log, prepared.timeline)
+        slam = build_fastslam(log, self.sampling, known=prepared.labelled)
+        return run_fastslam(slam, log, prepared.timeline)
 
 
 class FastSlamFinding(Finding):

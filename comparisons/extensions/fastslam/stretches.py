@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.extensions.fastslam.drive import Inputs, Sampling, Start, build_fastslam
+from comparisons.extensions.fastslam.drive import Inputs, Sampling, Start, start_fastslam
 from comparisons.extensions.fastslam.reference import reference_of
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Gaps
@@ -165,7 +165,7 @@ class StretchComparison:
         number: of the stretch, or of the stretch and the cloud; their random numbers are apart.
         """
         sampling = self._sampling._replace(stream=(len(number), *number))
-        return build_fastslam(self._log, sampling, KnownIdentities(), self._known(first))
+        return start_fastslam(self._log, sampling, KnownIdentities(), self._known(first))
 
     def _known(self, epoch: int) -> Start:
         """Return the smoother's pose, taken for known."""

@@ -28,11 +28,11 @@ def scan(pose: Array, points: Array) -> Measurements:
     return Measurements(z, noise, np.full(len(z), -1, dtype=np.int64))
 
 
-def standing(particles: int, proposal: Proposal = "measurement", **rule: float) -> FastSlam:
+def standing(particles: int, proposal: Proposal = "measurement", loss: float = 0.3) -> FastSlam:
     options = FastSlamOptions(
         particles=particles,
         proposal=proposal,
-        association=PerParticleLikelihood(view=View(20.0, 1.5), **rule),
+        association=PerParticleLikelihood(view=View(20.0, 1.5), loss=loss),
         resample_share=0.0,
     )
     return FastSlam(
@@ -91,7 +91,7 @@ def test_new_matched_and_ambiguous_measurements() -> None:
 
 
 def test_evidence_removes_a_landmark_that_is_not_seen_again_but_not_one_out_of_view() -> None:
-    slam = standing(4, gain=1.0, loss=0.4)
+    slam = standing(4, loss=0.4)
     steady, phantom, behind = [5.0, 0.0], [6.0, 4.0], [-5.0, 1.0]
     slam.observe(scan(np.zeros(3), np.array([steady, phantom, behind])))
     for _ in range(2):

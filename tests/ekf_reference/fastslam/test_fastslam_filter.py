@@ -10,16 +10,16 @@ import pytest
 
 from ekf_reference.core.ekf import Stabilisation
 from ekf_reference.core.geometry import Array, Index, wrap_angle
-from ekf_reference.core.landmark_types import (
-    MeasurementModel,
-    NewLandmarks,
-    PredictedMeasurements,
-    diagonal_noise,
-)
+from ekf_reference.core.landmark_types import MeasurementModel, diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam import filter as filter_module
 from ekf_reference.fastslam.accumulated_motion import AccumulatedMotion
-from ekf_reference.fastslam.association import KnownIdentities, PerParticleLikelihood, View
+from ekf_reference.fastslam.association import (
+    KnownIdentities,
+    ParticleAssociation,
+    PerParticleLikelihood,
+    View,
+)
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
 from ekf_reference.fastslam.particle_maps import Expected, ParticleMaps, inverse_2x2
 from ekf_reference.models.motion import (
@@ -29,6 +29,7 @@ from ekf_reference.models.motion import (
     UnicycleModel,
 )
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.fastslam.linear_sensor import PlaceDifference
 
 PROPOSALS: tuple[Proposal, ...] = ("motion", "measurement")
 PRIOR = np.diag((0.2, 0.1, 0.0))
@@ -36,32 +37,6 @@ CONTROL, STEP_NOISE = np.array([1.0, 0.3, 0.0]), np.diag((0.3, 0.2, 0.0))
 R = np.array([[[0.2, 0.05], [0.05, 0.15]]])
 LEVEL = 1e-4
 """Of one-sided chi-square tests; the seeds are fixed."""
-
-
-class PlaceDifference(MeasurementModel):
-    """Place of a point relative to the vehicle: linear while the heading is zero."""
-
-    def range_m(self, z: Array) -> Array:
-        found: Array = np.hypot(z[:, 0], z[:, 1])
-        return found
-
-    def predict(self, T_world_vehicle: Array, landmarks: Array) -> PredictedMeasurements:  # noqa: N803
-        m = len(landmarks)
-        by_pose = np.tile(-np.eye(2, 3), (m, 1, 1))
-        return PredictedMeasurements(
-            landmarks - T_world_vehicle[:2], by_pose, np.tile(np.eye(2), (m, 1, 1))
-        )
-
-    def innovation(self, z: Array, predicted: Array) -> Array:
-        return z - predicted
-
-    def invert(self, T_world_vehicle: Array, z: Array) -> NewLandmarks:  # noqa: N803
-        eye = np.eye(2, 3)
-        return NewLandmarks(
-            z + T_world_vehicle[:2],
-            np.tile(eye, (len(z), 1, 1)),
-            np.tile(eye[:, :2], (len(z), 1, 1)),
-        )
 
 
 class Kalman(NamedTuple):
@@ -351,9 +326,15 @@ def bits(slam: FastSlam) -> tuple[bytes, ...]:
     )
 
 
-@pytest.mark.parametrize("labelled", [True, False])
-def test_resumed_equals_uninterrupted_to_the_bit(labelled: bool) -> None:
-    rule = KnownIdentities() if labelled else PerParticleLikelihood(view=View(20.0))
+@pytest.mark.parametrize(
+    "rule",
+    [
+        KnownIdentities(),
+        PerParticleLikelihood(view=View(20.0)),
+        PerParticleLikelihood(view=View(20.0), choice="sampled", new_density=0.3),
+    ],
+)
+def test_resumed_equals_uninterrupted_to_the_bit(rule: ParticleAssociation) -> None:
     options = FastSlamOptions(particles=40, association=rule, resample_share=0.9)
     model, control, noise = MODELS[1]
     whole, cut, forgetful = (slam_of(model, options) for _ in range(3))
