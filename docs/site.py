@@ -33,7 +33,7 @@ from comparisons.config import JOBS, Configured
 from comparisons.experiments.montecarlo.models import MonteCarloResult
 from comparisons.experiments.reproduction.models import ReproductionResult
 from comparisons.extensions.dense_maps.result import DenseResult
-from comparisons.extensions.fastslam.extension import FastSlamResult
+from comparisons.extensions.fastslam.result import FastSlamResult
 from comparisons.extensions.high_level.result import HighLevelResult
 from comparisons.extensions.own_association.extension import OwnAssociationResult
 from comparisons.extensions.own_matching.result import OwnMatchingResult

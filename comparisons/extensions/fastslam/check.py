@@ -72,20 +72,21 @@ class CloudCheck:
     """Clouds against the smoother, all stretches together.
 
     stretches: one by one. clouds: of all stretches. energy: as of one. p: probability of so much
-    energy where the posteriors are one. mean, mean_limit: squared distance of the draws' means from
-    the smoother's, over what their scatter explains, and what that exceeds with a probability of
-    LEVEL. spread: variance of the draws over the smoother's, mean of all stretches and directions.
-    independent: least number, over all directions, of independent particles that know the last pose
-    as well as a cloud. agrees: None where the clouds are too small to tell. shape: what is not
-    Gaussian.
+    energy where the posteriors are one. squared_shift, largest_shift: squared distance of the
+    draws' means from the smoother's, over what their scatter explains, and what that exceeds with a
+    probability of LEVEL. spread: variance of the draws over the smoother's, mean of all stretches
+    and directions. independent: least number, over all directions, of independent particles that
+    know the last pose as well as a cloud. agrees: None where the clouds are too small to tell.
+    exact: the same against the smoother's exact posterior, sought only where the clouds differ from
+    its Gaussian. shape: what of the clouds is not Gaussian.
     """
 
     stretches: tuple[StretchCheck, ...]
     clouds: int
     energy: float
     p: float
-    mean: float
-    mean_limit: float
+    squared_shift: float
+    largest_shift: float
     spread: float
     independent: float
     agrees: bool | None
@@ -108,13 +109,13 @@ def check_clouds(stretches: Sequence[StretchClouds]) -> CloudCheck:
     """
     generator = np.random.default_rng(0)
     found, energies = [], np.zeros(SIMULATIONS + 1)
-    means, scatter, size, freedom = 0.0, 0.0, 0, 0
+    shifts, scatter, size, freedom = 0.0, 0.0, 0, 0
     for one in stretches:
         m, d = one.draw.shape
         own, expected = float(energy(one.draw)), simulated(m, d, generator)
         energies += np.concatenate(([own], expected))
         centre = one.draw.mean(axis=0)
-        means, size = means + m * float(centre @ centre), size + d
+        shifts, size = shifts + m * float(centre @ centre), size + d
         within = float(((one.draw - centre) ** 2).sum())
         scatter, freedom = scatter + within, freedom + (m - 1) * d
         found.append(
@@ -129,7 +130,6 @@ def check_clouds(stretches: Sequence[StretchClouds]) -> CloudCheck:
         )
     p = _p(energies)
     spread = scatter / freedom
-    mean, limit = means / size / spread, float(fdtri(size, freedom, 1.0 - LEVEL))
     of_means = np.mean([np.cov(one.mean[:, :3].T) for one in stretches], axis=0)
     independent = 1.0 / float(np.linalg.eigvalsh(of_means)[-1])
     shape = tuple(words for one in stretches for words in _shape(one, len(stretches)))
@@ -143,8 +143,8 @@ def check_clouds(stretches: Sequence[StretchClouds]) -> CloudCheck:
         clouds=sum(len(one.draw) for one in stretches),
         energy=float(energies[0] / energies[1:].mean()),
         p=p,
-        mean=mean,
-        mean_limit=limit,
+        squared_shift=shifts / size / spread,
+        largest_shift=float(fdtri(size, freedom, 1.0 - LEVEL)),
         spread=spread,
         independent=independent,
         agrees=same if enough and independent >= 1.0 else None,

@@ -122,8 +122,8 @@ class FastSlamFinding(Finding):
             Row(
                 group,
                 "stretches: squared shift (1 expected)",
-                f"{own.mean:.2f}",
-                f"at most {own.mean_limit:.2f}",
+                f"{own.squared_shift:.2f}",
+                f"at most {own.largest_shift:.2f}",
             ),
             Row(group, "stretches: variance (1 expected)", f"{own.spread:.2f}"),
             Row(

@@ -65,8 +65,9 @@ class FastSlamResult(Model):
         energy: energy distance of all stretches over its mean where both posteriors are one.
         p: probability of so large an energy distance where both posteriors are one.
         level: largest p of a disagreement.
-        mean: squared shift of pose and map from the smoother's, over what their scatter explains.
-        mean_limit: what `mean` exceeds with probability `level`.
+        squared_shift: squared distance of the draws' means from the smoother's, over what their
+            scatter explains.
+        largest_shift: what `squared_shift` exceeds with probability `level`.
         spread: variance of pose and map over the smoother's, mean of all directions.
         independent: independent particles that know the last pose as well as one cloud.
         agrees: whether the clouds agree with the smoother; null where they are too small to tell.
@@ -88,8 +89,8 @@ class FastSlamResult(Model):
     energy: float
     p: float
     level: float
-    mean: float
-    mean_limit: float
+    squared_shift: float
+    largest_shift: float
     spread: float
     independent: float
     agrees: bool | None
@@ -120,8 +121,8 @@ def fastslam_result(
         energy=check.energy,
         p=check.p,
         level=LEVEL,
-        mean=check.mean,
-        mean_limit=check.mean_limit,
+        squared_shift=check.squared_shift,
+        largest_shift=check.largest_shift,
         spread=check.spread,
         independent=check.independent,
         agrees=check.agrees,

@@ -1,8 +1,8 @@
 """Stretches of a log that are short enough for FastSLAM, and the clouds at their ends.
 
 Resampling loses ancestors: after a loop most particles descend from one, and the cloud is no sample
-of the posterior any more. So a log is cut where few ancestors of the stretch's first particles are
-left. Each stretch starts with an empty map at a known pose, the smoother's: the prior of the whole
+of the posterior any more. So a log is cut where few of the stretch's first particles have
+descendants. Each stretch starts with an empty map at a known pose, the smoother's: the prior of the whole
 log only moves all of it. Of each stretch the smoother finds the posterior from the same
 measurements, with the same association.
 """
@@ -23,8 +23,11 @@ from comparisons.pipeline.gaps import Gaps
 from ekf_reference.fastslam.association import KnownIdentities
 from ekf_reference.fastslam.filter import FastSlam
 
-LEAST_ANCESTORS = 5.0
-"""Effective ancestors, of the first cloud of a stretch, below which the stretch ends."""
+LEAST_ANCESTORS = 0.05
+"""Share of a cloud: a stretch ends before its effective ancestors are fewer."""
+PILOT = 4
+"""Times the particles, in the cloud that finds the stretches: one measurement that is far off may
+leave five of a hundred particles, and by chance ten."""
 MOST_STRETCHES = 12
 """Stretches that are compared, evenly chosen from all of the log."""
 LEAST_CLOUDS = 8
@@ -80,12 +83,10 @@ class StretchComparison:
         """
         run = gaps.run
         self._log, self._sampling = log, sampling
-        self._problem, self._whole, self._time_s = (
-            gaps.problem,
-            gaps.result,
-            run.timeline.epoch_time_s,
-        )
+        self._problem, self._whole = gaps.problem, gaps.result
+        self._time_s = run.timeline.epoch_time_s
         self._inputs = Inputs(log, run.timeline, np.asarray(run.landmark_index, dtype=np.int64))
+        self._last = self._inputs.epochs - 1
 
     def run(
         self, clouds: int, progress: Callable[[int, int], None] = lambda done, total: None
@@ -101,8 +102,8 @@ class StretchComparison:
     def stretches(self, most: int) -> list[Stretch]:
         """Return the stretches to compare, by one cloud that starts anew in each."""
         found: list[Stretch] = []
-        first, last = 0, self._inputs.epochs - 1
-        while first < last:
+        first = 0
+        while first < self._last or not found:
             found.append(self._stretch(first, len(found)))
             first = found[-1].last
         few = np.linspace(0, len(found) - 1, min(len(found), most))
@@ -110,17 +111,18 @@ class StretchComparison:
 
     def _stretch(self, first: int, number: int) -> Stretch:
         """Drive until too few ancestors are left, or to the end of the log."""
-        slam = self._slam(first, (number,))
+        particles = PILOT * self._sampling.particles
+        slam = self._slam(first, (number,), particles)
         enough = first
-        for k in range(first, self._inputs.epochs):
+        for k in range(first, self._last + 1):
             if not self._advance(slam, k, first):
                 continue
-            if slam.history.effective_ancestors(slam.weight) < LEAST_ANCESTORS:
+            if slam.history.effective_ancestors(slam.weight) < LEAST_ANCESTORS * len(slam.pose):
                 if enough > first:
                     return Stretch(first, enough)
-                return Stretch(first, max(k, first + 1), depleted=True)
+                return Stretch(first, min(max(k, first + 1), self._last), depleted=True)
             enough = k
-        return Stretch(first, self._inputs.epochs - 1)
+        return Stretch(first, self._last)
 
     def clouds(self, stretch: Stretch, number: int, count: int) -> StretchClouds:
         """Run independent clouds through a stretch, and the smoother.
@@ -152,19 +154,19 @@ class StretchComparison:
 
     def _driven(self, stretch: Stretch, number: tuple[int, ...]) -> FastSlam:
         """Return a cloud at the end of a stretch, all of its motion sampled."""
-        slam = self._slam(stretch.first, number)
+        slam = self._slam(stretch.first, number, self._sampling.particles)
         for epoch in range(stretch.first, stretch.last + 1):
             self._advance(slam, epoch, stretch.first)
         if slam.motion.covariance.any():
             slam.sample_motion()
         return slam
 
-    def _slam(self, first: int, number: tuple[int, ...]) -> FastSlam:
+    def _slam(self, first: int, number: tuple[int, ...], particles: int) -> FastSlam:
         """Return a cloud at the known pose of an epoch.
 
         number: of the stretch, or of the stretch and the cloud; their random numbers are apart.
         """
-        sampling = self._sampling._replace(stream=(len(number), *number))
+        sampling = self._sampling._replace(particles=particles, stream=(len(number), *number))
         return start_fastslam(self._log, sampling, KnownIdentities(), self._known(first))
 
     def _known(self, epoch: int) -> Start:
