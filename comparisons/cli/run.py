@@ -37,7 +37,7 @@ def run(given: Given) -> None:
     \b
     Examples:
       slamcheck run                                 the bundled Victoria Park log
-      slamcheck run simulated-loop --filter compressed --association jcbb
+      slamcheck run simulated-loop --filter compressed --third fastslam
       slamcheck run path/to/MRCLAM_Dataset6 --robot 2 --out report
       slamcheck run path/to/acfr_car_park --motion both --dense points
       slamcheck run slamcheck-simulated-loop/config.toml --out again

@@ -83,6 +83,21 @@ def test_p_is_uniform_where_the_posteriors_are_one() -> None:
     assert kstest([np.mean(nine >= one) for one in broken], "uniform").pvalue < 1e-6
 
 
+def test_the_energy_finds_what_the_usage_page_says() -> None:
+    """12 stretches of 16 clouds and 8 landmarks, as of the simulated loop."""
+    generator = np.random.default_rng(6)
+    pool = simulated(16, 19, generator)
+    null = np.sum([generator.permutation(pool) for _ in range(12)], axis=0)
+    limit, found = np.sort(null)[-2], []
+    for shift, spread in ((0.8, 1.0), (0.5, 1.0), (0.0, 1.3)):
+        draw = np.sqrt(spread) * generator.standard_normal((100, 12, 16, 19))
+        draw[..., 0] += shift
+        found.append(float(np.mean(energy(draw).sum(axis=1) >= limit)))
+    assert found[0] > 0.9
+    assert 0.1 < found[1] < 0.6
+    assert found[2] > 0.6
+
+
 def test_agreement_disagreement_and_no_verdict() -> None:
     same, shifted = checked(), checked(shift=1.0)
     assert same.agrees is True

@@ -2,8 +2,8 @@
 
 Resampling loses ancestors: after a loop most particles descend from one, and the cloud is no sample
 of the posterior any more. So a log is cut where few of the stretch's first particles have
-descendants. Each stretch starts with an empty map at a known pose, the smoother's: the prior of the whole
-log only moves all of it. Of each stretch the smoother finds the posterior from the same
+descendants. Each stretch starts with an empty map at a known pose, the smoother's: the prior of the
+whole log only moves all of it. Of each stretch the smoother finds the posterior from the same
 measurements, with the same association.
 """
 
