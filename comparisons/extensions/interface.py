@@ -81,6 +81,8 @@ class Finding:
     optimum was verified."""
     remarks: Sequence[str] = ()
     """Sentences that change no verdict."""
+    line: tuple[str, str] | None = None
+    """Its line of what the command prints: a name of at most 12 letters, and words."""
     estimates: Mapping[str, Estimate] = {}
     """Further estimates, by the folder that they are written to; the page draws each."""
     titles: Mapping[str, str] = {}

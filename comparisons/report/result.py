@@ -139,6 +139,7 @@ def run_summary(comparison: Comparison, result: Result) -> Summary:
             ),
             *consistency_line(result.inconsistent, c.ekf, c.filter_against_smoother, c.innovations),
             *accuracy_line(accuracy),
+            *(found.line for found in comparison.findings.values() if found.line is not None),
         ],
         rows=[*run_rows(comparison, result), *seconds_rows(result.seconds, result.cpu_s)],
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -29,7 +30,7 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.compare import Comparison, compare
-from comparisons.report.result import build_result
+from comparisons.report.result import build_result, run_summary
 
 
 def test_what_fastslam_does_not_estimate_is_refused() -> None:
@@ -63,6 +64,10 @@ def stretches(comparison: Comparison) -> StretchComparison:
     return StretchComparison(comparison.gaps, comparison.prepared.log, Sampling(40))
 
 
+def summary_lines(comparison: Comparison) -> Sequence[tuple[str, str]]:
+    return run_summary(comparison, build_result(comparison)).lines
+
+
 def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     found = comparison.findings["fastslam"]
     assert isinstance(found, FastSlamFinding)
@@ -81,6 +86,8 @@ def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     assert {row.group for row in found.rows()} >= {"FastSLAM"}
     assert not found.causes  # it has no say in the verdict
     assert not found.remarks
+    (line,) = (words for name, words in summary_lines(comparison) if name == "FastSLAM")
+    assert line.startswith("agrees with the smoother over 6 stretches of ")
 
 
 def test_the_joint_covariance_has_the_clouds_own_blocks(comparison: Comparison) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -70,6 +71,9 @@ def test_on_a_nearly_linear_run_both_gaussians_hold() -> None:
     assert check.smoother is not None
     assert check.ekf is not None
     assert not finding().remarks
+    name, words = finding().line or ("", "")
+    assert name == "posterior"
+    assert re.fullmatch(r"95 % ellipsoids hold 9\d % \(EKF\) and 9\d % \(smoother\) .*", words)
     for one in (check.smoother, check.ekf):
         assert abs(one.pose.coverage.value - 0.95) < 0.02
 

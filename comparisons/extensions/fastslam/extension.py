@@ -94,6 +94,7 @@ class FastSlamFinding(Finding):
         self.result = fastslam_result(settings, check, depletion, apart, self.accuracy)
         self.entries = {"fastslam": self.result}
         self.remarks = _remarks(check, self.result)
+        self.line = ("FastSLAM", _line(self.result))
 
     def rows(self) -> Sequence[Row]:
         """Return how the clouds compare with the smoother, and how depleted the whole log's is."""
@@ -175,6 +176,13 @@ def cloud_estimate(cloud: Cloud, time_s: Array) -> Estimate:
         information="filtered",
         provenance={"estimator": "FastSLAM", "particles": str(len(weight))},
     )
+
+
+def _line(own: FastSlamResult) -> str:
+    over = f"over {len(own.stretches)} stretches of {own.length_s:.1f} s"
+    if own.agrees is None:
+        return f"no verdict {over}: the clouds are too small"
+    return f"{own.verdict}s with the smoother {over} (p {own.p:.4f})"
 
 
 def _remarks(check: CloudCheck, own: FastSlamResult) -> list[str]:

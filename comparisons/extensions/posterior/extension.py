@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.errors import InputError
 from comparisons.extensions.interface import Extension, Finding, Row
-from comparisons.extensions.posterior.check import PosteriorCheck, check_posterior, failures
+from comparisons.extensions.posterior.check import (
+    Judged,
+    PosteriorCheck,
+    check_posterior,
+    failures,
+)
 from comparisons.extensions.posterior.result import posterior_result, posterior_rows
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
@@ -69,6 +74,8 @@ class PosteriorFinding(Finding):
         if check.smoother is None:
             self.remarks = [f"the draws of the posterior did not converge: {check.draws.lacks}"]
             return
+        if check.ekf is not None:
+            self.line = ("posterior", _line(check.ekf, check.smoother))
         failed = failures(check.smoother, landmark_id)
         if failed:
             self.remarks = [
@@ -79,3 +86,9 @@ class PosteriorFinding(Finding):
     def rows(self) -> Sequence[Row]:
         """Return the evidence of convergence, and both Gaussians."""
         return posterior_rows(self.check, self.result)
+
+
+def _line(ekf: Judged, smoother: Judged) -> str:
+    held = (100.0 * judged.whole.coverage.value for judged in (ekf, smoother))
+    of_ekf, of_smoother = (f"{share:.0f} %" for share in held)
+    return f"95 % ellipsoids hold {of_ekf} (EKF) and {of_smoother} (smoother) of the draws"
