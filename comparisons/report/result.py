@@ -139,10 +139,15 @@ def run_summary(comparison: Comparison, result: Result) -> Summary:
             ),
             *consistency_line(result.inconsistent, c.ekf, c.filter_against_smoother, c.innovations),
             *accuracy_line(accuracy),
-            *(found.line for found in comparison.findings.values() if found.line is not None),
+            *extension_lines(comparison),
         ],
         rows=[*run_rows(comparison, result), *seconds_rows(result.seconds, result.cpu_s)],
     )
+
+
+def extension_lines(comparison: Comparison) -> list[tuple[str, str]]:
+    """Return the lines of the summary that extensions have, a name and words each."""
+    return [found.line for found in comparison.findings.values() if found.line is not None]
 
 
 def _agreement(c: Comparison) -> AgreementResult:

@@ -31,7 +31,7 @@ from comparisons.report.panels import (
     consistency_panels,
     further_estimates,
 )
-from comparisons.report.result import run_rows
+from comparisons.report.result import extension_lines, run_rows
 from comparisons.report.settings import setting_lines
 from ekf_reference.core.state import correlation_coefficients
 
@@ -110,7 +110,10 @@ def run_page(
         headline=result.headline,
         colour="unverified" if qualified else result.verdict,
         words=_WORDS[result.verdict],
-        facts=_facts(result, [*a, *scan]),
+        facts=[
+            *_facts(result, [*a, *scan]),
+            *((name[:1].upper() + name[1:], words) for name, words in extension_lines(c)),
+        ],
         about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
         notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
         causes=result.causes,
