@@ -118,7 +118,7 @@ def sample_chains(
 
     Args:
         potential: Its negative logarithm.
-        dimension: n.
+        dimension: Numbers n of a state.
         rng: Equal generators give equal draws, to the bit.
         options: How many.
         progress: Called with the iterations done, and all.
@@ -181,9 +181,9 @@ def trajectory(
     Args:
         potential: The negative log density.
         at: Where the chains are.
-        velocity: (n, C).
+        velocity: (n, C) at the start.
         angle: Of each rotation [rad].
-        count: Rotations.
+        count: Number of rotations.
 
     Returns:
         Where it ends, and the velocity there. Every part preserves volume and is undone by running
@@ -208,7 +208,15 @@ class SlamPotential:
     """
 
     def __init__(self, problem: SlamProblem) -> None:
-        """Raises ValueError for what it has no residuals of."""
+        """Precompute the information matrices of the factors.
+
+        Args:
+            problem: Its landmarks are points.
+
+        Raises:
+            ValueError: It has pose landmarks, loop closures under a robust kernel, or a landmark
+                that nothing is known of.
+        """
         if problem.pose_landmarks.count:
             raise ValueError("pose landmarks cannot be sampled, only points")
         if len(problem.loop_closures.first) and problem.loop_closures.kernel != "none":
@@ -242,7 +250,14 @@ class SlamPotential:
         return 3 * self._poses + 2 * self._points
 
     def split(self, state: Array) -> tuple[Array, Array]:
-        """Return poses (K, 3, C) and points (L, 2, C) of states (n, C)."""
+        """Return the poses and points of states.
+
+        Args:
+            state: (n, C), or gradients by states.
+
+        Returns:
+            Poses (K, 3, C) and points (L, 2, C), views of the state.
+        """
         columns, end = state.shape[1], 3 * self._poses
         return state[:end].reshape(-1, 3, columns), state[end:].reshape(-1, 2, columns)
 
@@ -352,7 +367,11 @@ class ChainPotential:
     """
 
     def __init__(self, potential: SlamPotential) -> None:
-        """potential: of states in the world."""
+        """Find the pose that measured each point first; the first pose where none did.
+
+        Args:
+            potential: Of states in the world.
+        """
         self._world = potential
         problem = potential.problem
         count = problem.pose_count
@@ -362,7 +381,14 @@ class ChainPotential:
         self._to_anchor = _sums(self._anchor, count)
 
     def to_world(self, q: Array) -> Array:
-        """Return states (n, C) in the world."""
+        """Return the states in the world.
+
+        Args:
+            q: (n, C) coordinates along the path.
+
+        Returns:
+            (n, C), headings as sums of the turns, without wrapping.
+        """
         state = np.empty_like(q)
         (steps, local), (poses, points) = self._world.split(q), self._world.split(state)
         poses[:, 2] = np.cumsum(steps[:, 2], axis=0)
@@ -372,7 +398,14 @@ class ChainPotential:
         return state
 
     def to_chain(self, state: Array) -> Array:
-        """Return coordinates (n, C) of states in the world."""
+        """Return the coordinates along the path.
+
+        Args:
+            state: (n, C) in the world.
+
+        Returns:
+            (n, C), turns as differences of headings, without wrapping.
+        """
         q = np.empty_like(state)
         (steps, local), (poses, points) = self._world.split(q), self._world.split(state)
         steps[:] = np.diff(poses, axis=0, prepend=0.0)
@@ -388,10 +421,17 @@ class ChainPotential:
         return energy, self.pulled_back(state, gradient)
 
     def pulled_back(self, state: Array, gradient: Array) -> Array:
-        """Return gradients (n, C) in the coordinates from those in the world at states (n, C).
+        """Return the gradients in the coordinates along the path, by the chain rule.
 
         As of forces on a chain of rigid bodies: a step moves, and its turn swings, all that comes
         after it.
+
+        Args:
+            state: (n, C) in the world, where the gradients are taken.
+            gradient: (n, C) in the world.
+
+        Returns:
+            (n, C) in the coordinates.
         """
         found, columns = np.empty_like(gradient), gradient.shape[1]
         (poses, points), (by_pose, by_point) = self._world.split(state), self._world.split(gradient)
@@ -466,7 +506,18 @@ class WhitenedPotential:
     """A problem's density around its optimum, so that gtsam's Gaussian is the standard normal."""
 
     def __init__(self, problem: SlamProblem, poses: Array, landmarks: Array) -> None:
-        """poses, landmarks: (K, 3), (L, 2) of the optimum. Raises as sample_posterior does."""
+        """Find a root of gtsam's covariance at the optimum.
+
+        Args:
+            problem: What was solved.
+            poses: (K, 3) of the optimum.
+            landmarks: (L, 2) of the optimum.
+
+        Raises:
+            ValueError: There are more than LARGEST_DIMENSION unknowns, or there is what cannot be
+                sampled (see SlamPotential).
+            SingularProblemError: Some direction is left without information.
+        """
         if problem.state_dimension > LARGEST_DIMENSION:
             raise ValueError(
                 f"{problem.state_dimension} unknowns cannot be sampled, expected at most "
@@ -489,7 +540,14 @@ class WhitenedPotential:
         return energy, self._root.T @ gradient
 
     def to_world(self, whitened: Array) -> Array:
-        """Return states (n, C) in the world, headings within pi of the optimum's."""
+        """Return the states in the world.
+
+        Args:
+            whitened: (n, C), standard normal where the posterior is gtsam's Gaussian.
+
+        Returns:
+            (n, C), headings within pi of the optimum's.
+        """
         optimum = self._optimum[:, None]
         apart = self._chain.to_world(self._centre + self._root @ whitened) - optimum
         apart[self._headings] = wrap_angle(apart[self._headings])
@@ -532,12 +590,20 @@ class PosteriorDraws:
         return not self.lacks
 
     def mean(self) -> tuple[Array, Array]:
-        """Return the posterior's mean (m,) and its Monte Carlo standard errors (m,)."""
+        """Return the posterior's mean (m,) and its Monte Carlo standard errors (m,).
+
+        Raises:
+            NotConvergedError: The draws are not the posterior's.
+        """
         self._check()
         return self.draws.mean(axis=(0, 1)), monte_carlo_error(self.draws)
 
     def covariance(self) -> tuple[Array, Array]:
-        """Return the posterior's covariance (m, m) and its Monte Carlo standard errors (m, m)."""
+        """Return the posterior's covariance (m, m) and its Monte Carlo standard errors (m, m).
+
+        Raises:
+            NotConvergedError: The draws are not the posterior's.
+        """
         self._check()
         apart = self.draws - self.draws.mean(axis=(0, 1))
         half = apart.shape[1] // 2
@@ -548,7 +614,11 @@ class PosteriorDraws:
         return covariance, squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
 
     def skewness(self) -> tuple[Array, Array]:
-        """Return the skewness of every number (m,) and its Monte Carlo standard errors (m,)."""
+        """Return the skewness of every number (m,) and its Monte Carlo standard errors (m,).
+
+        Raises:
+            NotConvergedError: The draws are not the posterior's.
+        """
         self._check()
         scaled = (self.draws - self.draws.mean(axis=(0, 1))) / self.draws.std(axis=(0, 1))
         return (scaled**3).mean(axis=(0, 1)), monte_carlo_error(scaled**3)

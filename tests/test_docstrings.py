@@ -32,6 +32,7 @@ COVERED = (
     "ekf_reference.filters",
     "ekf_reference.association",
     "ekf_reference.features",
+    "ekf_reference.fastslam",
     "graphslam.problem",
     "graphslam.increments",
     "graphslam.smoother",
@@ -39,6 +40,8 @@ COVERED = (
     "graphslam.marginals",
     "graphslam.graph_builder",
     "graphslam.g2o",
+    "graphslam.sampling",
+    "graphslam.chain_diagnostics",
 )
 """Packages and modules of the estimators whose public docstrings are complete."""
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "Source")

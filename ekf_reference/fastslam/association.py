@@ -65,10 +65,25 @@ class ParticleAssociation(Protocol):
         """Normalised innovation squared beyond which a measurement is not used."""
 
     def rounds(self, seen: Measurements) -> Sequence[Index]:
-        """Return rows of the measurements, in parts of which each holds a landmark at most once."""
+        """Return the measurements in parts, each of which holds a landmark at most once.
+
+        Args:
+            seen: m measurements of points of one instant.
+
+        Returns:
+            Rows of each part, in the order in which the parts are fused; every row in one part.
+        """
 
     def numbers(self, seen: Measurements, serial: int) -> NDArray[np.int64]:
-        """Return the numbers (m,) that columns of new landmarks get; serial: the next free one."""
+        """Return the numbers that columns of new landmarks get.
+
+        Args:
+            seen: m measurements, each of a landmark that is new to some particle.
+            serial: The next free serial number.
+
+        Returns:
+            (m,) labels or serial numbers.
+        """
 
     def assign(
         self,
@@ -77,7 +92,17 @@ class ParticleAssociation(Protocol):
         seen: Measurements,
         generator: np.random.Generator,
     ) -> Assignment:
-        """Assign the measurements. generator: of all random numbers."""
+        """Assign the measurements to landmarks, in every particle.
+
+        Args:
+            maps: Of all particles.
+            sight: Poses, motion not sampled yet, and sensor.
+            seen: m measurements of points, one part of `rounds`.
+            generator: Gives all random numbers.
+
+        Returns:
+            Columns (N, m), and corrections (N,) of the log weights.
+        """
 
     def review(self, maps: ParticleMaps, pose: Array, columns: Index) -> None:
         """Change the evidence for landmarks.

@@ -36,14 +36,23 @@ class CloudHistory:
         return other
 
     def add(self, pose: Array, weight: Array) -> None:
-        """Append an epoch: poses (N, 3) and weights (N,)."""
+        """Append an epoch.
+
+        Args:
+            pose: (N, 3) x, y [m], heading [rad], unwrapped; kept, not copied.
+            weight: (N,) that sum to one.
+        """
         self.pose.append(pose)
         self.mean.append(weight @ pose)
         self.effective.append(effective_sample_size(weight))
         self.parents.append(None)
 
     def inherit(self, parents: Index) -> None:
-        """Note the parents (N,) of the generation that follows the last epoch."""
+        """Record the parents of the generation that follows the last epoch.
+
+        Args:
+            parents: (N,) particle of the last epoch that each new one is a copy of.
+        """
         self.parents[-1] = parents
         self.origin = parents if self.origin is None else self.origin[parents]
 

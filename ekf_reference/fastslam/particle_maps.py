@@ -17,7 +17,14 @@ _AHEAD = np.array([1.0, 0.0])
 
 
 def inverse_2x2(matrix: Array) -> tuple[Array, Array]:
-    """Return the inverses (..., 2, 2) and determinants (...) of matrices (..., 2, 2)."""
+    """Return the inverses and determinants of 2 x 2 matrices.
+
+    Args:
+        matrix: (..., 2, 2), regular; it is not checked.
+
+    Returns:
+        Inverses (..., 2, 2) and determinants (...).
+    """
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     determinant: Array = a * d - b * c
     inverse = np.empty_like(matrix)
@@ -58,7 +65,12 @@ class ParticleMaps:
     """
 
     def __init__(self, particles: int, columns: int = 16) -> None:
-        """Start with empty maps and room for some landmarks."""
+        """Start with empty maps and room for some landmarks.
+
+        Args:
+            particles: Their number N.
+            columns: Room at first, in landmarks; `allocate` adds more.
+        """
         self.mean: Array = np.zeros((particles, columns, 2))
         self.covariance: Array = np.zeros((particles, columns, 2, 2))
         self.evidence: Array = np.zeros((particles, columns))
@@ -73,7 +85,11 @@ class ParticleMaps:
         return other
 
     def inherit(self, parents: Index) -> None:
-        """Replace each particle's map by that of its parent (N,)."""
+        """Replace each particle's map by that of its parent; free unused columns.
+
+        Args:
+            parents: (N,) indices of particles.
+        """
         new = np.flatnonzero(parents != self._row[:, 0])
         source = parents[new]
         for held in (self.mean, self.covariance, self.evidence):
@@ -81,12 +97,26 @@ class ParticleMaps:
         self.number[~(self.evidence > 0.0).any(axis=0)] = FREE
 
     def columns_of(self, number: NDArray[np.int64]) -> Index:
-        """Return the columns (m,) of labels (m,), FREE of those without one."""
+        """Return the columns of labels.
+
+        Args:
+            number: (m,) labels, negative for none.
+
+        Returns:
+            (m,), FREE where no column has the label.
+        """
         found = np.equal.outer(number, self.number) & (number >= 0)[:, None]
         return np.where(found.any(axis=1), found.argmax(axis=1), FREE)
 
     def allocate(self, number: NDArray[np.int64]) -> Index:
-        """Return free columns (k,), now of landmarks with these numbers (k,)."""
+        """Give new landmarks free columns; add columns where too few are free.
+
+        Args:
+            number: (k,) labels or serial numbers of the landmarks.
+
+        Returns:
+            (k,) their columns.
+        """
         free = np.flatnonzero(self.number == FREE)
         if len(free) < len(number):
             more = max(len(self.number), len(number))
@@ -100,7 +130,15 @@ class ParticleMaps:
         return chosen
 
     def near(self, pose: Array, reach_m: float) -> Index:
-        """Return the columns (K,) within reach of any particle that has them."""
+        """Return the columns of landmarks within reach of any particle that has them.
+
+        Args:
+            pose: (N, 3) x, y [m], heading [rad].
+            reach_m: Largest distance between vehicle and landmark [m].
+
+        Returns:
+            (K,) ascending.
+        """
         used = np.flatnonzero(self.number != FREE)
         x = self.mean[:, used, 0] - pose[:, None, 0]
         y = self.mean[:, used, 1] - pose[:, None, 1]
@@ -139,15 +177,30 @@ class ParticleMaps:
         return found
 
     def has(self, columns: Index) -> Mask:
-        """Return which particles have the landmarks of columns (N, K) or (K,), (N, K)."""
+        """Return which particles have some landmarks.
+
+        Args:
+            columns: (N, K), or (K,) the same for all particles.
+
+        Returns:
+            (N, K), True where the particle has the landmark.
+        """
         return self.evidence[self._row, columns] > 0.0
 
     def expected(self, pose: Array, columns: Index, sensor: MeasurementModel) -> Expected:
-        """Return what particles at poses (N, 3) expect of the landmarks in columns (N, K) or (K,).
+        """Return what particles expect to measure of some landmarks.
 
-        Of one that a particle does not have, the values mean nothing and are finite. The sensor is
-        asked in the vehicle's frame, which needs one whose measurements depend on relative place
-        alone (Nieto 2005, eqs. 2.37 and 2.40 to 2.44).
+        Args:
+            pose: (N, 3) x, y [m], heading [rad].
+            columns: (N, K), or (K,) the same for all particles.
+            sensor: Predicts in the vehicle's frame; its measurements depend on relative place
+                alone.
+
+        Returns:
+            Measurements, Jacobians and spread; of a landmark that a particle does not have, the
+            values mean nothing and are finite.
+
+        Source: Nieto 2005, eqs. 2.37 and 2.40 to 2.44.
         """
         local = self._local(pose, self.mean[self._row, columns])
         local = np.where(self.has(columns)[..., None], local, _AHEAD)
@@ -170,9 +223,9 @@ class ParticleMaps:
 
         Args:
             columns: (N, m), distinct in each row where used.
-            used: (N, m).
+            used: (N, m), True where the measurement is fused.
             at: Expected there.
-            innovation: (N, m, 2).
+            innovation: (N, m, 2), its angle wrapped.
             noise: (m, 2, 2), R.
 
         Source: Nieto 2005, eqs. 2.45 to 2.47, for each landmark alone.
@@ -199,7 +252,7 @@ class ParticleMaps:
         Args:
             pose: (N, 3).
             columns: (m,) of each measurement; anything where no particle takes it as new.
-            new: (N, m).
+            new: (N, m), True where the particle takes the measurement as of a new landmark.
             measured: z (m, 2) and R (m, 2, 2).
             sensor: Inverts measurements in the vehicle's frame.
 
@@ -213,7 +266,11 @@ class ParticleMaps:
         self.covariance[n, columns[j]] = by_z @ measured[1][j] @ by_z.swapaxes(-1, -2)
 
     def remove(self, columns: Index) -> None:
-        """Remove landmarks in columns (K,) whose evidence has fallen below zero; free columns."""
+        """Remove landmarks whose evidence has fallen below zero; free unused columns.
+
+        Args:
+            columns: (K,) of the landmarks that are checked.
+        """
         held = self.evidence[:, columns]
         self.evidence[:, columns] = np.maximum(held, 0.0)
         self.number[columns[~(held > 0.0).any(axis=0)]] = FREE

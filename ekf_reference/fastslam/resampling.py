@@ -8,22 +8,42 @@ from ekf_reference.core.geometry import Array, Index
 
 
 def normalised(log_weight: Array) -> Array:
-    """Return weights (N,) that sum to one, of log weights (N,)."""
+    """Return weights that sum to one.
+
+    Args:
+        log_weight: (N,) their logarithms, up to a constant.
+
+    Returns:
+        (N,) weights.
+    """
     raw = np.exp(log_weight - log_weight.max())
     weight: Array = raw / raw.sum()
     return weight
 
 
 def log_mean_exp(log_weight: Array) -> float:
-    """Return ln of the mean of exp of the entries (N,), without overflow."""
+    """Return ln of the mean of the weights, without overflow.
+
+    Args:
+        log_weight: (N,) their logarithms.
+
+    Returns:
+        ln(sum(exp(log_weight)) / N).
+    """
     most = float(log_weight.max())
     return most + float(np.log(np.mean(np.exp(log_weight - most))))
 
 
 def effective_sample_size(weight: Array) -> float:
-    """Return 1 / sum w^2 of weights (N,) that sum to one.
+    """Return 1 / sum w^2.
 
-    N where all are equal, 1 where one particle has all. Source: Kong, Liu and Wong 1994.
+    Args:
+        weight: (N,) that sum to one.
+
+    Returns:
+        N where all are equal, 1 where one particle has all.
+
+    Source: Kong, Liu and Wong 1994.
     """
     return 1.0 / float(weight @ weight)
 
