@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from benchmarks.posterior_sampling import circle, draw_problem
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.fastslam.check import LEVEL, check_clouds, check_exact
@@ -182,6 +183,25 @@ def test_a_cloud_that_is_too_small_gives_no_verdict(comparison: Comparison) -> N
     assert isinstance(found, FastSlamFinding)
     assert found.check.agrees is None
     assert "gives no verdict: clouds of 4 particles are too small" in found.remarks[0]
+
+
+def test_where_the_gaussian_fails_fastslam_agrees_with_the_exact_posterior() -> None:
+    """A loop with 0.1 rad of noise a step, of benchmarks/posterior_sampling.py."""
+    log = draw_problem(circle(), np.random.default_rng(0)).log
+    given = RunConfig.model_validate({"extensions": {"fastslam": {"clouds": 64}}})
+    comparison = compare(log, given)
+    found = comparison.findings["fastslam"]
+    assert isinstance(found, FastSlamFinding)
+    assert found.check.agrees is True
+    assert found.check.p <= LEVEL
+    assert found.check.exact is not None
+    assert found.check.exact.explains
+    assert found.remarks[0].startswith("the posterior is not Gaussian, least of all from 0.0 to ")
+    assert ", and not from FastSLAM's clouds (p 0." in found.remarks[0]
+    (line,) = (words for name, words in summary_lines(comparison) if name == "FastSLAM")
+    assert line.startswith("agrees with the exact posterior, not with its Gaussian ")
+    quantities = [row.quantity for row in found.rows()]
+    assert "stretches: p of the Gaussian against the exact posterior" in quantities
 
 
 @pytest.mark.slow

@@ -30,8 +30,8 @@ class FastSlamConfig(ExtensionConfig):
     )
     association: Literal["likeliest", "sampled"] = Field(
         "likeliest",
-        description="Of measurements without labels, by every particle for itself. sampled: drawn "
-        "in proportion to the likelihood, so that particles hold several hypotheses",
+        description="How a particle associates measurements without labels. sampled: it draws in "
+        "proportion to the likelihood, so that particles hold several hypotheses",
     )
     seed: int = Field(0, ge=0, description="Seed of all random numbers")
 

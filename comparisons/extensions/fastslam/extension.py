@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -119,6 +119,7 @@ class FastSlamFinding(Finding):
                 f"above {LEVEL:g}",
                 own.p > LEVEL,
             ),
+            *self._exact_rows(),
             Row(group, "stretches: energy distance (1 expected)", f"{own.energy:.2f}"),
             Row(
                 group,
@@ -140,6 +141,19 @@ class FastSlamFinding(Finding):
             ),
             *accuracy_rows("FastSLAM", own.accuracy),
         ]
+
+    def _exact_rows(self) -> Iterator[Row]:
+        exact = self.result.exact
+        if exact is None or not exact.stretches:
+            return
+        for words, p in (("clouds", exact.clouds), ("Gaussian", exact.gaussian)):
+            yield Row(
+                "FastSLAM",
+                f"stretches: p of the {words} against the exact posterior",
+                f"{p:.4f}",
+                f"above {LEVEL:g}",
+                p > LEVEL,
+            )
 
     def draw(self, axis: Axes) -> None:
         """Draw FastSLAM's trajectory and map."""
@@ -182,6 +196,9 @@ def _line(own: FastSlamResult) -> str:
     over = f"over {len(own.stretches)} stretches of {own.length_s:.1f} s"
     if own.agrees is None:
         return f"no verdict {over}: the clouds are too small"
+    if own.agrees and own.exact is not None:
+        count = f"{len(own.stretches)} stretches"
+        return f"agrees with the exact posterior, not with its Gaussian ({count})"
     return f"{own.verdict}s with the smoother {over} (p {own.p:.4f})"
 
 
@@ -193,20 +210,20 @@ def _remarks(check: CloudCheck, own: FastSlamResult) -> list[str]:
             f"of {own.length_s:.1f} s; more particles may"
         ]
     found, worst = [], check.worst
-    where = f"most from {worst.begin_s:.1f} to {worst.end_s:.1f} s"
+    where = f"from {worst.begin_s:.1f} to {worst.end_s:.1f} s"
     if not check.agrees:
         found.append(
             f"FastSLAM disagrees with the smoother over stretches of the log (p {check.p:.4f}, "
-            f"level {LEVEL:g}), {where}: the last pose is {worst.shift:.1f} sigma off, variances "
-            f"are {worst.spread:.2f} times the smoother's"
+            f"level {LEVEL:g}), most {where}: the last pose is {worst.shift:.1f} sigma off, "
+            f"variances are {worst.spread:.2f} times the smoother's"
         )
     exact = check.exact
     if exact is not None and exact.gaussian <= LEVEL:
         found.append(
-            "the posterior is not Gaussian: draws of the smoother's exact posterior differ from "
-            f"its Gaussian over stretches of the log (p {exact.gaussian:.4f}), and "
+            f"the posterior is not Gaussian, least of all {where}: draws of the smoother's exact "
+            f"posterior differ from its Gaussian (p {exact.gaussian:.4f}), and "
             + ("not " if exact.explains else "")
-            + f"from FastSLAM (p {exact.clouds:.4f}), {where}"
+            + f"from FastSLAM's clouds (p {exact.clouds:.4f})"
         )
     if check.shape:
         found.append(f"FastSLAM's posterior is not Gaussian: {'; '.join(check.shape)}")
