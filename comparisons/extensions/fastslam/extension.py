@@ -80,7 +80,7 @@ class FastSlamFinding(Finding):
     def __init__(
         self, compared: Compared, settings: FastSlamConfig, cloud: Cloud, check: CloudCheck
     ) -> None:
-        """Its disagreement is a remark: depletion is FastSLAM's own weakness."""
+        """Report in remarks: a witness changes no verdict."""
         smoothed, prepared = compared.gaps.smoothed, compared.prepared
         self.check, depletion = check, cloud.depletion()
         estimate = cloud_estimate(cloud, compared.ekf.estimate.time_s)
@@ -193,11 +193,11 @@ def cloud_estimate(cloud: Cloud, time_s: Array) -> Estimate:
 
 
 def _line(own: FastSlamResult) -> str:
-    over = f"over {len(own.stretches)} stretches of {own.length_s:.1f} s"
+    count = "1 stretch" if len(own.stretches) == 1 else f"{len(own.stretches)} stretches"
+    over = f"over {count} of {own.length_s:.1f} s"
     if own.agrees is None:
         return f"no verdict {over}: the clouds are too small"
     if own.agrees and own.exact is not None:
-        count = f"{len(own.stretches)} stretches"
         return f"agrees with the exact posterior, not with its Gaussian ({count})"
     return f"{own.verdict}s with the smoother {over} (p {own.p:.4f})"
 
