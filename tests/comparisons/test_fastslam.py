@@ -86,7 +86,9 @@ def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     assert np.linalg.norm(estimate.pose[:, :2] - smoothed.pose[:, :2], axis=1).max() < 4.0
     assert {row.group for row in found.rows()} >= {"FastSLAM"}
     assert not found.causes  # it has no say in the verdict
-    assert not found.remarks
+    (remark,) = found.remarks
+    assert remark.startswith("over the whole log FastSLAM is depleted: 1 of 40 particles at its ")
+    assert result["path_m"] < 4.0
     (line,) = (words for name, words in summary_lines(comparison) if name == "FastSLAM")
     assert line.startswith("agrees with the smoother over 6 stretches of ")
 

@@ -20,7 +20,7 @@ from comparisons.extensions.fastslam.drive import (
     run_fastslam,
 )
 from comparisons.extensions.fastslam.result import FastSlamResult, fastslam_result
-from comparisons.extensions.fastslam.stretches import StretchComparison
+from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
 from comparisons.extensions.interface import Extension, Finding, Row
 from comparisons.logs.transforms.known_landmarks import surveyed
 from comparisons.pipeline.gaps import Compared
@@ -89,8 +89,8 @@ class FastSlamFinding(Finding):
         )
         self.estimates = {"fastslam": estimate}
         self.titles = {"fastslam": "FastSLAM"}
-        apart = cloud.mean[-1] - smoothed.pose[-1]
-        apart[2] = wrap_angle(apart[2])
+        apart = cloud.mean - smoothed.pose
+        apart[:, 2] = wrap_angle(apart[:, 2])
         self.result = fastslam_result(settings, check, depletion, apart, self.accuracy)
         self.entries = {"fastslam": self.result}
         self.remarks = _remarks(check, self.result)
@@ -128,6 +128,7 @@ class FastSlamFinding(Finding):
                 f"at most {own.largest_shift:.2f}",
             ),
             Row(group, "stretches: variance (1 expected)", f"{own.spread:.2f}"),
+            Row(group, "whole log: path from the smoother's (RMS)", f"{own.path_m:.3f} m"),
             Row(
                 group,
                 "whole log: last pose from the smoother's",
@@ -203,11 +204,19 @@ def _line(own: FastSlamResult) -> str:
 
 
 def _remarks(check: CloudCheck, own: FastSlamResult) -> list[str]:
+    depleted = []
+    if own.middle < LEAST_ANCESTORS * own.particles:
+        depleted = [
+            f"over the whole log FastSLAM is depleted: {own.middle} of {own.particles} particles "
+            "at its middle epoch have descendants; that its trajectory on the map is "
+            f"{own.path_m:.2f} m (RMS) from the smoother's says nothing against either"
+        ]
     if check.agrees is None:
         return [
             f"FastSLAM gives no verdict: clouds of {own.particles} particles are too small; they "
             f"know a last pose like {check.independent:.2g} independent particles, after stretches "
-            f"of {own.length_s:.1f} s; more particles may"
+            f"of {own.length_s:.1f} s; more particles may",
+            *depleted,
         ]
     found, worst = [], check.worst
     where = f"from {worst.begin_s:.1f} to {worst.end_s:.1f} s"
@@ -227,4 +236,4 @@ def _remarks(check: CloudCheck, own: FastSlamResult) -> list[str]:
         )
     if check.shape:
         found.append(f"FastSLAM's posterior is not Gaussian: {'; '.join(check.shape)}")
-    return found
+    return found + depleted

@@ -74,6 +74,8 @@ class FastSlamResult(Model):
         verdict: the same in words.
         exact: the smoother's exact posterior; null where the clouds agree with its Gaussian.
         shape: what of the clouds is not Gaussian.
+        path_m: whole log: distance of one cloud's mean positions from the smoother's (root mean
+            square over the epochs).
         difference_m: whole log, last pose: distance of one cloud's mean from the smoother's.
         difference_rad: the same of the heading.
         effective: mean effective sample size of the whole log's cloud.
@@ -97,6 +99,7 @@ class FastSlamResult(Model):
     verdict: str
     exact: ExactResult | None
     shape: list[str]
+    path_m: float
     difference_m: float
     difference_rad: float
     effective: float
@@ -112,7 +115,7 @@ def fastslam_result(
     apart: Array,
     accuracy: Accuracy | None,
 ) -> FastSlamResult:
-    """Return what was found. apart: (3,) last pose of the whole log's cloud from the smoother's."""
+    """Return what was found. apart: (K, 3) poses of the whole log's cloud from the smoother's."""
     return FastSlamResult(
         particles=settings.particles,
         clouds=check.clouds,
@@ -129,8 +132,9 @@ def fastslam_result(
         verdict=_AGREES[check.agrees],
         exact=check.exact and ExactResult(**asdict(check.exact)),
         shape=list(check.shape),
-        difference_m=float(np.hypot(*apart[:2])),
-        difference_rad=float(abs(apart[2])),
+        path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
+        difference_m=float(np.hypot(*apart[-1, :2])),
+        difference_rad=float(abs(apart[-1, 2])),
         effective=depletion.effective,
         first=depletion.first,
         middle=depletion.middle,
