@@ -38,11 +38,7 @@ from comparisons.checks.accuracy import assess_trajectory
 from comparisons.config import EkfConfig
 from comparisons.extensions.fastslam.check import CloudCheck, check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.fastslam.drive import (
-    Sampling,
-    build_fastslam,
-    run_fastslam,
-)
+from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
 from comparisons.extensions.fastslam.stretches import StretchComparison
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from benchmarks.fastslam import with_wheelbase
 from benchmarks.posterior_sampling import circle, draw_problem
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
@@ -29,7 +30,6 @@ from comparisons.extensions.fastslam.reference import between
 from comparisons.extensions.fastslam.stretches import StretchComparison, draw_particle
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
-from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.report.result import build_result, run_summary
 
@@ -145,13 +145,6 @@ def test_draws_of_a_cloud_have_its_means_and_covariances(comparison: Comparison)
     np.testing.assert_allclose(np.diag(ratio), 1.0, atol=0.15)
 
 
-def wrong_wheelbase(log: Log, factor: float) -> Log:
-    odometry = log.odometry
-    assert isinstance(odometry, SteeringOdometry)
-    vehicle = replace(odometry.vehicle, wheelbase_m=factor * odometry.vehicle.wheelbase_m)
-    return replace(log, odometry=replace(odometry, vehicle=vehicle))
-
-
 def louder(log: Log, factor: float) -> Log:
     seen = log.measurements
     range_m, bearing_rad = factor * seen.sigma_range_m, factor * seen.sigma_bearing_rad
@@ -165,7 +158,7 @@ def test_what_fastslam_alone_has_wrong_disagrees(comparison: Comparison) -> None
     verdicts = {}
     for name, believed in (
         ("same", log),
-        ("wheelbase", wrong_wheelbase(log, 1.25)),
+        ("wheelbase", with_wheelbase(log, 1.25)),
         ("noise", louder(log, 1.5)),
         ("quiet", louder(log, 0.7)),
     ):

@@ -25,11 +25,7 @@ from comparisons.experiments.reproduction.interface import (
     at_least,
     at_most,
 )
-from comparisons.extensions.fastslam.drive import (
-    Sampling,
-    build_fastslam,
-    run_fastslam,
-)
+from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_reference, draw_trajectory

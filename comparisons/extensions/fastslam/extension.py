@@ -13,12 +13,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.fastslam.drive import (
-    Cloud,
-    Sampling,
-    build_fastslam,
-    run_fastslam,
-)
+from comparisons.extensions.fastslam.drive import Cloud, Sampling, build_fastslam, run_fastslam
 from comparisons.extensions.fastslam.result import FastSlamResult, fastslam_result
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
 from comparisons.extensions.interface import Extension, Finding, Row
