@@ -5,22 +5,47 @@ BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+QUICK := -m "not golden and not slow and not browser"
+# Quick tests that end in numbers.
+NUMERIC := tests/golden tests/ekf_reference/core tests/ekf_reference/filters \
+	tests/ekf_reference/association tests/graphslam/test_search.py tests/graphslam/test_smoother.py \
+	tests/graphslam/test_spurious.py tests/comparisons/test_check_page.py
 
-.PHONY: run test test-all test-golden lint settings docs pictures results results-speed peers bench nightly release-check clean
+.PHONY: run test test-all test-golden test-flavours test-pythons test-newest lint settings docs pictures results results-speed peers bench nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
 	@$(BIN)/slamcheck run; code=$$?; [ $$code -eq 0 ] || [ $$code -eq 1 ] || [ $$code -eq 3 ]
 
 test: lint
-	$(PYTEST) -m "not golden and not slow and not browser"
+	$(PYTEST) $(QUICK)
 
 test-all: lint
 	$(PYTEST) -m "not golden"
 
-# Every golden run: results equal to those kept, to the bit on the machine that kept them.
+# Every golden run: results equal to those kept, to the bit on the processor that kept them.
 test-golden: $(VENV)/installed-dev
 	$(PYTEST) --dist load tests/golden
+
+# Tests that end in numbers, as on an old processor and without numpy's newest vector features.
+# Two minutes.
+test-flavours: $(VENV)/installed-dev
+	$(BIN)/python -m benchmarks.flavours --only "Prescott" "no new vector features" -- \
+		env $(PYTEST) $(QUICK) $(NUMERIC)
+
+# The quick tests on each Python that the project is for: those on PATH, none may be missing.
+test-pythons:
+	@for v in 3.11 3.12 3.13; do \
+		command -v python$$v > /dev/null || { echo "no python$$v on PATH" >&2; exit 2; }; \
+		$(MAKE) build/venv-$$v/installed-dev VENV=build/venv-$$v PYTHON=python$$v && \
+		$(MAKE) test VENV=build/venv-$$v || exit 1; \
+	done
+
+# The quick tests with the newest numpy and scipy that can be had.
+test-newest:
+	$(MAKE) build/venv-newest/installed-dev VENV=build/venv-newest
+	build/venv-newest/bin/python -m pip install --quiet --upgrade numpy scipy
+	$(MAKE) test VENV=build/venv-newest
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
@@ -59,11 +84,14 @@ peers: $(VENV)/installed-dev
 bench: $(VENV)/installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.ratios $(if $(KEEP),--keep)
 
-# 20,000 damaged files, odd settings, kills and full disks, drawn anew each time; says how many of
-# each kind it has tried.
+# Hours: 20,000 damaged files, odd settings, kills and full disks, drawn anew each time, with how
+# many of each kind were tried; the quick tests as on each processor, on each Python, and with the
+# newest numpy and scipy.
 nightly: $(VENV)/installed-dev
 	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
 		--dist worksteal tests/fuzz
+	$(BIN)/python -m benchmarks.flavours env $(PYTEST) $(QUICK)
+	$(MAKE) test-pythons test-newest
 
 # Source distribution and wheels, built, looked into, and used in fresh environments on Python 3.11,
 # 3.12 and 3.13: those on PATH or PYTHONS="/path/to/python3.11 ...". ALLOW_MISSING=1: those there are.

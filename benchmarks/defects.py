@@ -3,7 +3,7 @@
     python benchmarks/defects.py [--seed 4] [--seeds 200] [--noise-scale 1] [--only WORD]
                                 [--table]
 
-Every defect of experiments.defects runs on a log that shows it; `named` says whether the first
+Every defect of adapters.defects runs on a log that shows it; `named` says whether the first
 cause is the right one. Then the sound filter drives simulated loops, one per seed, with so much of
 the document's noise, true and stated; a verdict of `disagree` is a false alarm, and each band's
 share outside stands beside what is expected. The interval is Clopper and Pearson's, 95 %. --table
@@ -22,9 +22,10 @@ from collections import Counter
 import numpy as np
 from scipy.stats import beta
 
+from comparisons.adapters.defects.registry import REGISTRY
 from comparisons.checks.causes import FITTED
 from comparisons.experiments.bands.coverage import figures_of
-from comparisons.experiments.defects.registry import REGISTRY, named_first, run_defect
+from comparisons.experiments.defects.trial import named_first, run_defect
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.compare import compare
 

@@ -4,7 +4,7 @@
                                      [--seed 0] [--only WORD] [--every N] [--table]
 
 Faults: exports of a sound filter's estimate, sound filters that were fed something else, and the
-planted defects of experiments.defects, but those that show on other logs only; a filter that breaks
+planted defects of adapters.defects, but those that show on other logs only; a filter that breaks
 down hands in what it has until then. Sound: the EKF in other implementations, orders, precisions
 and formats, other filters, and smoothers. --log takes the folder of a real log as well. --table
 prints every grade with its first reason. --quick takes a drive of 30 s and every fourth estimate.
@@ -30,6 +30,8 @@ from numpy.typing import NDArray
 from trust_row import Row, print_table  # type: ignore[import-not-found]
 
 from comparisons.adapters import filter_variants
+from comparisons.adapters.defects.defect import with_state
+from comparisons.adapters.defects.registry import REGISTRY
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -41,9 +43,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
-from comparisons.experiments.defects.defect import with_state
 from comparisons.experiments.defects.exports import EXPORTS, FEEDS, with_joint
-from comparisons.experiments.defects.registry import REGISTRY
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -301,7 +301,7 @@ class Cases:
     def _at_samples(self) -> ExternalEstimate:
         run = run_reference(self.log, self.timeline, self.config)
         return of_run(
-            run, np.unique(np.append(np.round(self.timeline.step_begin_s(), 4), self.right.time_s))
+            run, np.unique(np.append(np.round(self.timeline.step_begin_s, 4), self.right.time_s))
         )
 
     def _smoothers(self) -> Iterator[Case]:

@@ -16,7 +16,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.atomic import write_whole
-from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig, merge
 from comparisons.errors import InputError
@@ -57,6 +56,9 @@ SIDES: Mapping[str, Judged] = {
     "iterations": Judged("left out", "the way to the optimum, not the optimum"),
     "newton_decrement": Judged("less", "distance that is left to the optimum"),
     "chance_missed": Judged("less", "chance of a better minimum that was not found"),
+    "hops": Judged("left out", "the way to the optimum; its risk is in `chance_missed`"),
+    "random_starts": Judged("left out", "as hops"),
+    "*_limit_sigma": Judged("left out", "follows from the log's prior"),
     "*_gap_sigma": Judged("less", "a difference that should not be there"),
     "*_gap_covariance": Judged("less", "a difference that should not be there"),
     "optimism": Judged("same", "smaller is too sure, larger is less sure than before"),
@@ -87,7 +89,7 @@ SIDES: Mapping[str, Judged] = {
             *("rejected", "ambiguous", "candidate", "dynamic", "deactivated", "cut_off"),
             *("fixes_fused", "fixes_rejected", "fixes_in_streaks", "longest_streak"),
             *("fixes_rejected_by_smoother", "global_updates"),
-            *("rejected_measurements", "rejected_positions", "hops", "random_starts"),
+            *("rejected_measurements", "rejected_positions"),
             *("trace.steps", "trace.updates", "trace.initialised", "trace.positions"),
         )
     },
@@ -102,7 +104,6 @@ LEAST = 1e-3
 NOISE = 3.0
 """A tolerance is at least so many times the range over repetitions."""
 
-_ROUNDED = ("algebra_gap", "model_gap")
 _EXACT = ("ekf.landmarks", "smoother.poses", "landmarks.count", "landmarks.agreeing")
 _WHICH = ("source", "sha256")
 _APART = ("settings", "log", "consistency")
@@ -272,7 +273,7 @@ def compare_with(baseline: Baseline, found: Found) -> list[Change]:
     if found.log.sha256 != baseline.sha256:
         raise InputError(
             f"{found.log.name}: is not the log of the baseline ({baseline.log}): its streams "
-            "differ; save a new baseline"
+            "differ, or slamcheck 0.2 or older saved it; save a new baseline"
         )
     then, now = _all_words(baseline), _all_words(found)
     changes = [
@@ -282,9 +283,12 @@ def compare_with(baseline: Baseline, found: Found) -> list[Change]:
     values = figures(found)
     for name, kept in baseline.metrics.items():
         value = values.pop(name, None)
-        changes.append(Change(name, kept.value, value, kept.tolerance, _state(name, kept, value)))
+        state = _state(name, kept, value, _rounding(name, found))
+        changes.append(Change(name, kept.value, value, kept.tolerance, state))
     none = Metric(value=None, tolerance=0.0)
-    changes += [Change(name, None, v, 0.0, _state(name, none, v)) for name, v in values.items()]
+    changes += [
+        Change(name, None, v, 0.0, _state(name, none, v, None)) for name, v in values.items()
+    ]
     return changes
 
 
@@ -344,7 +348,15 @@ def _tolerance(name: str, value: float | None, spread: float) -> float:
     return max(RELATIVE * abs(value), LEAST, NOISE * spread)
 
 
-def _state(name: str, kept: Metric, value: float | None) -> State:
+def _rounding(name: str, found: Found) -> float | None:
+    """What rounding explains of a gap; None for other figures."""
+    gaps = found.agreement if isinstance(found, Result) else found.trace
+    limits = {"algebra_gap": "algebra_limit_sigma", "model_gap": "model_limit_sigma"}
+    of = next((limit for gap, limit in limits.items() if gap in name), None)
+    return None if of is None or gaps is None else float(getattr(gaps, of))
+
+
+def _state(name: str, kept: Metric, value: float | None, rounding: float | None) -> State:
     judged = judged_by(name)
     side = judged.side if judged else "same"
     then = kept.value
@@ -352,8 +364,8 @@ def _state(name: str, kept: Metric, value: float | None) -> State:
         then, value = then or 0.0, value or 0.0
     if then is None or value is None:
         return "holds" if then is value else "broken" if value is None else "new"
-    if any(part in name for part in _ROUNDED) and then <= ROUNDING:
-        return "holds" if value <= ROUNDING else "broken"  # either is rounding
+    if rounding is not None and then <= rounding:
+        return "holds" if value <= rounding else "broken"  # either is rounding
     if not math.isfinite(value):
         return "broken"
     if abs(value - then) <= kept.tolerance:

@@ -97,7 +97,7 @@ class MyEkf:
 def run(log: Log, timeline: Timeline, bug: str, folder: Path) -> None:
     """Drive the filter through a log; write its estimate and its trace."""
     ekf, seen, poses, spreads = MyEkf(log, bug), log.measurements, [], []
-    step_end_s = timeline.step_begin_s() + timeline.step_duration_s
+    step_end_s = timeline.step_begin_s + timeline.step_duration_s
     steps, rows = timeline.steps_until(), timeline.measurements_until()
     done = 0
     for k in range(len(timeline.epoch_time_s)):

@@ -15,7 +15,10 @@ from graphslam.arrays import Array, Index, wrap_angle
 from graphslam.problem import SlamProblem
 
 DIRECTIONS = 8
-"""Candidates for a landmark stand in so many directions from a pose that measured it."""
+"""Candidates for a landmark stand in so many directions from a pose that measured it.
+
+None is opposite to what it measured: there the bearing's residual is pi, and its sign is rounding.
+"""
 EXCESS = 6.0
 """Places that add more error than this per measurement of the landmark are not tried."""
 WINDING_EXCESS = 25.0
@@ -27,6 +30,8 @@ TAILS = 4
 MEASUREMENTS = 500_000
 """Landmarks with so many measurements are examined together; more would want gigabytes."""
 _STEPS = 8
+_ASIDE = 0.05
+"""Of the angle between two candidates: so far the first stands beside what was measured."""
 _SAME = 1.0
 """Two places of a landmark are one when they differ by less than this many sigma of its range."""
 
@@ -198,7 +203,7 @@ def landmark_modes(problem: SlamProblem, poses: Array, landmarks: Array) -> Land
     free = np.setdiff1d(problem.measurement_landmark, np.arange(len(problem.surveyed)))
     middle = _middle_measurement(problem, free)
     start = problem.z[middle, 0, None] * np.exp(
-        2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        2j * np.pi * (np.arange(DIRECTIONS) + _ASIDE) / DIRECTIONS
         + 1j * (poses[problem.measurement_pose[middle], 2] + problem.z[middle, 1])[:, None]
     )
     origin = poses[problem.measurement_pose[middle], :2]

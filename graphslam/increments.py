@@ -8,10 +8,14 @@ takes. Everything is computed for all samples of a log at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from graphslam.arrays import Array, Index
+
+Integration = Literal["euler", "middle", "arc"]
+"""A sample's displacement along the departing heading, along the middle one, or on a circle."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +56,10 @@ def ackermann_samples(
     speed_mps: Array,
     steering_rad: Array,
     duration_s: Array,
-    sigma_speed_mps: float,
-    sigma_steering_rad: float,
+    sigma: tuple[float, float],
     stabilisation: Stabilisation,
     geometry: AckermannGeometry,
+    integration: Integration = "euler",
 ) -> Samples:
     """Return the motion of a car with an encoder on the rear left wheel, its pose at the laser.
 
@@ -66,10 +70,10 @@ def ackermann_samples(
         speed_mps: (N,) of the encoder.
         steering_rad: (N,), positive to the left.
         duration_s: (N,) for which each sample holds.
-        sigma_speed_mps: Of every sample, independent.
-        sigma_steering_rad: Of every sample, independent.
+        sigma: Of speed [m/s] and steering [rad] of every sample, independent.
         stabilisation: Noise added to every sample.
         geometry: Measures of the car.
+        integration: Along the departing heading in the source.
 
     Returns:
         Displacements in the departing frame, covariances in the arriving one.
@@ -96,7 +100,9 @@ def ackermann_samples(
         jacobian[:, 1, column] = forward_m * angle
         jacobian[:, 2, column] = angle
     displacement = np.column_stack((advance - left_m * turn, forward_m * turn, turn))
-    variances = (sigma_speed_mps**2, sigma_steering_rad**2)
+    if integration != "euler":
+        displacement, jacobian = _integrated(displacement, jacobian, 0.0, integration)
+    variances = (sigma[0] ** 2, sigma[1] ** 2)
     return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
 
 
@@ -104,9 +110,9 @@ def unicycle_samples(
     speed_mps: Array,
     yaw_rate_radps: Array,
     duration_s: Array,
-    sigma_speed_mps: float,
-    sigma_yaw_rate_radps: float,
+    sigma: tuple[float, float],
     stabilisation: Stabilisation,
+    integration: Integration = "middle",
 ) -> Samples:
     """Return the motion of a differential drive: a chord along the heading halfway.
 
@@ -114,9 +120,9 @@ def unicycle_samples(
         speed_mps: (N,), forward.
         yaw_rate_radps: (N,), positive to the left.
         duration_s: (N,) for which each sample holds.
-        sigma_speed_mps: Of every sample, independent.
-        sigma_yaw_rate_radps: Of every sample, independent.
+        sigma: Of speed [m/s] and yaw rate [rad/s] of every sample, independent.
         stabilisation: Noise added to every sample.
+        integration: Another way to lead the displacement.
 
     Returns:
         Displacements in the departing frame, covariances in the arriving one.
@@ -131,8 +137,51 @@ def unicycle_samples(
     jacobian[:, 1, 1] = 0.5 * duration_s * chord * cos
     jacobian[:, 2, 1] = duration_s
     displacement = np.column_stack((chord * cos, chord * sin, turn))
-    variances = (sigma_speed_mps**2, sigma_yaw_rate_radps**2)
+    if integration != "middle":
+        displacement, jacobian = _integrated(displacement, jacobian, 0.5, integration)
+    variances = (sigma[0] ** 2, sigma[1] ** 2)
     return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
+
+
+def _integrated(
+    displacement: Array, jacobian: Array, taken: float, integration: Integration
+) -> tuple[Array, Array]:
+    """Integrate samples in another way; `taken`: share of the turn at which they have the heading.
+
+    As complex numbers: a displacement z at the departing heading becomes z f(turn), where f is 1,
+    exp(i turn / 2), or the mean of exp(i s turn) over s from 0 to 1.
+    """
+    turn = displacement[:, 2]
+    straight = (displacement[:, 0] + 1j * displacement[:, 1]) * np.exp(-1j * taken * turn)
+    by_straight = (jacobian[:, 0] + 1j * jacobian[:, 1]) * np.exp(-1j * taken * turn)[:, None]
+    by_straight -= 1j * taken * straight[:, None] * jacobian[:, 2]
+    factor, by_turn = np.ones(len(turn), complex), np.zeros(len(turn), complex)
+    if integration == "middle":
+        factor = np.exp(0.5j * turn)
+        by_turn = 0.5j * factor
+    elif integration == "arc":
+        factor, by_turn = _mean_turn(turn)
+    way = straight * factor
+    by_control = by_straight * factor[:, None] + (straight * by_turn)[:, None] * jacobian[:, 2]
+    moved, changed = displacement.copy(), jacobian.copy()
+    moved[:, 0], moved[:, 1] = way.real, way.imag
+    changed[:, 0], changed[:, 1] = by_control.real, by_control.imag
+    return moved, changed
+
+
+def _mean_turn(turn: Array) -> tuple[Array, Array]:
+    """Return (exp(i turn) - 1) / (i turn) and its derivative; their Taylor series near zero."""
+    small = np.abs(turn) < 0.1
+    t = np.where(small, 1.0, turn)
+    mean = (np.exp(1j * t) - 1.0) / (1j * t)
+    slope = (np.exp(1j * t) - mean) / t
+    term = np.ones(len(turn), complex)  # (i turn)^n / (n + 1)!
+    series, by_turn = np.zeros(len(turn), complex), np.zeros(len(turn), complex)
+    for n in range(12):
+        series += term
+        by_turn += 1j * (n + 1) / (n + 2) * term
+        term = term * 1j * turn / (n + 2)
+    return np.where(small, series, mean), np.where(small, by_turn, slope)
 
 
 def relative_pose_samples(displacement: Array, covariance: Array) -> Samples:

@@ -177,9 +177,14 @@ def pose_covariances(
     """
     try:
         tree = eliminate(graph.linearize(values))
-        local = np.array([tree.marginalCovariance(POSE_KEY + k) for k in range(len(headings_rad))])
-    except RuntimeError as error:
+        # By QR: `marginalCovariance` has but Cholesky, which fails a microsecond's motion.
+        keys = range(POSE_KEY, POSE_KEY + len(headings_rad))
+        alone = [tree.marginalFactor(key, gtsam.EliminateQR) for key in keys]
+        root = np.array([one.R() for one in alone])  # views, of factors that must live
+        inverse = np.linalg.inv(root)
+    except (RuntimeError, np.linalg.LinAlgError) as error:
         raise SingularProblemError("the measurements do not fix every pose") from error
+    local = inverse @ inverse.transpose(0, 2, 1)
     turn = to_tangent(headings_rad).transpose(0, 2, 1)
     result: Array = turn @ local @ turn.transpose(0, 2, 1)
     return result

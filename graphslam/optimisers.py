@@ -11,6 +11,8 @@ from graphslam.marginals import eliminate
 SETTLED = 1e-6
 """A step that promises less is the last; it moves no unknown by more than 1.5e-3 sigma."""
 _MOST_POLISHING = 20
+_LEAST = 1e-9
+"""An iteration that lowers the error by less is the last, whatever the error."""
 OPTIMISERS = ("levenberg-marquardt", "gauss-newton", "dogleg")
 
 
@@ -54,17 +56,30 @@ def _run(
     limit: int,
 ) -> tuple[gtsam.Values, int, bool]:
     """By Cholesky, and by the slower QR where that breaks down on an ill-conditioned problem."""
-    parameters.setMaxIterations(limit)
     parameters.setRelativeErrorTol(relative_tolerance)
-    parameters.setAbsoluteErrorTol(1e-9)
     optimiser = kind(graph, values, parameters)
     try:
-        end = optimiser.optimize()
+        iterations = _descend(optimiser, relative_tolerance, limit)
     except RuntimeError:
         parameters.setLinearSolverType("MULTIFRONTAL_QR")
         optimiser = kind(graph, values, parameters)
-        end = optimiser.optimize()
-    return end, optimiser.iterations(), optimiser.iterations() < limit
+        iterations = _descend(optimiser, relative_tolerance, limit)
+    return optimiser.values(), iterations, iterations < limit
+
+
+def _descend(optimiser: gtsam.NonlinearOptimizer, relative_tolerance: float, limit: int) -> int:
+    """Iterate until the error falls by next to nothing; the iterations.
+
+    gtsam's own count leaves a last step out that it does not take, and whether it takes that is
+    rounding.
+    """
+    error = optimiser.error()
+    for iteration in range(1, limit + 1):
+        optimiser.iterate()
+        before, error = error, optimiser.error()
+        if not before - error > max(_LEAST, relative_tolerance * before):
+            return iteration
+    return limit
 
 
 def polish(
@@ -90,12 +105,15 @@ def _gauss_newton(
     By Cholesky, and from where that fails by QR, which loses half as many digits but takes twice
     as long. A step that turns a large map as a whole goes along the tangent of that turn, and the
     error grows; the step after it leads back to the circle, below where both began.
+    Whether the last step lowers the error is rounding, so that it is not asked.
     """
     error, exact, promised, iterations = graph.error(values), False, float("inf"), 0
     while iterations < _MOST_POLISHING and promised >= SETTLED:
         iterations += 1
         try:
             nearer, lower, promised = _step(graph, values, exact)
+            if promised < SETTLED and lower < error + SETTLED:
+                return nearer, lower, promised, iterations
             if lower > error + promised:
                 nearer, lower, _ = _step(graph, nearer, exact)
                 iterations += 1

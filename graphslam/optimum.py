@@ -19,6 +19,9 @@ the logarithm out of its Jacobian, so that large residuals of motion promise 1e-
 AGREEMENT = 1e-6
 """Errors are equal when they differ by less than this, relative to 1 + error."""
 
+TIE = 1e-6, 1e-12
+"""Errors tie that differ by less: what a last step leaves, and rounding relative to the error."""
+
 DISTANCE_LIMIT = 0.05
 """An incremental estimate must not be farther from the optimum than this, in sigma."""
 

@@ -25,7 +25,7 @@ from graphslam.graph_builder import (
     to_values,
 )
 from graphslam.optimisers import levenberg_marquardt, optimise, polish
-from graphslam.optimum import Exploration, Minimum, same_error
+from graphslam.optimum import TIE, Exploration, Minimum, same_error
 from graphslam.problem import SlamProblem
 from graphslam.relaxation import relax
 
@@ -49,6 +49,8 @@ MISSED = 0.05
 LEAST_DRAWS, MOST_DRAWS = 8, 40
 _SAME = 1e-2
 """Two ends are one minimum when the quadratic model at one gives the other no more error."""
+_AS_FAR_M = 1e-4
+"""Distances between minima that differ by less are one: optima are settled to a tenth of that."""
 _GLANCE = 6
 _HOPELESS = 2.0
 """A hop or a random start is given up when its error is so many times the best so soon ..."""
@@ -92,8 +94,10 @@ class MinimumSearch:
 
     @property
     def best(self) -> Attempt:
-        """The lowest of all."""
-        return min(self.attempts, key=lambda attempt: attempt.error)
+        """The lowest of all; of those that tie within what a last step may leave, the first."""
+        lowest = min(attempt.error for attempt in self.attempts)
+        limit = lowest + TIE[0] + TIE[1] * lowest
+        return next(attempt for attempt in self.attempts if attempt.error <= limit)
 
     def attempt(self, name: str, kind: str, values: gtsam.Values, spent: int = 0) -> Attempt:
         """Optimise from values and keep the end; a singular problem's error is infinite."""
@@ -299,29 +303,30 @@ class MinimumSearch:
         return bool(abs(added) <= _SAME)
 
     def _minima(self) -> tuple[Minimum, ...]:
-        """The distinct minima, lowest first, and where the others differ most from it."""
-        ends = sorted((*self.attempts, *self._beside), key=lambda attempt: attempt.error)
-        distinct: list[tuple[Attempt, int]] = []
-        for end in ends:
-            if not np.isfinite(end.error):
-                continue
-            if distinct and self._same(distinct[-1][0], end):
-                distinct[-1] = distinct[-1][0], distinct[-1][1] + 1
-            else:
-                distinct.append((end, 1))
-            distinct[-1] = distinct[-1][0], distinct[-1][1] + self._back[end]
+        """The distinct minima, lowest first, and where they differ most from the best."""
+        best = self.best
+        ends = [end for end in (*self.attempts, *self._beside) if np.isfinite(end.error)]
+        distinct: dict[Attempt, int] = {}
+        for end in sorted(ends, key=lambda attempt: (attempt is not best, attempt.error)):
+            minimum = next((one for one in distinct if self._same(one, end)), end)
+            distinct[minimum] = distinct.get(minimum, 0) + 1 + self._back[end]
         if not distinct:
             return ()
-        poses, landmarks = from_values(distinct[0][0].values, self._problem)
-        return tuple(self._difference(end, count, poses, landmarks) for end, count in distinct)
+        poses, landmarks = from_values(best.values, self._problem)
+        first, *others = (
+            self._difference(end, count, poses, landmarks) for end, count in distinct.items()
+        )
+        # Mirror images have one error but for rounding: they stand in the order of their landmarks.
+        others.sort(key=lambda one: (float(f"{one.error:.7g}"), one.landmark, one.pose))
+        return (first, *others)
 
     def _difference(self, end: Attempt, count: int, poses: Array, landmarks: Array) -> Minimum:
         other_poses, other_landmarks = from_values(end.values, self._problem)
         moved = np.linalg.norm(other_poses[:, :2] - poses[:, :2], axis=1)
         shifted = np.linalg.norm(other_landmarks - landmarks, axis=1)
-        pose = int(moved.argmax())
+        pose = _farthest(moved)
         known = np.flatnonzero(np.isfinite(shifted))
-        landmark = int(known[shifted[known].argmax()]) if len(known) else -1
+        landmark = int(known[_farthest(shifted[known])]) if len(known) else -1
         far = float(shifted[landmark]) if len(known) else 0.0
         return Minimum(
             error=end.error,
@@ -331,6 +336,11 @@ class MinimumSearch:
             landmark=landmark,
             landmark_m=far,
         )
+
+
+def _farthest(distance: Array) -> int:
+    """The first of those that are as far as rounding tells."""
+    return int((distance > distance.max() - _AS_FAR_M).argmax())
 
 
 def relaxed_values(problem: SlamProblem) -> gtsam.Values:
@@ -346,8 +356,10 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
     """The problem with every measurement and the prior drawn anew about what was measured."""
 
     def noise(covariance: Array) -> Array:
+        # By the symmetric root: which way an eigenvector points is rounding.
         values, vectors = np.linalg.eigh(covariance)
-        scaled = np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.shape)
+        along = np.einsum("...ji,...j->...i", vectors, rng.standard_normal(values.shape))
+        scaled = np.sqrt(np.maximum(values, 0.0)) * along
         drawn: Array = np.einsum("...ij,...j->...i", vectors, scaled)
         return drawn
 

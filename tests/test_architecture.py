@@ -252,7 +252,7 @@ LAYERS = {
     "config": 2, "estimates": 2,
     "documented": 3, "settings": 3, "adapters": 3, "logs.transforms": 3,
     "checks": 4,
-    "pipeline": 5, "audit": 5,
+    "pipeline": 5, "audit": 5, "fingerprints": 5,
     "extensions": 6, "report": 6,
     "baseline": 8,
     "cli": 9, "experiments": 9,

@@ -13,7 +13,7 @@ from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry, own_integration
 from comparisons.logs.transforms.known_landmarks import surveyed
 from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, RememberedAttributes
 from ekf_reference.association.known import KnownAssociation, SurveyedLandmarks
@@ -24,6 +24,7 @@ from ekf_reference.core.measurements import Association
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import (
     AckermannModel,
+    IntegratedModel,
     MotionModel,
     RelativePoseModel,
     UnicycleModel,
@@ -147,9 +148,12 @@ def motion_model(log: Log) -> MotionModel:
     """How the log's vehicle moves under its odometry."""
     if isinstance(log.odometry, RelativePoses):
         return RelativePoseModel()
+    own = own_integration(log.odometry)
+    model: MotionModel = UnicycleModel()
     if isinstance(log.odometry, SteeringOdometry):
-        return AckermannModel(**vars(log.odometry.vehicle))
-    return UnicycleModel()
+        model = AckermannModel(**vars(log.odometry.vehicle))
+    asked = log.integration or own
+    return model if asked == own else IntegratedModel(model, own, asked)
 
 
 def fused_positions(log: Log, choices: EkfConfig) -> Positions | None:

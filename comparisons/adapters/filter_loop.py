@@ -135,7 +135,7 @@ def run_filter_loop(
     beside = beside or Beside()
     watching, source, recorder = beside.watching, beside.source, beside.recorder
     steps, first = timeline.steps_until(), timeline.measurements_until()
-    begins, durations = timeline.step_begin_s().tolist(), timeline.step_duration_s.tolist()
+    begins, durations = timeline.step_begin_s.tolist(), timeline.step_duration_s.tolist()
     first_fix = timeline.positions_until()
     seen, done = log.measurements, 0
     z = np.column_stack((seen.range_m, seen.bearing_rad))

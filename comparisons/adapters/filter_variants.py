@@ -1,4 +1,4 @@
-"""Other sound filters for the same equations: sequential, iterated and unscented.
+"""Other sound filters: sequential, iterated, first-estimates, right-invariant, unscented.
 
 They differ from the EKF by where they linearise, so by little where a log is nearly linear.
 """
@@ -6,7 +6,7 @@ They differ from the EKF by where they linearise, so by little where a log is ne
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array, Index
 from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import NewLandmarks
+from ekf_reference.core.landmark_types import POINT, NewLandmarks
 from ekf_reference.core.measurement_update import Linearised
 from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Measurements
+from ekf_reference.core.state import Correction, KalmanState
 
 _CONVERGED_SIGMA = 1e-9
 _BETA = 2.0
@@ -26,8 +27,9 @@ _BETA = 2.0
 class SequentialEkf(Ekf):
     """The EKF that updates by, or initialises from, one measurement after the other."""
 
-    order: ClassVar[int] = 1
-    """-1 takes those of an instant from the last to the first."""
+    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
+        """Return the rows (m,) in the order of use: as they stand in the log."""
+        return np.arange(len(z))
 
     def observe(
         self,
@@ -39,7 +41,7 @@ class SequentialEkf(Ekf):
     ) -> Index:
         """Do a cycle for each measurement. Arguments and result as of `Ekf.observe`."""
         landmark_indices = np.empty(len(z), dtype=np.intp)
-        for i in range(len(z))[:: self.order]:
+        for i in self.order(z, identity):
             row = np.array([i])
             own = attributes.take(row)
             landmark_indices[row] = super().observe(z[row], sigma[row], identity[row], time_s, own)
@@ -49,7 +51,41 @@ class SequentialEkf(Ekf):
 class BackwardEkf(SequentialEkf):
     """The same from the last measurement of an instant to the first."""
 
-    order = -1
+    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
+        """Return the rows from the last to the first."""
+        return np.arange(len(z))[::-1]
+
+
+class ByLabelEkf(SequentialEkf):
+    """The same by ascending labels."""
+
+    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
+        """Return the rows by their labels."""
+        return np.argsort(identity, kind="stable")
+
+
+class ByLabelBackwardEkf(SequentialEkf):
+    """The same by descending labels."""
+
+    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
+        """Return the rows by their labels, the largest first."""
+        return np.argsort(-identity, kind="stable")
+
+
+class NearestFirstEkf(SequentialEkf):
+    """The same by ascending ranges."""
+
+    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
+        """Return the rows by their ranges."""
+        return np.argsort(z[:, 0], kind="stable")
+
+
+class FarthestFirstEkf(SequentialEkf):
+    """The same by descending ranges."""
+
+    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
+        """Return the rows by their ranges, the largest first."""
+        return np.argsort(-z[:, 0], kind="stable")
 
 
 class IteratedEkf(Ekf):
@@ -83,6 +119,130 @@ class IteratedEkf(Ekf):
             return Linearised(local, jacobian, innovation)
 
         self.fuse(linearise, noise, self._count[seen.width] + rows, landmark_index)
+
+
+class FirstEstimatesEkf(Ekf):
+    """The EKF whose Jacobians are those of the first estimates (Huang et al. 2010, FEJ-EKF).
+
+    F leads from one predicted pose to the next, H is at the predicted pose and at each landmark's
+    first place, also where it is initialised, so that what cannot be observed stays so.
+    Innovations are the current ones.
+    """
+
+    def __init__(self, *parts: Any) -> None:
+        """As of Ekf."""
+        super().__init__(*parts)
+        self._predicted = self.state.pose
+        self._first = np.zeros((0, POINT))
+
+    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
+        """Move, with F between predicted poses."""
+        step = self.motion.step(self.state.pose, control, duration_s)
+        east, north = (step.pose - self._predicted)[:2]
+        f = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
+        b = step.jacobian_control
+        noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s, step.pose)
+        self.state.predict(step.pose, f, noise)
+        self._predicted = step.pose
+
+    def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+        model = self.models[seen.width]
+        point = model.invert(self.state.pose, seen.z[rows]).landmark
+        self._first = np.vstack((self._first, point))
+        _, by_pose, by_landmark = model.predict(self._predicted, point)
+        by_z = np.asarray(np.linalg.inv(by_landmark), dtype=float)
+        new = NewLandmarks(point, -by_z @ by_pose, by_z)
+        number = self._count[seen.width] + rows
+        self._append(number, landmark_indices[rows], new, seen.noise[rows], 1.0)
+
+    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+        if not len(rows):
+            return
+        landmark_index, model = landmark_indices[rows], self.models[seen.width]
+
+        def linearise() -> Linearised:
+            local = self.state.map_of(landmark_index, seen.width)
+            expected = model.predict(local.pose, local.landmark).z
+            _, *parts = model.predict(self._predicted, self._first[landmark_index])
+            innovation = model.innovation(seen.z[rows], expected).ravel()
+            return Linearised(local, stack(*parts), innovation)
+
+        self.fuse(linearise, seen.noise[rows], self._count[seen.width] + rows, landmark_index)
+
+
+class InvariantState(KalmanState):
+    """Mean and covariance that an update corrects in right-invariant error (Zhang et al. 2017).
+
+    With the error (t, p), a turn of the whole map and places in it, a place's additive error is
+    p + t J place, and a pose moves by the exponential of SE(2). To first order this is the EKF's
+    update; the covariance is turned from the old places to the new ones.
+    """
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        """Correct the mean on the group, then express the covariance at the new mean."""
+        before = self.mean.copy()
+        done = super().update(columns, jacobian, innovation, noise)
+        error = self.mean - before
+        size, turn = len(before), float(error[2])
+        place = np.delete(np.arange(size), 2).reshape(-1, 2)
+        at, moved = _complex(before[place]), _complex(error[place])
+        after, spin = self._carried(turn, at, moved - 1j * turn * at)
+        self._mean[place[:, 0]], self._mean[place[:, 1]] = after.real, after.imag
+        across = 1j * (after - spin * at)
+        change = np.eye(size)
+        change[place[:, 0], 2], change[place[:, 1], 2] = across.real, across.imag
+        for k, one in enumerate((spin.real, spin.imag)):
+            change[place[:, 0], place[:, k]] = (1.0, -1.0)[k] * one
+            change[place[:, 1], place[:, 1 - k]] = one
+        p = self._covariance[:size, :size]
+        p[:] = change @ p @ change.T
+        return done
+
+    def _carried(
+        self, turn: float, at: NDArray[np.complex128], own: NDArray[np.complex128]
+    ) -> tuple[NDArray[np.complex128], complex]:
+        """Where places go by a turn and their error p, and how their own errors turn."""
+        spin = complex(np.exp(1j * turn))
+        return spin * at + ((spin - 1.0) / (1j * turn) if turn else 1.0) * own, 1.0 + 0.0j
+
+
+class RobocentricState(InvariantState):
+    """Mean and covariance that an update corrects as seen from the vehicle (Castellanos 2004).
+
+    The errors are those of the map's origin and of the landmarks in the vehicle's frame. Predicting
+    is linear in these, and the chain rule makes F, Q and H those of the EKF.
+    """
+
+    def _carried(
+        self, turn: float, at: NDArray[np.complex128], own: NDArray[np.complex128]
+    ) -> tuple[NDArray[np.complex128], complex]:
+        spin = complex(np.exp(1j * turn))
+        return spin * (at + own), spin
+
+
+def _complex(places: Array) -> NDArray[np.complex128]:
+    found: NDArray[np.complex128] = places[:, 0] + 1j * places[:, 1]
+    return found
+
+
+class InvariantEkf(Ekf):
+    """The EKF with right-invariant errors; F, Q, H and new landmarks are those of the EKF."""
+
+    def __init__(self, *parts: Any) -> None:
+        """As of Ekf."""
+        super().__init__(*parts)
+        self.state = InvariantState(self.state.pose, np.array(self.state.covariance))
+
+
+class RobocentricEkf(Ekf):
+    """The EKF whose errors are those of origin and landmarks in the vehicle's frame."""
+
+    def __init__(self, *parts: Any) -> None:
+        """As of Ekf."""
+        super().__init__(*parts)
+        self.state = RobocentricState(self.state.pose, np.array(self.state.covariance))
 
 
 class UnscentedEkf(Ekf):
@@ -154,6 +314,12 @@ class UnscentedEkf(Ekf):
         own = np.broadcast_to(np.eye(seen.width), rest.shape)
         new = NewLandmarks(np.array([y.mean for y in found]), slope[:, :, : len(p)], own)
         self._append(self._count[seen.width] + rows, landmark_indices[rows], new, noise, 1.0)
+
+
+class WideUnscentedEkf(UnscentedEkf):
+    """Its sigma points are sqrt(n) sigma apart from the mean."""
+
+    alpha: ClassVar[float] = 1.0
 
 
 class Transformed(NamedTuple):

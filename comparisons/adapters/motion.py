@@ -17,12 +17,13 @@ from comparisons.logs.odometry import (
     RelativePoses,
     SteeringOdometry,
     VelocityOdometry,
+    own_integration,
 )
 from graphslam import increments
 from graphslam.scan import planar
 
 CLOCK_S = 1e-4
-"""Times closer than this are one: a timeline resolves no more."""
+"""Times closer than this are one where nothing but their order counts."""
 LEAST_EIGENVALUE = 1e-7
 """Of an increment's correlation matrix. At 1.8e-7 the filter and the frozen smoothers still agree
 to 3e-10; from 3e-8 on elimination takes the information for singular."""
@@ -40,11 +41,13 @@ def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
         noise.variance_rate_position, noise.variance_rate_heading
     )
     first, second = timeline.control.T
-    common = (timeline.step_duration_s, noise.sigma_speed_mps, noise.sigma_turn, stabilisation)
+    asked = log.integration or own_integration(odometry)
+    sigma = noise.sigma_speed_mps, noise.sigma_turn
+    common = (timeline.step_duration_s, sigma, stabilisation)
     if isinstance(odometry, SteeringOdometry):
         geometry = increments.AckermannGeometry(**vars(odometry.vehicle))
-        return increments.ackermann_samples(first, second, *common, geometry)
-    return increments.unicycle_samples(first, second, *common)
+        return increments.ackermann_samples(first, second, *common, geometry, asked)
+    return increments.unicycle_samples(first, second, *common, asked)
 
 
 def composed_motion(log: Log, timeline: Timeline) -> increments.Samples:
@@ -164,13 +167,13 @@ def poses_at(log: Log, estimate: Estimate, time_s: Array) -> Array:
 
     Times before and after the estimate's are taken for its first and its last.
     """
-    known, wanted = np.round(estimate.time_s, 4), np.round(time_s, 4)
-    wanted = np.clip(wanted, known[0], known[-1])
+    known = estimate.time_s
+    wanted = np.clip(time_s, known[0], known[-1])
     instants = np.union1d(known, wanted)
     motion = _moved(log, instants)
     pose = np.empty((len(instants), 3))
     row = np.minimum(np.searchsorted(known, instants), len(known) - 1)
-    at_epoch = np.abs(known[row] - instants) < 0.5 * CLOCK_S
+    at_epoch = known[row] == instants
     for i in range(len(instants)):
         at = estimate.pose[row[i]] if at_epoch[i] else planar.compose(pose[i - 1], motion[i - 1])
         pose[i] = at

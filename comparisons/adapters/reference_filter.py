@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -9,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import build_ekf, motion_model
-from comparisons.adapters.filter_loop import Beside, run_filter_loop
+from comparisons.adapters.filter_loop import (
+    Beside,
+    FilterObserver,
+    FilterObservers,
+    run_filter_loop,
+)
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
@@ -20,9 +26,6 @@ from ekf_reference.core.ekf import Ekf, StepNoise
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import MotionStep
-
-_SAME_S = 0.5e-4
-"""Half of what a timeline resolves."""
 
 
 class KnownMap(NamedTuple):
@@ -59,11 +62,10 @@ class FilterRun:
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return poses (K, 3) and covariances (K, 3, 3) at times (K,), predicted from the last."""
-        row = np.searchsorted(self.time_s, np.round(time_s, 4) + _SAME_S, side="right") - 1
-        row = np.maximum(row, 0)
+        row = np.maximum(np.searchsorted(self.time_s, time_s, side="right") - 1, 0)
         pose, covariance = self.pose[row], self.covariance[row]
-        late_s = np.round(time_s, 4) - self.time_s[row]
-        for k in np.flatnonzero((late_s > _SAME_S) & (row < len(self.timeline.control))):
+        late_s = time_s - self.time_s[row]
+        for k in np.flatnonzero((late_s > 0.0) & (row < len(self.timeline.control))):
             pose[k], f, q = _part_of_step(self, int(row[k]), pose[k], float(late_s[k]))
             covariance[k] = f @ covariance[k] @ f.T + q
         return pose, covariance
@@ -100,8 +102,7 @@ class _Recorder:
         self.time_s.append(time_s)
         self.pose.append(ekf.state.pose)
         self.covariance.append(ekf.state.pose_covariance)
-        ends_s = self.map_s + _SAME_S
-        if self.map is None or time_s <= ends_s < time_s + duration_s:
+        if self.map is None or time_s <= self.map_s < time_s + duration_s:
             self.map = time_s, ekf.state.landmarks, np.array(ekf.state.covariance)
 
     def on_predict(self, ekf: Ekf) -> None:
@@ -113,7 +114,7 @@ class _Recorder:
 
     def on_end(self, ekf: Ekf, time_s: float) -> None:
         """Note the end."""
-        self.map = None if time_s <= self.map_s + _SAME_S else self.map
+        self.map = None if time_s <= self.map_s else self.map
         self.before_predict(ekf, time_s, np.zeros(0), 0.0)
 
     def known_map(self, label: dict[int, int]) -> KnownMap:
@@ -136,10 +137,12 @@ def run_reference(
     *,
     kind: type[Ekf] = Ekf,
     map_s: float = np.inf,
+    started: Callable[[Ekf], FilterObserver] | None = None,
 ) -> FilterRun | None:
     """Run the full EKF, or a variant of it, over a log; None where it breaks down.
 
     config: settled, of the full filter. positions: to be fused. map_s: when the map is noted.
+    started: called with the filter before it starts, which it may change; what it returns observes.
     """
     plain = build_ekf(log, config, Trace())
     ekf = kind(plain.motion, plain.association, log.prior.pose, log.prior.covariance)
@@ -147,8 +150,9 @@ def run_reference(
     index_of, *known = surveyed(log)
     ekf.insert_surveyed(*known)
     recorder, label = _Recorder(map_s), dict(zip(index_of.values(), index_of, strict=True))
+    watching = FilterObservers([recorder, *([] if started is None else [started(ekf)])])
     try:
-        for state in run_filter_loop(ekf, log, timeline, positions, Beside(recorder)):
+        for state in run_filter_loop(ekf, log, timeline, positions, Beside(watching)):
             if state.fault is not None:
                 return None
             if config.association == "known":

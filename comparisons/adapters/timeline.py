@@ -13,6 +13,7 @@ from comparisons.arrays import Array, Index
 from comparisons.errors import RecordError
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.logs.stamps import resolved
 
 _LONGEST_S = 0.5
 
@@ -22,13 +23,15 @@ class Timeline:
     """Epochs are the instants at which a pose is estimated; steps fill the time between them.
 
     epoch_time_s: (K,), the first is the prior's. step_epoch: (N,) the epoch at which the step's
-    interval ends, not decreasing. step_duration_s: (N,). control: (N, m) and
-    control_covariance: (N, m, m). measurement_epoch: (M,) epoch of each of the log's measurements.
-    position_epoch: (G,) epoch of each of the log's positions, when they are to be fused.
+    interval ends, not decreasing. step_begin_s: (N,) the time from which the step leads on.
+    step_duration_s: (N,). control: (N, m) and control_covariance: (N, m, m). measurement_epoch:
+    (M,) epoch of each of the log's measurements. position_epoch: (G,) epoch of each of the log's
+    positions, when they are to be fused.
     """
 
     epoch_time_s: Array
     step_epoch: Index
+    step_begin_s: Array
     step_duration_s: Array
     control: Array
     control_covariance: Array
@@ -39,11 +42,19 @@ class Timeline:
         """(K,) number of steps made when each epoch is reached."""
         return np.searchsorted(self.step_epoch, np.arange(len(self.epoch_time_s)), side="right")
 
-    def step_begin_s(self) -> Array:
-        """(N,) the times from which the steps lead on."""
-        passed = np.cumsum(self.step_duration_s) - self.step_duration_s
-        begin: Array = self.epoch_time_s[0] + passed
-        return begin
+    @property
+    def step_end_s(self) -> Array:
+        """(N,) the times at which the steps end."""
+        return np.append(self.step_begin_s[1:], self.epoch_time_s[-1:])
+
+    def instants_s(self) -> Array:
+        """(J,) all times at which a step begins or an epoch lies."""
+        return np.union1d(self.epoch_time_s, self.step_begin_s)
+
+    def observed_s(self) -> Array:
+        """The instants at which something is measured; all epochs where nothing is."""
+        rows = np.union1d(self.measurement_epoch, self.position_epoch)
+        return self.epoch_time_s[rows] if len(rows) else self.epoch_time_s
 
     def prefix(self, epochs: int) -> Timeline:
         """The same up to the first `epochs` epochs."""
@@ -51,6 +62,7 @@ class Timeline:
         return Timeline(
             epoch_time_s=self.epoch_time_s[:epochs],
             step_epoch=self.step_epoch[:steps],
+            step_begin_s=self.step_begin_s[:steps],
             step_duration_s=self.step_duration_s[:steps],
             control=self.control[:steps],
             control_covariance=self.control_covariance[:steps],
@@ -81,8 +93,8 @@ def build_timeline(
     vehicle is taken to stand still. Relative poses: an epoch per record, and measurements and
     positions belong to the pose of their time. Raises InputError for those between poses.
 
-    Times of wheel odometry, measurements and positions are resolved to 0.1 ms: a motion shorter
-    than that is below any clock, but leaves the two poses all but the same and costs digits.
+    Times of wheel odometry, measurements and positions are resolved to a nanosecond, so that those
+    which are the same but for a float's rounding are one.
     """
     fixes = positions.time_s if positions is not None else np.zeros(0)
     looks = np.zeros(0) if looks is None else looks
@@ -108,6 +120,7 @@ def build_timeline(
     return Timeline(
         epoch_time_s=epochs,
         step_epoch=np.searchsorted(epochs, begin, side="right"),
+        step_begin_s=begin,
         step_duration_s=np.diff(cuts),
         control=control,
         control_covariance=np.broadcast_to(covariance, (len(control), 2, 2)),
@@ -125,11 +138,6 @@ def _between(epochs: Array, sampled: Array) -> Array:
     first = np.unique(cell, return_index=True)[1]
     empty = ~np.isin(cell[first], np.floor(epochs / _LONGEST_S))
     return sampled[first[empty]]
-
-
-def resolved(time_s: Array) -> Array:
-    """Times as epochs have them."""
-    return np.round(time_s, 4)
 
 
 def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array, looks: Array) -> Timeline:
@@ -150,6 +158,7 @@ def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array, looks:
     return Timeline(
         epoch_time_s=epochs,
         step_epoch=np.arange(1, len(epochs)),
+        step_begin_s=epochs[:-1],
         step_duration_s=np.diff(epochs),
         control=odometry.displacement,
         control_covariance=odometry.covariance,

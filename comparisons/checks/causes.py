@@ -14,7 +14,6 @@ from comparisons.checks.agreement import (
     EXACT,
     LARGEST_DISTANCE,
     LEAST_VARIANCE_RATIO,
-    ROUNDING,
     Agreement,
     Allowed,
     BlockAgreement,
@@ -118,6 +117,14 @@ EXPLANATIONS: dict[str, Explanation] = {
         "large. So these measurements scatter more than their stated sigmas allow, or some belong "
         "to other landmarks. This cause explains another one and never appears alone.",
         "Check the sigmas of the named measurements. Check the association.",
+    ),
+    "fault": Explanation(
+        "A known fault reproduces the estimate",
+        "The reference EKF with this fault ends at the same poses, landmarks and covariances, to "
+        "rounding where the evidence says that the estimate equals it. It was run with each fault "
+        "of a catalogue, with each way to integrate a step.",
+        "Correct the named fault first. Other causes that stand behind it follow from it, or show "
+        "where it lies.",
     ),
     "dropout": Explanation(
         "A long time without measurements",
@@ -269,7 +276,7 @@ class Cause:
 
 
 def _apart(gap: Gap, allowed: Allowed) -> str:
-    limit = f"rounding allows {ROUNDING:g} in both"
+    limit = f"rounding allows {allowed.sigma:.2g} in both"
     if allowed.stored:
         limit = (
             f"storage in single precision allows {allowed.sigma:.2g} sigma and "

@@ -135,31 +135,33 @@ class Coverage:
 
 
 def coverage(
-    time_s: Array, epoch_s: Array, given: Array | None = None, smoothed: Array | None = None
+    given: tuple[Array, Array], smoothed: tuple[Array, Array], observed_s: Array
 ) -> Coverage:
-    """Return what poses at times (K,) cover of the smoother's at epochs (E,).
+    """Return what an estimate's poses cover of the smoother's.
 
     Covered is what lies between two successive poses that are no farther apart than ten of the
-    estimate's own intervals (median; at least 1 s, at most 10 s), or between which the smoother has
-    no pose, or stands; and one interval (at most 10 s) before the first and after the last.
-    given: (K, 3); poses that repeat the one before to the bit are none. smoothed: (E, 3).
+    estimate's own intervals (median; at least 1 s, at most 10 s), or between which nothing is
+    observed, or the smoother stands; and one interval (at most 10 s) before the first and after the
+    last. given: times (K,) and poses (K, 3); poses that repeat the one before to the bit are none.
+    smoothed: times (E,) and poses (E, 3). observed_s: (O,) instants that ask for a pose.
     """
+    (time_s, pose), (epoch_s, path) = given, smoothed
     begin, end = float(epoch_s[0]), float(epoch_s[-1])
     new = np.ones(len(time_s), dtype=bool)
-    if given is not None:
-        new[1:] = (given[1:] != given[:-1]).any(axis=1)
+    new[1:] = (pose[1:] != pose[:-1]).any(axis=1)
     t = np.unique(np.clip(time_s[new], begin, end))
     own = min(float(np.median(np.diff(t))), _HOLE_S[1]) if len(t) > 1 else 0.0
     longest = float(np.clip(_INTERVALS * own, *_HOLE_S))
-    between = np.searchsorted(epoch_s, t[1:] - CLOCK_S) - np.searchsorted(epoch_s, t[:-1] + CLOCK_S)
-    hole = (np.diff(t) > longest + CLOCK_S) & (between > 0)
-    holes = np.column_stack((t[:-1][hole], t[1:][hole]))
+    far = np.diff(t) > longest + CLOCK_S
+    holes = np.column_stack((t[:-1][far], t[1:][far]))
     if (late := t[0] - own) > begin + CLOCK_S:
         holes = np.vstack(((begin, late), holes))
     if (early := t[-1] + own) < end - CLOCK_S:
         holes = np.vstack((holes, (early, end)))
-    if smoothed is not None and len(t) >= _ENOUGH:
-        moves = [not _stands(start, stop, t, epoch_s, smoothed) for start, stop in holes.tolist()]
+    inner = np.searchsorted(observed_s, holes - (-CLOCK_S, CLOCK_S))
+    holes = holes[inner[:, 1] > inner[:, 0]]
+    if len(t) >= _ENOUGH:
+        moves = [not _stands(start, stop, t, epoch_s, path) for start, stop in holes.tolist()]
         holes = holes[np.array(moves, dtype=bool)]
     return Coverage(
         span_s=(begin, end),
@@ -251,7 +253,7 @@ def compare_external(
     rows, outside, end = match_map(given, smoothed, labelled=labelled), None, None
     if given.pose_covariance is not None:
         outside = _outside(difference, given.pose_covariance)
-    if smoothed.span_s[1] - given.time_s[-1] <= MOST_LATE_S:
+    if smoothed.joint_s - given.time_s[-1] <= MOST_LATE_S:
         cover = None if given.pose_covariance is None else given.pose_covariance[-1]
         end = _block(difference[-1], smoothed.joint_covariance[:3, :3], cover)
     band, trusted = Band(_NARROW, 1.0 / _NARROW), {}

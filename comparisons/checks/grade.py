@@ -38,7 +38,7 @@ class Reference:
     name: as in "equal to NAME". time_s: (K,). known: (K,) whether it speaks of the pose at that
     time. pose: (K, 3). pose_covariance: (K, 3, 3). landmark_id: (L,). landmark: (L, 2).
     joint_covariance: (3 + 2 L, 3 + 2 L) of the pose at joint_s and these. span_s: begin and end of
-    the log. smoothed: its poses have seen the future.
+    what the log observes. smoothed: its poses have seen the future.
     """
 
     name: str

@@ -119,11 +119,18 @@ def judge(
             found += cause.noise(result.optimality.chi_square, diagnosis.consistency)
             found += cause.dropout(diagnosis.dropouts())
     remarks = _remarks(result.optimality, run) + _on_robust(result.options.robust)
-    algebra = agreement.algebra
+    algebra, allowed = agreement.algebra, diagnosis.algebra
+    if not allowed.stored and allowed.covariance > ROUNDING:
+        remarks.append(
+            "the prior is so wide that double precision tells the algebra and the models to "
+            f"{allowed.covariance:.1g} (relative) only"
+        )
     if conservative and not algebra.within(ROUNDING):
+        under = algebra.sigma < ROUNDING
+        mean = f"less than {ROUNDING:.2g}" if under else f"{algebra.sigma:.2g}"
         remarks.append(
             f"the filter is conservative by design: its covariance exceeds the exact one by up to "
-            f"{algebra.covariance:.2g} (relative), its mean differs by {algebra.sigma:.2g} sigma"
+            f"{algebra.covariance:.2g} (relative), its mean differs by {mean} sigma"
         )
     if run.breakdown and found[0].gap != "breakdown":
         remarks.insert(0, f"{run.breakdown}; all comparisons end at that time")
@@ -141,9 +148,10 @@ def _red(
     """What is wrong with the filter whatever the smoother found."""
     found = [Cause("data", data_fault.evidence, data_fault.hint) for data_fault in data_faults]
     algebra = agreement.algebra
-    if not (_conservative(algebra) if conservative else algebra.explained_by(diagnosis.algebra)):
+    allowed = diagnosis.algebra
+    if not (_conservative(algebra, allowed) if conservative else algebra.explained_by(allowed)):
         known = diagnosis.operations()
-        found.append(cause.algebra(algebra, known, diagnosis.algebra, diagnosis.single))
+        found.append(cause.algebra(algebra, known, allowed, diagnosis.single))
     if not agreement.model.explained_by(diagnosis.model):
         differences, known_faults = diagnosis.differences(), diagnosis.known_model_errors()
         found.append(cause.model(agreement.model, differences, known_faults, diagnosis.model))
@@ -190,8 +198,9 @@ def _on_robust(robust: str) -> list[str]:
     return []
 
 
-def _conservative(gap: Gap) -> bool:
-    return gap.least >= 1.0 - ROUNDING and gap.asymmetry <= ROUNDING and gap.sigma <= SPARED_SIGMA
+def _conservative(gap: Gap, allowed: Allowed) -> bool:
+    least, skew = 1.0 - allowed.covariance, allowed.covariance
+    return gap.least >= least and gap.asymmetry <= skew and gap.sigma <= SPARED_SIGMA
 
 
 def misfit_remarks(optimality: Optimality) -> list[str]:

@@ -164,7 +164,7 @@ def _print_changes(changes: Sequence[Change], found: Found) -> None:
     holding = sum(change.state == "holds" for change in changes)
     parts = [f"{holding} of {len(changes)} figures hold", *counts.values()]
     for line in (f"verdict: {outcome} than the baseline; {', '.join(parts)}", *lines):
-        typer.echo("\n".join(fit(line, most=0, after="  ")))
+        typer.echo("\n".join(fit(line, after="  ")))
 
 
 def _runs(given: int | None, *, estimate: bool) -> int:

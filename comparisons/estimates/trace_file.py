@@ -90,11 +90,10 @@ def write_trace(run: EkfRun, path: Path) -> None:
         raise InputError("--trace is for filters of x, y and heading, range and bearing")
     if len(run.pose_landmarks.measured):
         raise InputError("--trace is for landmarks that are points; its file holds no others")
-    begin_s = run.timeline.step_begin_s()
     arrays: dict[str, Array | NDArray[np.integer]] = {
         "prior_pose": trace.prior_pose,
         "prior_covariance": trace.prior_covariance,
-        "step_time_s": begin_s + run.timeline.step_duration_s,
+        "step_time_s": run.timeline.step_end_s,
         "step_departed": trace.departed,
         "step_arrived": trace.arrived,
         "step_f": trace.f,

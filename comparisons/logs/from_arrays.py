@@ -36,6 +36,7 @@ from comparisons.logs.readers.scan_odometry import (
     instants_of,
     poses_at,
 )
+from comparisons.logs.stamps import resolved
 from comparisons.logs.validation import standard_deviation, whole_numbers
 from graphslam.increments import dead_reckoned
 
@@ -88,9 +89,9 @@ def log_from_arrays(
         poses = _poses("truth", _columns("truth", truth, ("time_s", *KINDS["poses"])))
     with_poses = "x_m" in odometry
     if with_poses:  # a pose is needed at every instant with a measurement or a position
-        seen["time_s"] = np.round(np.asarray(seen["time_s"], dtype=float), 4)
+        seen["time_s"] = resolved(np.asarray(seen["time_s"], dtype=float))
         if fixes is not None:
-            fixes = Positions(np.round(fixes.time_s, 4), fixes.position_m, fixes.covariance)
+            fixes = Positions(resolved(fixes.time_s), fixes.position_m, fixes.covariance)
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad = (
         np.asarray(seen[name], dtype=float) for name in _MEASUREMENTS
     )
@@ -152,7 +153,7 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
     sigmas = ("sigma_move_m", "sigma_turn")
     if kind == "poses":
         table = _columns("odometry", given, ("time_s", *KINDS[kind]), sigmas)
-        table["time_s"] = np.round(np.asarray(table["time_s"], dtype=float), 4)
+        table["time_s"] = resolved(np.asarray(table["time_s"], dtype=float))
         return _between_poses(_poses("odometry", table), table, wanted_s)
     if kind == "relative-poses":
         table = _columns("odometry", given, ("time_s", *KINDS[kind]), (*sigmas, *COVARIANCE))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable
-from comparisons.logs.odometry import Odometry, RelativePoses
+from comparisons.logs.odometry import Integration, Odometry, RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
@@ -263,6 +263,7 @@ class Log:
         known_measurements: Measurements that refer to the ids of these.
         scans: Planar laser scans.
         clouds: Spatial point clouds.
+        integration: How wheel odometry is integrated, where not as the documents do.
         truth: What is known independently of the sensors; no estimator is given it.
         provenance: Free text by key, for reports.
     """
@@ -280,6 +281,7 @@ class Log:
     clouds: Clouds | None = None
     truth: Truth = field(default_factory=Truth)
     provenance: dict[str, str] = field(default_factory=dict)
+    integration: Integration | None = None
 
     def __post_init__(self) -> None:
         """Check the streams against each other."""

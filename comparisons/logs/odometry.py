@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Literal
 
 import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.validation import check, increasing, positive_definite, within
+
+Integration = Literal["euler", "middle", "arc"]
+"""How a sample's motion is integrated: see docs/models.md."""
 
 
 @dataclass(frozen=True)
@@ -133,3 +137,8 @@ class RelativePoses:
 
 
 Odometry = SteeringOdometry | VelocityOdometry | RelativePoses
+
+
+def own_integration(odometry: SteeringOdometry | VelocityOdometry) -> Integration:
+    """As the documents have it: Nieto 2005, eqs. 2.5 and A.4; the middle heading of yaw rates."""
+    return "euler" if isinstance(odometry, SteeringOdometry) else "middle"

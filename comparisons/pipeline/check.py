@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess
-from comparisons.checks.agreement import ROUNDING
+from comparisons.checks.agreement import ROUNDING, Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import ExternalConsistency, external_consistency
-from comparisons.checks.diagnosis.estimate_facts import Clues, facts
+from comparisons.checks.diagnosis.departure import first_departure
+from comparisons.checks.diagnosis.diagnosis import (
+    MOTIONS,
+    Motion,
+    frame_at_start,
+    simplest_motion,
+)
+from comparisons.checks.diagnosis.estimate_facts import Clues, facts, paths_beside, undone
 from comparisons.checks.external_agreement import (
     Coverage,
     ExternalAgreement,
@@ -24,22 +31,40 @@ from comparisons.checks.external_agreement import (
     coverage,
     within_log,
 )
-from comparisons.checks.grade import GRADES, Grade, Likeness, Reference, likeness
+from comparisons.checks.grade import (
+    GRADES,
+    LIKE_SIGMA,
+    LIKE_VARIANCE,
+    Grade,
+    Likeness,
+    Reference,
+    likeness,
+)
+from comparisons.checks.spread import within_spread
 from comparisons.checks.verdict import Outcome
 from comparisons.choices import RequiredGrade
 from comparisons.config import MIN_COVERAGE, CheckConfig
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.logs.log import Log
-from comparisons.pipeline.external_trace import TraceCheck, check_trace
+from comparisons.logs.odometry import Integration
+from comparisons.logs.stamps import at_instants
+from comparisons.pipeline.estimate_motion import WORDS, integrations_of
+from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace
 from comparisons.pipeline.prepare import Progress, no_progress
-from comparisons.pipeline.references import reference_ekf, smoother, variants
+from comparisons.pipeline.references import (
+    FILTERS,
+    ORDERS,
+    ROBOCENTRIC,
+    reference_ekf,
+    smoother,
+    variants,
+)
 from comparisons.pipeline.solve import Solution, solve
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-_OWN = ("data", "algebra", "model")
-"""Causes that the filter's trace shows whatever the smoother found."""
 _HOPELESS_SIGMA = 10.0
 """So far from the reference EKF no variant of it is tried, nor where the means are the EKF's."""
 
@@ -70,6 +95,7 @@ class ExternalCheck:
         solution: The smoother's, of the same log.
         optimum: The smoother at the given times.
         peers: Correct estimates of the kinds that the given one may be.
+        variants: Other sound filters that it was compared with; none where it equals a peer.
         agreement: The estimate against the smoother.
         coverage: Share of the log's time that it covers.
         consistency: Its errors, and whether its covariances match them.
@@ -85,6 +111,7 @@ class ExternalCheck:
     solution: Solution
     optimum: Reference
     peers: tuple[Reference, ...]
+    variants: tuple[Reference, ...]
     agreement: ExternalAgreement
     coverage: Coverage
     consistency: ExternalConsistency
@@ -100,6 +127,16 @@ class ExternalCheck:
         gaps = ", ".join(one.gap for one in self.causes)
         name, grade = self.solution.log.name, self.grade.value or "none"
         return f"<ExternalCheck of {name}: {self.outcome}, grade {grade}{gaps and f' ({gaps})'}>"
+
+    @property
+    def inside(self) -> ExternalEstimate:
+        """What was given within the log's time."""
+        return _chosen(self.given, within_log(self.given, self.solution.estimate))
+
+    @property
+    def exact(self) -> bool:
+        """Whether it is equal to a reference, and its trace to the models."""
+        return self.grade.value == "equal" and not (self.trace and self.trace.verdict.causes)
 
     def _repr_html_(self) -> str:
         from comparisons.report.notebook import check_html
@@ -148,10 +185,140 @@ def check(
 
     solver: in the place of `solve`, as one that keeps what it has solved.
     """
-    config = config or CheckConfig()
-    solution = solver(log, config, progress)
-    return check_external(
-        given, solution, config.require, progress, min_coverage=config.min_coverage
+    job = _Job(log, config or CheckConfig(), progress, solver)
+    first = job.graded(given)
+    if first.exact:
+        return first
+    progress("motion models", 0, 0)
+    first = job.integrated(first, ORDERS)
+    return job.explained(first) or job.moved_back(first) or _with_departure(first)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What `check` was asked for."""
+
+    log: Log
+    config: CheckConfig
+    progress: Progress
+    solver: Callable[[Log, CheckConfig, Progress], Solution]
+
+    def graded(
+        self, given: ExternalEstimate, integration: Integration | None = None
+    ) -> ExternalCheck:
+        """The grade of an estimate, beside references of an integration, or of the log's own."""
+        log = self.log if integration is None else replace(self.log, integration=integration)
+        solution = self.solver(log, self.config, self.progress)
+        require, least = self.config.require, self.config.min_coverage
+        return check_external(given, solution, require, self.progress, min_coverage=least)
+
+    def integrated(self, first: ExternalCheck, filters: Iterable[str]) -> ExternalCheck:
+        """The same with the estimate's own integration, where that is not the log's."""
+        prepared = first.solution.prepared
+        others = integrations_of(first.inside, prepared, first.grade.by, filters)
+        if not others:
+            return first
+        again = self.graded(first.given, others[0])
+        steps = " or ".join(WORDS[one] for one in others)
+        said = f"the estimate's steps lead {steps}; so do those of references and smoother"
+        return replace(again, remarks=(said, *again.remarks))
+
+    def explained(self, first: ExternalCheck) -> ExternalCheck | None:
+        """The same once a fault reproduces the estimate, or it is sound; None where neither is."""
+        if first.outcome == "agree":
+            return first
+        least = self.config.min_coverage
+        found = _named(first, self.progress) or _within_spread(first, least)
+        if found is None and first.variants:
+            other = self.integrated(first, FILTERS)
+            found = other if other.outcome == "agree" else _within_spread(other, least)
+        return found
+
+    def moved_back(self, first: ExternalCheck) -> ExternalCheck | None:
+        """The same where the estimate is explained once a motion of all of it is undone."""
+        if not first.peers or not first.peers[0].known.any():
+            return None
+        if first.causes and first.causes[0].gap in MOTIONS:
+            return None
+        beside = paths_beside(first.inside, first.peers[0], first.optimum.pose)
+        path, motion = simplest_motion(beside)
+        if motion.gap == "frame":
+            return self.undone(first, motion) or self.undone(first, frame_at_start(path))
+        return self.undone(first, motion) if motion.gap in ("scale", "time") else None
+
+    def undone(self, first: ExternalCheck, motion: Motion) -> ExternalCheck | None:
+        """The check of what is left without a motion; None if nothing explains that."""
+        instants_s = first.solution.prepared.timeline.instants_s()
+        other = undone(first.given, motion.moved, instants_s)
+        delay_s = float(np.median(first.given.time_s - other.time_s))
+        motion = replace(motion, moved=motion.moved._replace(delay_s=delay_s))
+        found = self.explained(self.integrated(self.graded(other), ORDERS))
+        if found is None or found.grade.by is None:
+            return None
+        near, then = found.grade.by, "what is left has the cause that follows"
+        if found.outcome == "agree" and found.grade.value == "plausible":
+            then = "the estimate is plausible beside the smoother"
+        elif found.outcome == "agree":
+            equal = "equals" if found.grade.value == "equal" else "is like"
+            then = f"the estimate {equal} {near.reference.name} ({near.farthest:.2g} sigma)"
+        said = Cause(motion.gap, f"{motion.said}; with this corrected, {then}", motion.hint)
+        return replace(first, causes=(said, *found.causes), remarks=found.remarks)
+
+
+def _with_departure(found: ExternalCheck) -> ExternalCheck:
+    """Say where it first leaves the filter that it is most like."""
+    near, prepared = found.grade.by, found.solution.prepared
+    if near is None or near.reference.smoothed:
+        return found
+    said = first_departure(near, prepared.log, prepared.timeline)
+    return replace(found, remarks=(*([said] if said else []), *found.remarks))
+
+
+def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
+    """Name the fault with which the reference filter reproduces an estimate, if one does."""
+    prepared, sound, inside = found.solution.prepared, found.grade.by, found.inside
+    filters = [peer for peer in found.peers if not peer.smoothed]
+    if not filters:
+        return None
+    if sound is None or sound.reference.smoothed:
+        sound = likeness(inside, filters[0], labelled=prepared.labelled)
+    known = fingerprints(inside, prepared, sound, progress)
+    if not known:
+        return None
+    others = found.causes
+    if known[0].exact:
+        others = tuple(one for one in others if one.gap in OWN)
+    else:
+        found = _with_departure(found)
+    return replace(found, causes=(fault_cause(known, sound), *others))
+
+
+def _within_spread(found: ExternalCheck, least: float) -> ExternalCheck | None:
+    """The check of an estimate that is as near to a filter as other sound filters are.
+
+    None where it is not, or where its trace has a fault. least: share of the time to be covered.
+    """
+    near, prepared = found.grade.by, found.solution.prepared
+    faulty = found.trace is not None and any(c.gap in OWN for c in found.trace.verdict.causes)
+    if faulty or near is None or near.reference.smoothed or not found.variants:
+        return None
+    if found.coverage.share < least:
+        return None
+    filters = (*found.peers, *found.variants)
+    sound = [one for one in filters if not one.smoothed and one.name != ROBOCENTRIC]
+    if not within_spread(near, sound, labelled=prepared.labelled):
+        return None
+    grade = replace(found.grade, value="like", by=replace(near, grade="like"))
+    said = (
+        f"the estimate is up to {near.sigma:.2g} sigma from {near.reference.name}, its nearest, "
+        f"and no part of it is farther than one of {len(sound) - 1} other sound filters is"
+    )
+    return replace(
+        found,
+        grade=grade,
+        outcome=outcome_of(grade, verified=found.solution.verified),
+        causes=(),
+        remarks=(said, *found.remarks),
     )
 
 
@@ -168,11 +335,14 @@ def check_external(
     min_coverage: share of the log's time below which no estimate agrees.
     """
     clock, labelled = solution.prepared.clock, solution.prepared.labelled
+    instants_s = solution.prepared.timeline.instants_s()
+    given = replace(given, time_s=at_instants(given.time_s, instants_s))
     inside = _chosen(given, within_log(given, solution.estimate))
     with clock.stage("references"):
         progress("references", 0, 0)
         references = _references(inside, solution)
-        near = _nearest(inside, references, solution)
+        others = _variants(inside, references, solution)
+        near = _nearest(inside, (*references.peers, *others), labelled=labelled)
     progress("check", 0, 0)
     found = compare_external(inside, references.optimum, references.peers, labelled=labelled)
     verified = solution.verified
@@ -180,7 +350,11 @@ def check_external(
     first = near and likeness(inside, references.peers[0], labelled=labelled)
     known = facts(inside, first, references.clues) if first else []
     smoothed = solution.estimate
-    covered = coverage(inside.time_s, smoothed.time_s, inside.pose, smoothed.pose)
+    covered = coverage(
+        (inside.time_s, inside.pose),
+        (smoothed.time_s, smoothed.pose),
+        solution.prepared.timeline.observed_s(),
+    )
     short = covered.share < min_coverage
     if short:
         known = [one for one in known if one.gap != "coverage"]
@@ -188,29 +362,34 @@ def check_external(
     if given.trace is not None:
         progress("trace", 0, 0)
         traced = check_trace(given, solution.prepared, solution.result.options)
+        grade = by_trace(_by_equations(grade, traced, inside, labelled=labelled), traced)
         causes = _with_trace(causes, traced.verdict.causes)
-    outcome = _outcome(grade, causes, verified=verified)
+    if short:
+        grade = replace(grade, value=None)
+    outcome = "disagree" if short else outcome_of(grade, verified=verified)
     if outcome == "unverified":
         optimality = solution.result.optimality
         if optimality.lacks:
             causes = (cause.unverified(optimality), *causes)
-    elif outcome == "agree":
-        causes = ()
+    small = []
+    if outcome == "agree":
+        small, causes = [_small(one) for one in causes if one.gap in OWN], ()
     remarks = (
+        *small,
         *_remarks(given, found),
         *_beside(grade, known, found, outcome),
         *_on_association(solution),
     )
     if short:
-        own = tuple(one for one in causes if one.gap in _OWN)  # a wrong filter may have broken down
-        rest = tuple(one for one in causes if one.gap not in _OWN)
-        outcome = "disagree"
+        own = tuple(one for one in causes if one.gap in OWN)  # a wrong filter may have broken down
+        rest = tuple(one for one in causes if one.gap not in OWN)
         causes = (*own, _short(given, inside, covered, min_coverage), *rest)
     return ExternalCheck(
         given=given,
         solution=solution,
         optimum=references.optimum,
         peers=references.peers,
+        variants=others,
         agreement=found,
         coverage=covered,
         consistency=external_consistency(
@@ -289,34 +468,38 @@ def _references(given: ExternalEstimate, solution: Solution) -> _References:
     return _References(optimum, peers, clues)
 
 
-def _nearest(
+def _variants(
     given: ExternalEstimate, references: _References, solution: Solution
+) -> tuple[Reference, ...]:
+    """Other filters than the reference EKF, where the estimate is neither equal nor hopeless."""
+    if references.clues.before is None:
+        return ()
+    found = [likeness(given, one, labelled=solution.prepared.labelled) for one in references.peers]
+    if "equal" in (one.grade for one in found):
+        return ()
+    if not ROUNDING < found[0].sigma < _HOPELESS_SIGMA:
+        return ()
+    return tuple(variants(solution.prepared, given.time_s))
+
+
+def _nearest(
+    given: ExternalEstimate, references: Iterable[Reference], *, labelled: bool
 ) -> Likeness | None:
-    """The best of all likenesses; variants of the EKF are tried where it is not equal to it."""
-    labelled, best = solution.prepared.labelled, None
-    for peer in references.peers:
-        best = _better(best, likeness(given, peer, labelled=labelled))
-    if best is None or best.grade == "equal" or references.clues.before is None:
-        return best
-    if (
-        not ROUNDING
-        < likeness(given, references.peers[0], labelled=labelled).sigma
-        < _HOPELESS_SIGMA
-    ):
-        return best
-    for variant in variants(solution.prepared, given.time_s):
-        best = _better(best, likeness(given, variant, labelled=labelled))
+    """The best of all likenesses."""
+    best = None
+    for one in references:
+        best = _better(best, likeness(given, one, labelled=labelled))
     return best
 
 
 def _better(first: Likeness | None, second: Likeness) -> Likeness:
-    """The second where it is nearer, by grade and then by the largest difference."""
+    """The second where it is nearer by more than rounding, by grade, then by largest difference."""
     if first is None:
         return second
     ranks = [GRADES.index(one.grade or "wrong") for one in (first, second)]
     if ranks[0] != ranks[1]:
         return second if ranks[1] > ranks[0] else first
-    return second if second.farthest < first.farthest else first
+    return second if second.farthest < first.farthest * (1.0 - ROUNDING) else first
 
 
 def _grade(
@@ -343,9 +526,54 @@ def _causes(grade: Graded, known: list[Cause], found: ExternalAgreement) -> tupl
     return tuple(causes)
 
 
-def _outcome(grade: Graded, causes: tuple[Cause, ...], *, verified: bool) -> Outcome:
+def _by_equations(
+    grade: Graded, traced: TraceCheck, inside: ExternalEstimate, *, labelled: bool
+) -> Graded:
+    """An estimate is like an EKF where its trace's equations are right and lead to it.
+
+    It may linearise elsewhere, or take measurements in another order, than any reference.
+    """
+    if traced.own is None or grade.value in ("like", "equal"):
+        return grade
+    at = np.isin(inside.time_s, traced.own.time_s)
+    rows = np.isin(traced.own.time_s, inside.time_s)
+    own = replace(
+        traced.own,
+        time_s=traced.own.time_s[rows],
+        known=traced.own.known[rows],
+        pose=traced.own.pose[rows],
+        pose_covariance=traced.own.pose_covariance[rows],
+    )
+    if not at.any():
+        return grade
+    near = likeness(_chosen(inside, at), own, labelled=labelled)
+    return grade if near.grade is None else replace(grade, value="like", by=near)
+
+
+def by_trace(grade: Graded, traced: TraceCheck) -> Graded:
+    """An estimate that is like no filter is wrong if its trace has a fault that matters.
+
+    However near it came. What matters is a gap beyond those of `like`, or misused data.
+    """
+    if grade.value in ("like", "equal"):
+        return grade
+    gaps: dict[str, Gap] = {"algebra": traced.agreement.algebra, "model": traced.agreement.model}
+    for one in traced.verdict.causes:
+        gap = gaps.get(one.gap)
+        small = gap is not None and gap.sigma <= LIKE_SIGMA and gap.covariance <= LIKE_VARIANCE
+        if one.gap in OWN and not small:
+            return replace(grade, value="wrong")
+    return grade
+
+
+def _small(one: Cause) -> str:
+    """A fault that the estimate does not show."""
+    return f"{one.gap}, though the grade suffices: {one.evidence}"
+
+
+def outcome_of(grade: Graded, *, verified: bool) -> Outcome:
     """An optimum that is not verified leaves open only what is measured by it."""
-    if any(one.gap in _OWN for one in causes):
+    if grade.value == "wrong":
         return "disagree"
     by_optimum = grade.by is None or grade.by.grade is None or grade.by.reference.smoothed
     if by_optimum and not verified and not (grade.value is None and grade.required != "plausible"):
@@ -354,10 +582,15 @@ def _outcome(grade: Graded, causes: tuple[Cause, ...], *, verified: bool) -> Out
 
 
 def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Cause, ...]:
-    """The trace's causes first; linearisation stands for what it explains."""
-    kept = tuple(one for one in traced if one.gap in (*_OWN, "linearisation"))
+    """The trace's causes first; linearisation stands for what it explains.
+
+    Before them what explains all of the poses' difference, a fault of what was written.
+    """
+    kept = tuple(one for one in traced if one.gap in (*OWN, "linearisation"))
     explained = ("estimate", "covariance", "optimum") if kept else ()
-    return kept + tuple(one for one in found if one.gap not in explained)
+    first = found[:1] if found and found[0].gap in MOTIONS else ()
+    rest = tuple(one for one in found[len(first) :] if one.gap not in explained)
+    return first + kept + rest
 
 
 def _beside(

@@ -360,6 +360,8 @@ def _diagnosis(
         spurious=spurious,
         dropouts=dropouts,
         consistency=consistency,
+        algebra=gaps.rounding,
+        model=gaps.rounding,
     )
 
 

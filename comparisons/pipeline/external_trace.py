@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.motion import CLOCK_S
 from comparisons.adapters.smoother_input import (
     model_system_of,
     recorded_system_of,
@@ -15,7 +16,7 @@ from comparisons.adapters.smoother_input import (
 )
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
-from comparisons.checks.agreement import EXACT, Agreement, Gap, Gaussian
+from comparisons.checks.agreement import Agreement, Allowed, Gap, Gaussian
 from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
 from comparisons.checks.diagnosis.known_model_errors import explain
 from comparisons.checks.diagnosis.model_differences import model_differences
@@ -25,8 +26,10 @@ from comparisons.checks.diagnosis.single_precision import (
     allowed_gap,
     allowed_of_estimate,
     computed_in_single,
+    replay,
     restored_traces,
 )
+from comparisons.checks.grade import Reference
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
@@ -35,6 +38,7 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
 from comparisons.logs.log import Log, Positions
+from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.gaps import Gaps, compute_gaps
 from comparisons.pipeline.prepare import Clock, Prepared, no_progress
 from ekf_reference.core.ekf import PoseReading
@@ -43,20 +47,25 @@ from ekf_reference.core.measurements import REJECTED
 from ekf_reference.core.trace import TraceArrays
 from graphslam.smoother import SmootherOptions
 
-_CLOCK_S = 0.5e-4
-"""Half of what times are resolved to."""
+OWN = ("data", "algebra", "model")
+"""Causes that a filter's trace shows whatever the smoother found."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TraceCheck:
     """Gaps and causes. algebra: None where the estimate lacks the joint covariance.
 
-    steps, updates, initialised, fixes: how many of each the trace holds.
+    algebra_allowed, model_allowed: the gaps that rounding explains. own: what the trace's own
+    equations lead to, at the log's epochs; None where a cause speaks against them. steps, updates,
+    initialised, fixes: how many of each the trace holds.
     """
 
     agreement: Agreement
     algebra: Gap | None
     verdict: Verdict
+    algebra_allowed: Allowed
+    model_allowed: Allowed
+    own: Reference | None
     steps: int
     updates: int
     initialised: int
@@ -89,7 +98,7 @@ def check_trace(
             "measurements, is singular; increase step_q"
         ) from None
     labelled = prepared.labelled
-    data_faulty = (*_untimely(log, file, run, positions),
+    data_faulty = (*_untimely(log, run, positions),
                *data_faults(log, run, gaps.smoothed, labelled=labelled))  # fmt: skip
     verdict = judge(
         gaps.agreement,
@@ -99,14 +108,36 @@ def check_trace(
         data_faults=data_faulty,
     )
     trace = run.trace
+    right = known and not any(one.gap in OWN for one in verdict.causes)
     return TraceCheck(
+        own=_own_equations(run) if right else None,
         agreement=gaps.agreement,
         algebra=gaps.agreement.algebra if known else None,
         verdict=verdict,
+        algebra_allowed=diagnosis.algebra,
+        model_allowed=diagnosis.model,
         steps=len(trace.departed),
         updates=len(trace.measurements[POINT].step),
         initialised=len(trace.initialisations[POINT].step),
         fixes=len(trace.positions.step),
+    )
+
+
+def _own_equations(run: EkfRun) -> Reference:
+    """The filter of a trace's equations, as a reference at the epochs."""
+    landmarks, epochs_s = len(run.estimate.landmark), run.timeline.epoch_time_s
+    again = replay(run.trace, run.timeline.steps_until(), landmarks, np.float64)
+    return Reference(
+        name="a filter of its trace's equations",
+        time_s=epochs_s,
+        known=np.ones(len(epochs_s), dtype=bool),
+        pose=again.pose,
+        pose_covariance=again.covariance,
+        landmark_id=run.estimate.landmark_id,
+        landmark=again.last.mean[3:].reshape(-1, 2),
+        joint_covariance=again.last.covariance,
+        joint_s=float(epochs_s[-1]),
+        span_s=(float(epochs_s[0]), float(epochs_s[-1])),
     )
 
 
@@ -122,7 +153,7 @@ def _diagnosis(
         return explain(log, run, rounding, same_steps=same_steps)
 
     ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
-    algebra = model = EXACT
+    algebra = model = gaps.rounding
     covariance = stored_rounding(ekf.joint_covariance) > 0.0
     if rounding or covariance:
         algebra = algebra.plus(
@@ -135,6 +166,7 @@ def _diagnosis(
             differences=gaps.model_differences,
             known_model_errors=known_model_errors,
             algebra=algebra,
+            model=model,
         )
 
     def again(trace: TraceArrays) -> Gaussian:
@@ -194,14 +226,14 @@ def _last(given: ExternalEstimate) -> Estimate:
 
 def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Timeline, Timeline]:
     """The log's, with the epochs that the filter stopped at, and the same with its own steps."""
-    step_s, epoch_s = file.step_time_s, timeline.epoch_time_s
-    if step_s[0] < epoch_s[0] - _CLOCK_S:
+    step_s, epoch_s = _step_times(file, timeline), timeline.epoch_time_s
+    if step_s[0] < epoch_s[0]:
         raise InputError(
             f"{file.path}: the first step ends at {step_s[0]:.4f} s, expected no step before the "
             f"start of the log at {epoch_s[0]:.4f} s"
         )
-    reached = np.searchsorted(step_s, epoch_s + _CLOCK_S, side="right")
-    stops = np.concatenate(([epoch_s[0]], step_s))[reached] >= epoch_s - _CLOCK_S
+    reached = np.searchsorted(step_s, epoch_s, side="right")
+    stops = np.concatenate(([epoch_s[0]], step_s))[reached] == epoch_s
     kept = np.flatnonzero(stops)
     end_s = epoch_s[kept[-1]]
     if reached[kept[-1]] != len(step_s) or len(kept) < 2:
@@ -209,7 +241,7 @@ def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Time
             f"{file.path}: the last step ends at {step_s[-1]:.4f} s, expected the time "
             f"of a measurement, or the log's end at {epoch_s[-1]:.4f} s"
         )
-    if abs(last_s - end_s) > 2 * _CLOCK_S:
+    if last_s != end_s:
         raise InputError(
             f"{file.path}: the last step ends at {end_s:.4f} s, the trajectory at "
             f"{last_s:.4f} s; expected the same"
@@ -222,17 +254,30 @@ def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Time
         measurement_epoch=np.searchsorted(kept, cut.measurement_epoch),
         position_epoch=np.searchsorted(kept, cut.position_epoch),
     )
-    own_s = own.step_begin_s() + own.step_duration_s
-    if len(own_s) == len(step_s) and np.abs(own_s - step_s).max() <= 2 * _CLOCK_S:
+    if np.array_equal(own.step_end_s, step_s):
         return own, own
+    begin_s = np.concatenate((own.epoch_time_s[:1], step_s[:-1]))
     theirs = replace(
         own,
-        step_epoch=np.searchsorted(own.epoch_time_s, step_s - _CLOCK_S),
-        step_duration_s=np.diff(step_s, prepend=own.epoch_time_s[0]),
+        step_epoch=np.searchsorted(own.epoch_time_s, step_s),
+        step_begin_s=begin_s,
+        step_duration_s=step_s - begin_s,
         control=np.zeros((len(step_s), 0)),
         control_covariance=np.zeros((len(step_s), 0, 0)),
     )
     return own, theirs
+
+
+def _step_times(file: TraceFile, timeline: Timeline) -> Array:
+    """When each step of a trace ends, as the log's steps do that they are.
+
+    A trace with as many steps as the log has theirs, in their order, if no time contradicts.
+    """
+    own = timeline.step_end_s[: len(file.step_time_s)]
+    found = at_instants(file.step_time_s, timeline.instants_s())
+    if len(own) == len(found) and np.abs(own - file.step_time_s).max() <= CLOCK_S:
+        return own
+    return found
 
 
 def _as_run(
@@ -284,23 +329,21 @@ def _covariances(given: ExternalEstimate, time_s: Array) -> Array:
     """(K, 3, 3) the covariances handed in of poses at times (K,), NaN where there is none."""
     found = np.full((len(time_s), 3, 3), np.nan)
     if given.pose_covariance is not None:
-        near = np.minimum(np.searchsorted(given.time_s, time_s - _CLOCK_S), len(given.time_s) - 1)
-        there = np.abs(given.time_s[near] - time_s) <= 2 * _CLOCK_S
+        near = np.minimum(np.searchsorted(given.time_s, time_s), len(given.time_s) - 1)
+        there = given.time_s[near] == time_s
         found[there] = given.pose_covariance[near[there]]
     return found
 
 
-def _untimely(
-    log: Log, file: TraceFile, run: EkfRun, positions: Positions | None
-) -> list[DataFault]:
+def _untimely(log: Log, run: EkfRun, positions: Positions | None) -> list[DataFault]:
     """Observations fused at another instant than their own, where no step ends there."""
-    stands_s = np.concatenate(([run.timeline.epoch_time_s[0]], file.step_time_s))
+    stands_s = np.concatenate((run.timeline.step_begin_s, run.timeline.epoch_time_s[-1:]))
     trace, found = run.trace, []
     kinds = [
         (
             "measurements",
             np.concatenate((trace.measurements[POINT].step, trace.initialisations[POINT].step)),
-            log.measurements.time_s[
+            resolved(log.measurements.time_s)[
                 np.concatenate(
                     (trace.measurements[POINT].number, trace.initialisations[POINT].number)
                 )
@@ -309,10 +352,10 @@ def _untimely(
     ]
     if positions is not None:
         fixes = trace.positions
-        kinds.append(("positions", fixes.step, positions.time_s[fixes.number]))
+        kinds.append(("positions", fixes.step, resolved(positions.time_s)[fixes.number]))
     for kind, step, due_s in kinds:
         late_s = stands_s[step] - due_s
-        off = np.abs(late_s) > 2 * _CLOCK_S
+        off = np.abs(late_s) > 1e-6
         if off.any():
             middle = float(np.median(late_s[off]))
             found.append(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,14 @@ from comparisons.adapters.smoother_input import (
     solve_recorded,
 )
 from comparisons.adapters.timeline import Timeline
-from comparisons.checks.agreement import ROUNDING, Agreement, Gaussian, compare
+from comparisons.checks.agreement import (
+    ROUNDING,
+    Agreement,
+    Allowed,
+    Gaussian,
+    compare,
+    rounding_of,
+)
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.beside import Beside
@@ -58,6 +66,11 @@ class Gaps:
     result: SmootherResult
     smoothed: Estimate
     agreement: Agreement
+
+    @cached_property
+    def rounding(self) -> Allowed:
+        """What double precision explains of the algebra and the model gap."""
+        return rounding_of(self.problem.prior_covariance, self.smoothed.joint_covariance)
 
     def model_differences(
         self, stored: Mapping[tuple[str, str], float] | None = None

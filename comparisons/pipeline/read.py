@@ -47,7 +47,8 @@ def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, Clock]:
         log = load_log(section)
         found = log_hash(log)
     if not allow_changed:
-        check_unchanged(section.source, found, section.sha256, "--allow-changed-log")
+        option = "--allow-changed-log, as for a hash of slamcheck 0.2 or older,"
+        check_unchanged(section.source, found, section.sha256, option)
     path = Path(section.source)
     named = section.source in NAMED and section.format is None and not path.exists()
     full = section.source if named else full_path(path)

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from comparisons.adapters.filter_loop import FilterObserver
 from comparisons.adapters.filter_variants import (
     BackwardEkf,
+    ByLabelBackwardEkf,
+    ByLabelEkf,
+    FarthestFirstEkf,
+    FirstEstimatesEkf,
+    InvariantEkf,
     IteratedEkf,
+    NearestFirstEkf,
+    RobocentricEkf,
     SequentialEkf,
     UnscentedEkf,
+    WideUnscentedEkf,
 )
-from comparisons.adapters.motion import CLOCK_S, poses_at
+from comparisons.adapters.motion import poses_at
 from comparisons.adapters.reference_filter import FilterRun, run_reference
+from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.checks.grade import SMOOTHER, Reference
 from comparisons.config import SolveConfig
@@ -22,12 +32,40 @@ from comparisons.pipeline.solve import Solution
 from ekf_reference.core.ekf import Ekf
 
 EKF = "the reference EKF"
+ROBOCENTRIC = "a robocentric EKF"
+"""Sound, but farther from the others than most faults are."""
+ORDERS = {
+    EKF: "",
+    "an EKF that updates by one landmark after the other": "it updates by one landmark after the "
+    "other",
+    "an EKF that updates by one landmark after the other, the last first": "it updates by one "
+    "landmark after the other, the last first",
+}
+"""The same filter but for the order of updates, and that in words."""
 _VARIANTS: tuple[tuple[str, type[Ekf]], ...] = (
     ("an iterated EKF", IteratedEkf),
     ("an EKF that updates by one landmark after the other", SequentialEkf),
     ("an EKF that updates by one landmark after the other, the last first", BackwardEkf),
+    ("an EKF that updates by one landmark after the other, by label", ByLabelEkf),
+    (
+        "an EKF that updates by one landmark after the other, by label, the largest first",
+        ByLabelBackwardEkf,
+    ),
+    (
+        "an EKF that updates by one landmark after the other, the nearest first",
+        NearestFirstEkf,
+    ),
+    (
+        "an EKF that updates by one landmark after the other, the farthest first",
+        FarthestFirstEkf,
+    ),
+    ("a first-estimates EKF", FirstEstimatesEkf),
+    ("a right-invariant EKF", InvariantEkf),
+    (ROBOCENTRIC, RobocentricEkf),
     ("an unscented Kalman filter", UnscentedEkf),
+    ("an unscented Kalman filter with wide sigma points", WideUnscentedEkf),
 )
+FILTERS = (EKF, *dict(_VARIANTS))
 
 
 def reference_ekf(
@@ -52,9 +90,8 @@ def variants(prepared: Prepared[SolveConfig], time_s: Array) -> Iterator[Referen
 def smoother(solution: Solution, time_s: Array) -> Reference:
     """The smoother's poses (K, 3) at times (K,); known are those at its own instants."""
     estimate = solution.estimate
-    row = np.searchsorted(estimate.time_s, time_s - CLOCK_S)
-    row = np.minimum(row, len(estimate.time_s) - 1)
-    known = np.abs(estimate.time_s[row] - time_s) <= CLOCK_S
+    row = np.minimum(np.searchsorted(estimate.time_s, time_s), len(estimate.time_s) - 1)
+    known = estimate.time_s[row] == time_s
     return Reference(
         name=SMOOTHER,
         time_s=time_s,
@@ -65,21 +102,45 @@ def smoother(solution: Solution, time_s: Array) -> Reference:
         landmark=estimate.landmark,
         joint_covariance=estimate.joint_covariance,
         joint_s=float(estimate.time_s[-1]),
-        span_s=(float(estimate.time_s[0]), float(estimate.time_s[-1])),
+        span_s=_span(solution.prepared.timeline),
         smoothed=True,
     )
 
 
-def _run(prepared: Prepared[SolveConfig], kind: type[Ekf], time_s: Array) -> FilterRun | None:
+def filter_named(
+    name: str,
+    prepared: Prepared[SolveConfig],
+    time_s: Array,
+    started: Callable[[Ekf], FilterObserver] | None = None,
+) -> Reference | None:
+    """The reference of a name, on what may be another log; None where it breaks down.
+
+    started: as of run_reference.
+    """
+    run = _run(prepared, dict(_VARIANTS).get(name, Ekf), time_s, started)
+    return None if run is None else _of_run(name, run, time_s)
+
+
+def _run(
+    prepared: Prepared[SolveConfig],
+    kind: type[Ekf],
+    time_s: Array,
+    started: Callable[[Ekf], FilterObserver] | None = None,
+) -> FilterRun | None:
     p = prepared
     return run_reference(
-        p.log, p.timeline, p.ekf, p.positions, kind=kind, map_s=float(np.round(time_s[-1], 4))
+        p.log, p.timeline, p.ekf, p.positions, kind=kind, map_s=float(time_s[-1]), started=started
     )
+
+
+def _span(timeline: Timeline) -> tuple[float, float]:
+    """Of what is observed: nothing else asks for poses."""
+    observed_s = timeline.observed_s()
+    return float(observed_s[0]), float(observed_s[-1])
 
 
 def _of_run(name: str, run: FilterRun, time_s: Array) -> Reference:
     pose, covariance = run.at(time_s)
-    epochs = run.timeline.epoch_time_s
     return Reference(
         name=name,
         time_s=time_s,
@@ -90,5 +151,5 @@ def _of_run(name: str, run: FilterRun, time_s: Array) -> Reference:
         landmark=run.map.landmark,
         joint_covariance=run.map.joint_covariance,
         joint_s=run.map.time_s,
-        span_s=(float(epochs[0]), float(epochs[-1])),
+        span_s=_span(run.timeline),
     )

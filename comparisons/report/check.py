@@ -11,6 +11,7 @@ import numpy as np
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
+from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.external_agreement import Block, ExternalAgreement
 from comparisons.checks.grade import Likeness, match_map
 from comparisons.extensions.interface import Row
@@ -353,8 +354,14 @@ def _grade_words(result: CheckResult) -> str:
         "like": f"like {name}",
         "plausible": "plausible",
         "wrong": "wrong",
-        None: "none, for optimum or association is not verified",
+        None: "none, for too little of the log is covered"
+        if _short(result)
+        else "none, for optimum or association is not verified",
     }[result.grade]
+
+
+def _short(result: CheckResult) -> bool:
+    return any(one.gap == "coverage" for one in result.causes) and result.verdict == "disagree"
 
 
 def _verdict_words(result: CheckResult) -> str:
@@ -364,8 +371,12 @@ def _verdict_words(result: CheckResult) -> str:
         "equal": f"The estimate equals {nearest} to rounding.",
         "like": f"The estimate is like {nearest}: means and covariances differ by at most 5 %.",
         "plausible": "The estimate is as close to the smoother's optimum as that is certain.",
-        "wrong": "The estimate is wrong: it is like no reference and far from the optimum.",
-        None: "There is no grade: the smoother's optimum or its association is not verified.",
+        "wrong": "The estimate is wrong: its trace shows a fault."
+        if any(one.gap in ("data", "algebra", "model") for one in result.causes)
+        else "The estimate is wrong: it is like no reference and far from the optimum.",
+        None: "There is no grade: too little of the log is covered."
+        if _short(result)
+        else "There is no grade: the smoother's optimum or its association is not verified.",
     }[result.grade]
     causes = " The causes, the most important first:" if result.causes else ""
     return f"{grade} The required grade is {result.required}.{causes}"
@@ -400,6 +411,8 @@ def _trace(check: TraceCheck | None) -> TraceResult | None:
         model_gap_covariance=finite(model.covariance),
         linearisation_gap_sigma=finite(rest.sigma),
         linearisation_gap_covariance=finite(rest.covariance),
+        algebra_limit_sigma=check.algebra_allowed.sigma,
+        model_limit_sigma=check.model_allowed.sigma,
     )
 
 
@@ -476,6 +489,8 @@ class TraceResult(Model):
         model_gap_covariance: as in `result.json`.
         linearisation_gap_sigma: as in `result.json`.
         linearisation_gap_covariance: as in `result.json`.
+        algebra_limit_sigma: as in `result.json`.
+        model_limit_sigma: as in `result.json`.
     """
 
     steps: int
@@ -488,6 +503,8 @@ class TraceResult(Model):
     model_gap_covariance: float | None
     linearisation_gap_sigma: float | None
     linearisation_gap_covariance: float | None
+    algebra_limit_sigma: float = ROUNDING
+    model_limit_sigma: float = ROUNDING
 
 
 class CheckResult(Model):

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from comparisons.checks.agreement import LARGEST_DISTANCE, ROUNDING
+from comparisons.checks.agreement import LARGEST_DISTANCE
 from comparisons.report.models import AgreementResult, Result, TruthGapResult
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def gap_steps(
                 gaps.algebra_gap_sigma,
                 gaps.algebra_gap_covariance,
                 isinstance(gaps, AgreementResult) or gaps.algebra_gap_sigma is not None,
-                ROUNDING,
+                gaps.algebra_limit_sigma,
             ),
             (
                 "model",
@@ -141,7 +141,7 @@ def gap_steps(
                 gaps.model_gap_sigma,
                 gaps.model_gap_covariance,
                 True,
-                ROUNDING,
+                gaps.model_limit_sigma,
             ),
             (
                 "linearisation",

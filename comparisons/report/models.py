@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
+from comparisons.checks.agreement import ROUNDING
 from comparisons.report.model import Model
 from comparisons.report.settings import SettingsResult
 
@@ -217,6 +218,8 @@ class AgreementResult(Model):
         model_gap_covariance: the same for the covariances of F1 and F2.
         linearisation_gap_sigma: largest difference of the means of F2 and the smoother, in sigma.
         linearisation_gap_covariance: the same for the covariances of F2 and the smoother.
+        algebra_limit_sigma: largest algebra gap that rounding explains.
+        model_limit_sigma: largest model gap that rounding explains.
         optimism: least variance of the EKF over the smoother's, of all directions; below 1 is
             overconfident.
         pessimism: largest such ratio.
@@ -232,6 +235,8 @@ class AgreementResult(Model):
     model_gap_covariance: float | None
     linearisation_gap_sigma: float | None
     linearisation_gap_covariance: float | None
+    algebra_limit_sigma: float = ROUNDING
+    model_limit_sigma: float = ROUNDING
     optimism: float | None
     pessimism: float | None
     landmark_difference_rms_m: float

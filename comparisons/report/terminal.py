@@ -1,4 +1,4 @@
-"""What a job prints: the outcome in a few short lines, and every figure where it is asked for."""
+"""What a job prints: the outcome and why, in full, and every figure where it is asked for."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from comparisons.extensions.interface import Row
 from comparisons.report.ladder import Step
 from comparisons.report.models import CauseResult
 
-WIDTH, HEIGHT = 80, 14
-"""Columns and lines of what is printed unless more is asked for."""
+WIDTH, MOST = 80, 5
+"""Columns of what is printed, and how many causes, reasons and notes; the report has all."""
 MARKS = {True: "in", False: "OUT", None: ""}
 """Whether a figure lies in its band, in words."""
 STYLES = {
@@ -37,7 +37,7 @@ class Summary:
 
     headline: the outcome in words, printed first. style: of the headline, as rich names it.
     reasons: why the outcome is what it is, where that is no cause, as an optimum that is not
-    verified. lines: label and text, one line each. rows: all figures.
+    verified. lines: label and text. rows: all figures.
     """
 
     headline: str
@@ -60,41 +60,35 @@ class Line(NamedTuple):
 def print_summary(
     summary: Summary, console: Console, report: str = "", *, verbose: bool = False
 ) -> None:
-    """Print the outcome in a few lines. report: where it is. verbose: then print all figures."""
+    """Print the outcome and why. report: where it is. verbose: then print all figures."""
     lines = brief(summary, report)
     if verbose:
-        lines += [Line(""), *every_cause(summary), *table(summary.rows, max(WIDTH, console.width))]
+        lines += [Line(""), *table(summary.rows, max(WIDTH, console.width))]
     for line in lines:
         console.print(Text(line.text, style=line.style))
 
 
 def brief(summary: Summary, report: str = "") -> list[Line]:
-    """Return at most HEIGHT lines of WIDTH columns; only a long path makes the last one longer.
+    """Return the outcome, its causes with their hints, reasons, notes, gaps and few figures.
 
-    The text of a label takes a second line where two causes and the count of notes leave room.
+    In lines of WIDTH columns; only a long path makes the last one longer.
     """
-    head = [Line(text, summary.style) for text in fit(summary.headline, most=2, after="  ")]
-    tail = _ladder(summary.steps)
-    least = len(head) + len(tail) + len(summary.lines) + bool(report)
-    kept = 2 * min(len(summary.causes), 2) + bool(summary.reasons or summary.remarks)
-    spare = HEIGHT - least - kept
+    lines = [Line(text, summary.style) for text in fit(summary.headline, after="  ")]
+    for cause in summary.causes[:MOST]:
+        lines += _indented(f"{cause_name(cause.gap)}: {cause.evidence}")
+        hint = fit(cause.hint, first="    hint: ", after="      ")
+        lines += [Line(one, "dim") for one in hint if cause.hint]
+    notes = [f"note: {remark}" for remark in summary.remarks]
+    for text in (*summary.reasons[:MOST], *notes[:MOST]):
+        lines += _indented(text)
+    lines += _rest(cause=summary.causes, reason=summary.reasons, note=notes)
+    lines += _ladder(summary.steps)
     for label, text in summary.lines:
         first, after = f"{label + ':':<{_LABEL}}", " " * _LABEL
-        found = fit(text, most=2 if spare > 0 else 1, first=first, after=after)
-        spare -= len(found) - 1
-        tail += [Line(one) for one in found]
+        lines += [Line(one) for one in fit(text, first=first, after=after)]
     if report:
-        tail.append(Line(f"{'report:':<{_LABEL}}{printable(report)}"))
-    return [*head, *_reasons(summary, HEIGHT - len(head) - len(tail)), *tail]
-
-
-def every_cause(summary: Summary) -> Iterator[Line]:
-    """Return all causes with their hints, all reasons and remarks, each in full."""
-    for cause in summary.causes:
-        yield from (Line(one) for one in fit(_named(cause), most=0, after="  "))
-        yield from (Line(one, "dim") for one in fit(cause.hint, most=0, first="    ", after="    "))
-    for text in (*summary.reasons, *(f"note: {remark}" for remark in summary.remarks)):
-        yield from (Line(one) for one in fit(text, most=0, after="  "))
+        lines.append(Line(f"{'report:':<{_LABEL}}{printable(report)}"))
+    return lines
 
 
 def table(rows: Sequence[Row], width: int = WIDTH) -> Iterator[Line]:
@@ -120,15 +114,12 @@ def table(rows: Sequence[Row], width: int = WIDTH) -> Iterator[Line]:
                 yield Line("  " + "  ".join(f"{p:<{w}}" for p, w in shown).rstrip(), style)
 
 
-def fit(
-    text: str, width: int = WIDTH, *, most: int = 1, first: str = "", after: str = ""
-) -> list[str]:
-    """Return a text in lines that break at words; what is beyond the last one is left out.
+def fit(text: str, width: int = WIDTH, *, first: str = "", after: str = "") -> list[str]:
+    """Return a text in lines that break at words.
 
     Args:
         text: anything; characters that a terminal might obey are replaced.
         width: columns of a line.
-        most: lines, 0 for all.
         first: indent of the first line.
         after: indent of the others.
     """
@@ -137,37 +128,19 @@ def fit(
         width,
         initial_indent=first,
         subsequent_indent=after,
-        max_lines=most or None,
-        placeholder=" ...",
         break_on_hyphens=False,
     ) or [""]
 
 
-def _named(cause: CauseResult) -> str:
-    return f"{cause_name(cause.gap)}: {cause.evidence}"
+def _indented(text: str) -> list[Line]:
+    return [Line(one) for one in fit(text, first="  ", after="    ")]
 
 
-def _reasons(summary: Summary, room: int) -> list[Line]:
-    """Return causes, reasons and remarks, as many as there is room for, the last line the rest."""
-    kinds = (
-        ("cause", [_named(cause) for cause in summary.causes]),
-        ("reason", list(summary.reasons)),
-        ("note", [f"note: {remark}" for remark in summary.remarks]),
-    )
-    texts = [(kind, text) for kind, found in kinds for text in found]
-    lines: list[Line] = []
-    for i, (_, text) in enumerate(texts):
-        left = room - len(lines) - (i + 1 < len(texts))
-        if left < 1:
-            rest = [kind for kind, _ in texts[i:]]
-            counts = [
-                f"{n} more {kind}{'s' if n > 1 else ''}"
-                for kind, _ in kinds
-                if (n := rest.count(kind))
-            ]
-            return [*lines, Line(f"  {', '.join(counts)} in the report")]
-        lines += [Line(one) for one in fit(text, most=min(2, left), first="  ", after="    ")]
-    return lines
+def _rest(**texts: Sequence[object]) -> list[Line]:
+    """Return a line that counts what is left out, by kind."""
+    more = {kind: len(found) - MOST for kind, found in texts.items() if len(found) > MOST}
+    counts = [f"{count} more {kind}{'s' if count > 1 else ''}" for kind, count in more.items()]
+    return _indented(f"{', '.join(counts)} in the report") if counts else []
 
 
 def _ladder(steps: Sequence[Step]) -> list[Line]:
@@ -195,4 +168,4 @@ def _column(texts: Iterator[str], most: int) -> int:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    return fit(text, max(width, 8), most=0)
+    return fit(text, max(width, 8))

@@ -8,11 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from ekf_reference.core.geometry import Array
+
+Integration = Literal["euler", "middle", "arc"]
+"""Where a step's displacement leads: along the heading at its start, along that in its middle, or
+on the circle that constant speed and turn describe."""
+HEADING_AT: dict[Integration, float] = {"euler": 0.0, "middle": 0.5, "arc": 0.5}
+"""Share of the turn after which the displacement's heading is taken."""
 
 
 class MotionStep(NamedTuple):
@@ -161,3 +167,42 @@ class RelativePoseModel:
         jacobian_control = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         moved = cos * dx - sin * dy, sin * dx + cos * dy, turn
         return MotionStep.by(T_world_vehicle, *moved, jacobian_control)
+
+
+@dataclass(frozen=True)
+class IntegratedModel:
+    """A vehicle model integrated in another way, at constant speed and turn.
+
+    model: the sound one. own: how it integrates. integration: how to integrate in its place.
+    With the turn t of a step the displacement d becomes s(t) R(k t) d, k the difference of the
+    shares of the turn, s the chord over its arc, sin(t / 2) / (t / 2), of an arc and 1 otherwise.
+    """
+
+    model: MotionModel
+    own: Integration
+    integration: Integration
+
+    def step(self, T_world_vehicle: Array, control: Array, duration_s: float) -> MotionStep:
+        """Turn and shorten the model's displacement, and the Jacobians with it."""
+        _, by_pose, by_control = step = self.model.step(T_world_vehicle, control, duration_s)
+        turn = float(step.pose[2] - T_world_vehicle[2])
+        share = HEADING_AT[self.integration] - HEADING_AT[self.own]
+        chord, by_turn = _chord(turn) if self.integration == "arc" else (1.0, 0.0)
+        cos, sin = math.cos(share * turn), math.sin(share * turn)
+        rotation = np.array([[cos, -sin], [sin, cos]])
+        way = rotation @ (by_pose[1, 2], -by_pose[0, 2])
+        moved = chord * way
+        across = by_turn * way + share * np.array((-moved[1], moved[0]))
+        jacobian = by_control.copy()
+        jacobian[:2] = chord * rotation @ by_control[:2] + np.outer(across, by_control[2])
+        east, north = moved.tolist()
+        return MotionStep.by(T_world_vehicle, east, north, turn, jacobian)
+
+
+def _chord(turn: float) -> tuple[float, float]:
+    """Chord over arc, and its derivative by the turn; series where differences have no digits."""
+    if abs(turn) < 1e-2:
+        square = turn * turn
+        return 1.0 - square / 24.0 * (1.0 - square / 80.0), -turn / 12.0 * (1.0 - square / 40.0)
+    chord = math.sin(0.5 * turn) / (0.5 * turn)
+    return chord, (math.cos(0.5 * turn) - chord) / turn

@@ -64,7 +64,7 @@ FAULTS = {
         *("gps", 8, ("position",)),
         correction=faults.wrong_sign,
     ),
-    "tight-gate": Fault("the gate lets 70 % pass", "landmark", 40, gate=0.7, lasting=True),
+    "tight-gate": Fault("the gate lets 70 % pass", "landmark", 47, gate=0.7, lasting=True),
 }
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.checks.agreement import EXACT
 from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, RelativePoses
@@ -18,15 +19,16 @@ from graphslam.marginals import SingularProblemError
 from tests.helpers import compared, first_seconds, simulated
 
 
-@pytest.mark.parametrize("jitter_s", [0.02, 1e-3, 1e-4, 1e-6])
+@pytest.mark.parametrize("jitter_s", [0.02, 1e-3, 1e-4, 1e-6, 1e-7, 1e-8])
 def test_measurements_that_come_one_by_one(jitter_s: float) -> None:
-    """A millisecond or less between poses costs no digits that matter."""
+    """A millisecond or less, down to nanoseconds, between poses costs no digits that matter."""
     log = simulated(loop_s=20.0)
     shift = np.random.default_rng(0).uniform(0.0, jitter_s, len(log.measurements.time_s))
     time = np.sort(log.measurements.time_s + shift)
     c = compared(replace(log, measurements=replace(log.measurements, time_s=time)))
-    assert c.agreement.algebra.within(1e-8)
-    assert c.agreement.model.within(1e-8)
+    limit = 1e-8 if jitter_s > 1e-7 else 5e-7
+    assert c.agreement.algebra.within(limit)
+    assert c.agreement.model.within(limit)
     assert c.smoother.optimality.verified
     assert c.verdict.outcome == "agree"
 
@@ -124,6 +126,42 @@ def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
     assert len(c.ekf.landmark_index) < len(log.measurements.time_s)
     said = [*(cause.evidence for cause in c.verdict.causes), *c.verdict.remarks]
     assert any("broke down" in line for line in said)
+
+
+def with_prior_of(sigma_m: float) -> Log:
+    log = simulated(loop_s=20.0)
+    covariance = np.diag((sigma_m**2, sigma_m**2, 1e-6))
+    return replace(log, prior=replace(log.prior, covariance=covariance))
+
+
+@pytest.mark.parametrize("sigma_m", [550.0, 1e3, 1e4])
+def test_a_wide_prior_is_no_fault_of_the_filter(sigma_m: float) -> None:
+    """Rounding grows with the prior's variance, and the limit of the gaps with it."""
+    c = compared(with_prior_of(sigma_m))
+    assert c.agreement.algebra.covariance < 0.25 * c.gaps.rounding.covariance
+    assert c.agreement.model.covariance < 0.25 * c.gaps.rounding.covariance
+    assert c.verdict.outcome == "agree"
+    said = any("prior is so wide" in remark for remark in c.verdict.remarks)
+    assert said == (c.gaps.rounding.covariance > 1e-6)
+
+
+def test_a_wrong_update_shows_beside_a_wide_prior() -> None:
+    """A thousandth too much of the covariance is not rounding."""
+
+    class TooSure(Corrupted):
+        def corrupt(self) -> None:
+            self._covariance *= 0.999
+
+    def plant(ekf: Ekf) -> None:
+        ekf.state = TooSure(ekf.state.pose, np.array(ekf.state.covariance))
+
+    c = compared(with_prior_of(1e3), Modified(plant))
+    assert c.verdict.outcome == "disagree"
+    assert c.verdict.causes[0].gap == "algebra"
+
+
+def test_ordinary_priors_leave_the_limit_where_it_is() -> None:
+    assert compared(simulated(loop_s=20.0)).gaps.rounding == EXACT
 
 
 @pytest.mark.parametrize(

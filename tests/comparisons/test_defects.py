@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.adapters.defects.defect import Defect, Plant, with_observation, with_steps
+from comparisons.adapters.defects.registry import REGISTRY
 from comparisons.errors import InputError
-from comparisons.experiments.defects.defect import Defect, Plant, with_observation, with_steps
 from comparisons.experiments.defects.logs import LOGS, open_case
-from comparisons.experiments.defects.registry import REGISTRY, named_first, run_defect
+from comparisons.experiments.defects.trial import named_first, run_defect
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import PredictedMeasurements

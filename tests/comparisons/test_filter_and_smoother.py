@@ -14,7 +14,13 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.solve import solve
-from ekf_reference.models.motion import AckermannModel, MotionModel, UnicycleModel
+from ekf_reference.models.motion import (
+    AckermannModel,
+    IntegratedModel,
+    Integration,
+    MotionModel,
+    UnicycleModel,
+)
 from graphslam.graph_builder import build_graph, to_tangent, to_values
 from graphslam.incremental import run_isam2
 from graphslam.increments import compose
@@ -25,10 +31,13 @@ from tests.graphslam.numerics import product
 from tests.helpers import relative_error, simulated
 
 
+@pytest.mark.parametrize("integration", ["euler", "middle", "arc"])
 @pytest.mark.parametrize("kind", ["ackermann", "unicycle"])
-def test_increment_carries_what_the_filter_predicts(kind: str) -> None:
+def test_increment_carries_what_the_filter_predicts(kind: str, integration: Integration) -> None:
     """Composed by this package, or stepped through by the EKF's models: the same Gaussian."""
     model: MotionModel = AckermannModel(*GEOMETRY) if kind == "ackermann" else UnicycleModel()
+    own: Integration = "euler" if kind == "ackermann" else "middle"
+    model = IntegratedModel(model, own, integration)
     u, w, dt = controls(40, 3)
     start = np.array((4.0, -7.0, 2.1))
     pose, covariance = start, np.zeros((3, 3))
@@ -38,7 +47,7 @@ def test_increment_carries_what_the_filter_predicts(kind: str) -> None:
         noise = b @ np.diag((0.04, 0.0025)) @ b.T + dt[i] * np.diag((1e-5, 1e-5, 1e-7))
         covariance = step.jacobian_pose @ covariance @ step.jacobian_pose.T + noise
         pose = step.pose
-    whole = compose(samples(kind, u, w, dt), np.zeros(40, dtype=np.intp), 1)
+    whole = compose(samples(kind, u, w, dt, integration), np.zeros(40, dtype=np.intp), 1)
     assert np.allclose(product(start, whole.displacement[0]), pose, rtol=0, atol=1e-12)
     turn = to_tangent(pose[2:])[0].T
     assert relative_error(turn @ whole.covariance[0] @ turn.T, covariance) < 1e-12

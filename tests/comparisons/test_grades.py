@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ import pytest
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.filter_variants import (
     BackwardEkf,
+    FirstEstimatesEkf,
+    InvariantEkf,
     IteratedEkf,
     SequentialEkf,
     UnscentedEkf,
@@ -19,8 +23,10 @@ from comparisons.adapters.filter_variants import (
 from comparisons.adapters.reference_filter import run_reference
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
+from comparisons.checks.agreement import Gap
+from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis.covariance_signatures import fit
-from comparisons.checks.grade import Part, eigenvalues
+from comparisons.checks.grade import GRADES, Grade, Part, eigenvalues
 from comparisons.choices import RequiredGrade
 from comparisons.config import EkfConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
@@ -28,7 +34,13 @@ from comparisons.estimates.folder import write_estimate
 from comparisons.experiments.defects.exports import EXPORTS, FEEDS
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.check import ExternalCheck, check_external
+from comparisons.pipeline.check import (
+    ExternalCheck,
+    Graded,
+    by_trace,
+    check_external,
+    outcome_of,
+)
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from tests.comparisons.test_cli import slamcheck
@@ -81,6 +93,8 @@ def evidence(found: ExternalCheck) -> str:
         (IteratedEkf, "an iterated EKF"),
         (SequentialEkf, "an EKF that updates by one landmark after the other"),
         (BackwardEkf, "an EKF that updates by one landmark after the other, the last first"),
+        (FirstEstimatesEkf, "a first-estimates EKF"),
+        (InvariantEkf, "a right-invariant EKF"),
         (UnscentedEkf, "an unscented Kalman filter"),
     ],
 )
@@ -172,7 +186,7 @@ def test_a_fault_is_not_like_a_filter_and_is_named(
     solution: Solution, right: ExternalEstimate, name: str
 ) -> None:
     found = check_external(EXPORTS[name](right), solution, "like")
-    assert found.grade.value in ("plausible", "wrong")
+    assert found.grade.value in ("plausible", "wrong", None)
     assert found.outcome == "disagree"
     assert NAMED[name] in evidence(found)
 
@@ -317,3 +331,49 @@ def test_the_command_takes_what_is_required(tmp_path: Path, solution: Solution) 
     assert read_external(tmp_path / "mine").estimator == "ekf"
     assert slamcheck(*arguments, "c", cwd=tmp_path).returncode == 1
     assert slamcheck(*arguments, "d", "--require", "some", cwd=tmp_path).returncode == 2
+
+
+@pytest.mark.parametrize("verified", [True, False])
+@pytest.mark.parametrize("required", ["plausible", "like", "equal"])
+@pytest.mark.parametrize("value", [*GRADES, None])
+def test_grade_requirement_and_outcome_never_contradict(
+    solution: Solution,
+    right: ExternalEstimate,
+    value: Grade | None,
+    required: RequiredGrade,
+    verified: bool,
+) -> None:
+    """Enough is agreement, less is not; what is open has no grade and no verified optimum."""
+    near = check_external(right, solution).grade.by
+    assert near is not None
+    like = value if value in ("equal", "like") else None
+    graded = Graded(value=value, required=required, by=replace(near, grade=like))
+    outcome = outcome_of(graded, verified=verified)
+    if outcome == "agree":
+        assert graded.enough
+    elif outcome == "disagree":
+        assert not graded.enough
+    else:
+        assert not verified
+        assert value in (None, "plausible")
+
+
+def test_a_trace_that_shows_a_fault_makes_the_grade_wrong() -> None:
+    """Beyond 5 % of sigma, and of an estimate that is like no filter; else it is a note."""
+
+    def traced(gap: Gap, *kinds: str) -> Any:
+        causes = [Cause(kind, "evidence", "hint") for kind in kinds]
+        agreement = SimpleNamespace(algebra=gap, model=Gap(0.0, 0.0))
+        return SimpleNamespace(agreement=agreement, verdict=SimpleNamespace(causes=causes))
+
+    def value(given: Grade, gap: Gap, *kinds: str) -> Grade | None:
+        graded = Graded(value=given, required="like", by=None)
+        return by_trace(graded, traced(gap, *kinds)).value
+
+    assert value("like", Gap(0.06, 0.06), "algebra") == "like"
+    assert value("plausible", Gap(0.04, 0.04), "algebra") == "plausible"
+    assert value("plausible", Gap(0.0, 0.06), "algebra") == "wrong"
+    assert value("plausible", Gap(float("nan"), 0.0), "algebra") == "wrong"
+    assert value("like", Gap(0.0, 0.0), "data") == "like"
+    assert value("plausible", Gap(0.0, 0.0), "data") == "wrong"
+    assert value("plausible", Gap(9.0, 9.0), "linearisation") == "plausible"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.adapters.defects.defect import with_state
 from comparisons.adapters.ekf_factory import (
     build_association,
     build_ekf,
@@ -15,7 +16,6 @@ from comparisons.adapters.ekf_factory import (
 )
 from comparisons.checks.agreement import ROUNDING
 from comparisons.config import EkfConfig
-from comparisons.experiments.defects.defect import with_state
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate

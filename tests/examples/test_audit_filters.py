@@ -29,7 +29,7 @@ AUDITED = {
     "msckf": ("lone-clone", "conditioned", "wrong-removed", "cross-predicted", "no-krk"),
     "navlie_se3": ("cross-stale", "cross-dropped", "not-updated", "no-noise", "half-gain"),
 }
-ROUNDING, SEEN = 1e-9, 1e-5
+ROUNDING, LAST_BITS, SEEN = 1e-9, 1e-14, 1e-5
 SEED = 3
 
 
@@ -82,7 +82,7 @@ def test_every_fault_shows_at_its_event(recorded: Recorded) -> None:
     assert sum(not fault.statistical for fault in recorded.faults.values()) >= 8
     for name, fault in recorded.faults.items():
         path, planted = recorded.faulty[name]
-        assert _first_difference(recorded.sound, path) == planted.event, name
+        assert _first_difference(recorded.sound, path) in _seen(path, planted.event), name
         departed = [event for event, apart in departures(path) if not apart <= SEEN]
         seen = () if fault.statistical else _seen(path, planted.event)
         assert departed[0] in seen if seen else not departed, name
@@ -126,7 +126,12 @@ def _equal(one: Event, other: Event) -> bool:
 
 
 def _same(one: Any, other: Any) -> bool:
-    return bool(np.array_equal(one, other))
+    """Rows to their last bits, which are not the same for equal numbers elsewhere in memory."""
+    if not isinstance(one, float | np.ndarray) or np.shape(one) != np.shape(other):
+        return bool(np.array_equal(one, other))
+    rows, others = np.atleast_1d(one), np.atleast_1d(other)
+    largest = np.abs(rows).max(axis=-1, keepdims=True, initial=0.0)
+    return bool((np.abs(rows - others) <= LAST_BITS * largest).all())
 
 
 def _names_what_is_there(planted: Planted, path: Path) -> None:

@@ -13,9 +13,12 @@ from unittest.mock import patch
 
 from tests.golden.cases import CASES, MADE, Case
 from tests.golden.fingerprint import Fingerprint, of_folder
+from tests.golden.processor import processor
 from tests.graphslam.skips import pass_on
 
 KEPT = Path(__file__).parent / "kept"
+KEEPER = Path(__file__).parent / "keeper.json"
+"""The processor that kept them, as numpy and its BLAS see it, and the versions of both."""
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
@@ -68,8 +71,16 @@ def _slamcheck(argv: list[str]) -> str:
     return printed.getvalue() + f"exit code {code}\n"
 
 
+def is_keeper() -> bool:
+    """Whether results must be equal to the bit: what rounds is as it was where they were kept."""
+    return bool(json.loads(KEEPER.read_text(encoding="utf-8")) == processor())
+
+
 def main(names: list[str]) -> None:
-    """Keep the fingerprints of some cases, or of all."""
+    """Keep the fingerprints of some cases, or of all; of some only where the others were kept."""
+    if names and not is_keeper():
+        sys.exit("another processor kept the results, keep all of them: python -m tests.golden.run")
+    KEEPER.write_text(json.dumps(processor(), indent=2) + "\n", encoding="utf-8")
     with tempfile.TemporaryDirectory() as work:
         for name in names or list(CASES):
             fingerprints = run_case(CASES[name], Path(work))

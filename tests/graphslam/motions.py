@@ -6,6 +6,7 @@ import numpy as np
 
 from graphslam.increments import (
     AckermannGeometry,
+    Integration,
     Samples,
     Stabilisation,
     ackermann_samples,
@@ -22,8 +23,8 @@ def controls(n: int, seed: int) -> tuple[Array, Array, Array]:
     return rng.uniform(0.5, 3, n), rng.uniform(-0.5, 0.5, n), rng.uniform(0.01, 0.1, n)
 
 
-def samples(kind: str, u: Array, w: Array, dt: Array) -> Samples:
+def samples(kind: str, u: Array, w: Array, dt: Array, *integration: Integration) -> Samples:
     if kind == "ackermann":
         geometry = AckermannGeometry(*GEOMETRY)
-        return ackermann_samples(u, w, dt, 0.2, 0.05, STABILISATION, geometry)
-    return unicycle_samples(u, w, dt, 0.2, 0.05, STABILISATION)
+        return ackermann_samples(u, w, dt, (0.2, 0.05), STABILISATION, geometry, *integration)
+    return unicycle_samples(u, w, dt, (0.2, 0.05), STABILISATION, *integration)

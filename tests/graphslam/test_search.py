@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
-from graphslam import search, surroundings
+from graphslam import ambiguity, search, surroundings
 from graphslam.ambiguity import alternatives, landmark_modes, loose, mirrors, windings
+from graphslam.arrays import wrap_angle
 from graphslam.graph_builder import POSE_KEY, build_graph, to_values
-from graphslam.optimisers import optimise, polish
+from graphslam.optimisers import _descend, optimise, polish
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.relaxation import relax
 from graphslam.search import MinimumSearch, draw, relaxed_values
@@ -388,3 +390,51 @@ def test_a_step_that_nothing_measured_is_no_blind_stretch() -> None:
     )
     spread[3:, 2, 2] = 1e-6
     assert not loose(problem)
+
+
+def test_of_starts_that_tie_the_first_is_the_best() -> None:
+    """Which of two ends at one optimum is lower is rounding."""
+    world = worlds.loop(3, poses=20)
+    graph = build_graph(world.problem)
+    one = MinimumSearch(world.problem, graph, "levenberg-marquardt", silent)
+    first = one.attempt("first", "relaxed", relaxed_values(world.problem))
+    for lower, best in ((1e-9, "first"), (1e-4, "second")):
+        second = replace(first, name="second", error=first.error - lower)
+        one.attempts[:] = [first, second]
+        assert one.best.name == best
+
+
+class Ending:
+    """An optimiser that is at the minimum after two iterations; noise is what it gains then."""
+
+    def __init__(self, noise: float) -> None:
+        self.errors = [4.0, 2.0, 1.0, 1.0 - max(noise, 0.0)]
+
+    def error(self) -> float:
+        return self.errors[0]
+
+    def iterate(self) -> None:
+        self.errors = self.errors[1:]
+
+
+@pytest.mark.parametrize("noise", [1e-11, 0.0, -1e-11])
+def test_iterations_do_not_count_by_the_sign_of_a_rounding_error(noise: float) -> None:
+    """A last step is one, whether it is taken or, for it gains nothing, is not."""
+    ending: Any = Ending(noise)
+    assert _descend(ending, 1e-5, limit=10) == 3
+
+
+def test_no_place_of_a_landmark_is_tried_opposite_to_its_bearing() -> None:
+    """The residual there is pi or -pi, as rounding has it, and leads to one side or the other."""
+    problem, poses, posts = two_sided(1)
+    tried: list[Array] = []
+
+    def watch(values: Array) -> Array:
+        tried.append(np.asarray(values))
+        return wrap_angle(values)
+
+    with patch.object(ambiguity, "wrap_angle", watch):
+        landmark_modes(problem, poses, posts)
+    assert tried
+    residuals = np.concatenate([np.ravel(wrap_angle(one)) for one in tried])
+    assert np.min(np.pi - np.abs(residuals)) > 1e-6

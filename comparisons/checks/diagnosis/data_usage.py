@@ -74,7 +74,8 @@ def data_faults(
         found += _late(kind, when, timeline.steps_until()[epoch[which]])
         found += _counted(kind, which, share)
     if labelled:
-        found += _labels(log.measurements.landmark[: len(run.landmark_index)], run.landmark_index)
+        label = log.measurements.landmark[: len(run.landmark_index)]
+        found += _labels(label, run.landmark_index) or _names(label, run)
         found += _gated(log, run, smoothed)
     return tuple(found)
 
@@ -140,6 +141,25 @@ def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[DataFault]:
             )
         )
     return found
+
+
+def _names(label: NDArray[np.int64], run: EkfRun) -> list[DataFault]:
+    """A label's landmark does not have the name of another label."""
+    used = run.landmark_index >= 0
+    name = run.estimate.landmark_id[run.landmark_index[used]]
+    label = label[used]
+    other = (name != label) & np.isin(name, label)
+    pairs = np.unique(np.column_stack((label[other], name[other])), axis=0).tolist()
+    if not pairs:
+        return []
+    listed = ", ".join(f"those of label {one} to landmark {named}" for one, named in pairs[:4])
+    return [
+        DataFault(
+            f"the measurements of {len(pairs)} labels are assigned to a landmark of another id: "
+            f"{listed}",
+            "check for exchanged labels, and use the log's ids for the landmarks of the map",
+        )
+    ]
 
 
 def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[DataFault]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,12 @@ Complex = NDArray[np.complex128]
 Fit = Callable[[Complex, Complex], tuple[complex, complex, str]]
 """From paths u and v (K,): a and b of u = a v + b, in words as well."""
 
-_EXPLAINS = 0.35
+MOTIONS = ("frame", "heading", "lever", "mirrored", "scale", "time")
+"""Causes that are motions of the whole path."""
+_EXPLAINS = 0.01
 """A correction explains a difference when this share of it is left, or less."""
+_PARTLY = 0.35
+"""It explains a part, when this share is: a fault of the filter's own often does."""
 _NO_MATTER_M = 0.01
 _LATEST_S = 2.0
 _LEAST_DELAY_S = 0.005
@@ -105,49 +110,105 @@ class Paths:
         return float(each.mean()) / 2.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Motion:
-    """A motion fitted to a path. free: its parameters. square, left_m: what is left.
+class Moved(NamedTuple):
+    """How a path u = a v + b came about, delay_s late."""
 
-    turn_rad: by which it turns headings.
+    a: complex = 1.0 + 0.0j
+    b: complex = 0.0j
+    delay_s: float = 0.0
+
+    @property
+    def turn_rad(self) -> float:
+        """By which headings are turned."""
+        return float(np.angle(self.a))
+
+
+_STILL = Moved()
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion fitted to a path. free: its parameters. square, left_m: what is left of it.
+
+    place: where the trajectory is then, in words; empty where it is only late.
     """
 
     gap: str
     free: int
-    said: str
-    hint: str
     square: float
     left_m: float
-    turn_rad: float = 0.0
+    place: str
+    hint: str
+    moved: Moved = _STILL
+
+    @property
+    def said(self) -> str:
+        """What it is, in words."""
+        delay = self.moved.delay_s
+        if not delay:
+            return f"the trajectory is {self.place}"
+        when = f"the time stamps are {abs(delay):.3f} s too {'late' if delay > 0.0 else 'early'}"
+        return f"{when} and the trajectory is {self.place}" if self.place else when
 
 
-def diagnose(references: Sequence[Paths]) -> list[Cause]:
+class Diagnosis(NamedTuple):
+    """whole: causes that explain a difference. partly: those that take most of it away."""
+
+    whole: list[Cause]
+    partly: list[Cause]
+
+
+def diagnose(references: Sequence[Paths]) -> Diagnosis:
     """Return the simplest motion that takes most of a difference away, and headings; may be none.
 
     references: the same path beside each reference that it may be of, the first being preferred;
     it is fitted to the one that fits best.
     """
-    paths = references[0]
-    if len(paths.time_s) < _FEWEST:
-        return []
-    found: list[tuple[Paths, list[_Motion]]] = [(one, list(_motions(one))) for one in references]
+    if len(references[0].time_s) < _FEWEST:
+        return Diagnosis([], [])
+    paths, motion = simplest_motion(references)
+    diagnosis = Diagnosis([], [])
+    for explained, one in _headings(paths, motion):
+        (diagnosis.whole if explained else diagnosis.partly).append(one)
+    left = motion.left_m / paths.rms_m if paths.rms_m > _NO_MATTER_M else np.inf
+    if motion.gap and left <= _EXPLAINS:
+        said = (
+            f"{motion.said}; with this corrected, the RMS difference from {paths.name} falls from "
+            f"{paths.rms_m:.3f} to {motion.left_m:.3f} m"
+        )
+        diagnosis.whole.append(Cause(motion.gap, said, motion.hint))
+    elif motion.gap and left <= _PARTLY:
+        said = (
+            f"in part, {motion.said}; this explains {100.0 * (1.0 - left):.0f} % of the RMS "
+            f"difference from {paths.name}, {paths.rms_m:.3f} m"
+        )
+        diagnosis.partly.append(Cause(motion.gap, said, motion.hint))
+    return diagnosis
+
+
+def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, Motion]:
+    """Return the simplest motion of a path, beside the reference that it fits best.
+
+    references: as of `diagnose`. Its gap is empty where no motion is simplest.
+    """
+    found: list[tuple[Paths, list[Motion]]] = [(one, list(_motions(one))) for one in references]
     paths, motions = min(found, key=lambda pair: min(m.square for m in pair[1]))
     motion = _simplest(motions) if paths.rms_m > _NO_MATTER_M else motions[0]
     if motion.gap in ("", "frame", "time"):
         motion = _within(motions, motion)
-    causes = [*_headings(paths, motion)]
-    explains = paths.rms_m > _NO_MATTER_M and motion.left_m <= _EXPLAINS * paths.rms_m
-    if motion.gap and explains:
-        causes.append(
-            Cause(
-                motion.gap,
-                f"{motion.said}; with this corrected, the RMS difference from {paths.name} "
-                "falls from "
-                f"{paths.rms_m:.3f} to {motion.left_m:.3f} m",
-                motion.hint,
-            )
-        )
-    return causes
+    return paths, motion
+
+
+def frame_at_start(paths: Paths) -> Motion:
+    """Return the frame in which a path starts where the reference does, whatever follows."""
+    a = complex(np.exp(1j * (paths.pose[0, 2] - paths.reference[0, 2])))
+    b = complex(paths.u[0] - a * paths.v[0])
+    left = paths.u - a * paths.v - b
+    error = np.column_stack((left.real, left.imag))
+    place = (
+        f"rotated by {_degrees(a)} about the log's origin and shifted by {_place(b)} m at its start"
+    )
+    return Motion("frame", 3, paths.square(error), rms(error), place, _FRAME_HINT, Moved(a, b))
 
 
 def rms(error: Array) -> float:
@@ -160,7 +221,7 @@ def _complex(points: Array) -> Complex:
     return found
 
 
-def _simplest(motions: Sequence[_Motion]) -> _Motion:
+def _simplest(motions: Sequence[Motion]) -> Motion:
     """The one with the fewest parameters that none with more fits better (F test).
 
     What all of them leave adds to both: the covariance, unless one fits as only a path of the
@@ -169,7 +230,7 @@ def _simplest(motions: Sequence[_Motion]) -> _Motion:
     best = min(one.square for one in motions)
     open_square = _LIKE if best <= _EQUAL else 1.0
 
-    def better(more: _Motion, one: _Motion) -> bool:
+    def better(more: Motion, one: Motion) -> bool:
         added, left = more.free - one.free, _INDEPENDENT - more.free
         limit = 1.0 + added * f_quantile(_SURE, added, left) / left
         return one.square + open_square > limit * (more.square + open_square)
@@ -182,7 +243,7 @@ def _simplest(motions: Sequence[_Motion]) -> _Motion:
     )
 
 
-def _within(motions: Sequence[_Motion], found: _Motion) -> _Motion:
+def _within(motions: Sequence[Motion], found: Motion) -> Motion:
     """Return what explains most by no frame at all, if it leaves less than what was found.
 
     For that was found as if all that the covariance allows were open, and only a frame is.
@@ -190,29 +251,21 @@ def _within(motions: Sequence[_Motion], found: _Motion) -> _Motion:
     """
     alone = [one for one in motions if one.gap in ("time", "scale", "lever") and one.free <= 2]
     for one in sorted(alone, key=lambda one: (one.free, one.left_m)):
-        explains = one.left_m <= _EXPLAINS * motions[0].left_m
+        explains = one.left_m <= _PARTLY * motions[0].left_m
         if explains and one.left_m < _CLEARLY_LESS * found.left_m:
             found = one
     return found
 
 
-def _motions(paths: Paths) -> Iterator[_Motion]:
+def _motions(paths: Paths) -> Iterator[Motion]:
     """All that are known, fitted, each in least squares."""
 
     def motion(
-        gap: str, free: int, left: Complex, said: str, hint: str, turn: float = 0.0
-    ) -> _Motion:
+        gap: str, free: int, left: Complex, place: str, hint: str, moved: Moved = _STILL
+    ) -> Motion:
         error = np.column_stack((left.real, left.imag))
-        known = error[np.isfinite(error).all(axis=1)]
-        return _Motion(
-            gap=gap,
-            free=free,
-            said=said,
-            hint=hint,
-            square=paths.square(error),
-            left_m=rms(known),
-            turn_rad=turn,
-        )
+        left_m = rms(error[np.isfinite(error).all(axis=1)])
+        return Motion(gap, free, paths.square(error), left_m, place, hint, moved)
 
     u, v = paths.u, paths.v
     yield motion("", 0, u - v, "", "")
@@ -224,30 +277,28 @@ def _motions(paths: Paths) -> Iterator[_Motion]:
         elif "times" in said:
             continue  # of a scale that is none
         left = (u - a * v - b) / abs(a)
-        yield motion(gap, free, left, f"the trajectory is {said}", hint, float(np.angle(a)))
+        yield motion(gap, free, left, said, hint, Moved(a, b))
     for said, flipped in (
         ("y has the opposite sign", v.conj()),
         ("x has the opposite sign", -v.conj()),
         ("x and y are exchanged", 1j * v.conj()),
     ):
-        yield motion(
-            "mirrored", 0, u - flipped, f"the trajectory is mirrored: {said}", _MIRROR_HINT
-        )
+        yield motion("mirrored", 0, u - flipped, f"mirrored: {said}", _MIRROR_HINT)
     a, b, said = _rigid(u, v.conj())
-    said = f"the trajectory is mirrored and {said}"
-    yield motion("mirrored", 3, u - a * v.conj() - b, said, _MIRROR_HINT)
+    yield motion("mirrored", 3, u - a * v.conj() - b, f"mirrored and {said}", _MIRROR_HINT)
     late = list(_late(paths))
     as_is, moved = _heading_spreads(paths, late[-1][1])
     known = as_is <= _NO_HEADINGS_RAD
     if not known or as_is >= _INTERPOLATED * moved:
-        for free, delay, left, turn, said in late:
-            if abs(delay) >= _LEAST_DELAY_S:
-                yield motion("time", 1 + free, left, said, _TIME_HINT, turn)
+        for free, delay, left, (a, b, said) in late:
+            if abs(delay) < _LEAST_DELAY_S:
+                continue
+            yield motion("time", 1 + free, left, said, _TIME_HINT, Moved(a, b, delay))
     if known and moved >= _INTERPOLATED * as_is:
         ahead = np.exp(1j * paths.reference[:, 2])
         arm = complex(np.mean((u - v) / ahead))
         said = (
-            f"the trajectory is that of a point {arm.real:.3f} m forward and {arm.imag:.3f} m left "
+            f"that of a point {arm.real:.3f} m forward and {arm.imag:.3f} m left "
             "of the reference point"
         )
         yield motion("lever", 2, u - v - arm * ahead, said, _LEVER_HINT)
@@ -337,10 +388,10 @@ _FRAMES: tuple[tuple[int, Fit], ...] = (
 """Parameters, and u = a v + b."""
 
 
-def _late(paths: Paths) -> Iterator[tuple[int, float, Complex, float, str]]:
+def _late(paths: Paths) -> Iterator[tuple[int, float, Complex, tuple[complex, complex, str]]]:
     """The same path some time too late or too early, alone, shifted, and in another frame.
 
-    Free parameters beside the delay [s], what is left (K,), the turn, and words.
+    Free parameters beside the delay [s], what is left (K,), and the fit.
     """
     from scipy.optimize import minimize_scalar  # takes long to load, and is rarely needed
 
@@ -352,17 +403,15 @@ def _late(paths: Paths) -> Iterator[tuple[int, float, Complex, float, str]]:
         square = partial(_late_square, paths, fit)
         coarse = float(delays[int(np.argmin([square(d) for d in delays]))])
         best = minimize_scalar(square, bounds=(coarse - step, coarse + step), method="bounded")
-        left, turn, said = _at_delay(paths, fit, best.x)
-        when = f"the time stamps are {abs(best.x):.3f} s too {'late' if best.x > 0 else 'early'}"
-        yield free, best.x, left, turn, f"{when} and the trajectory is {said}" if said else when
+        yield free, float(best.x), *_at_delay(paths, fit, best.x)
 
 
 def _late_square(paths: Paths, fit: Fit, delay: float) -> float:
     return float(np.nanmean(np.abs(_at_delay(paths, fit, delay)[0]) ** 2))
 
 
-def _at_delay(paths: Paths, fit: Fit, delay: float) -> tuple[Complex, float, str]:
-    """What is left (K,) of a path that is so late, NaN beyond its ends; turn, and words."""
+def _at_delay(paths: Paths, fit: Fit, delay: float) -> tuple[Complex, tuple[complex, complex, str]]:
+    """What is left (K,) of a path that is so late, NaN beyond its ends; and the fit."""
     t, at = paths.time_s, paths.time_s + delay
     inside = (at >= t[0]) & (at <= t[-1])
     u = np.interp(at[inside], t, paths.u.real) + 1j * np.interp(at[inside], t, paths.u.imag)
@@ -370,43 +419,45 @@ def _at_delay(paths: Paths, fit: Fit, delay: float) -> tuple[Complex, float, str
     a, b, said = fit(u, v)
     left = np.full(len(t), np.nan + 0.0j)
     left[inside] = u - a * v - b
-    return left, float(np.angle(a)), said
+    return left, (a, b, said)
 
 
 def _as_is(u: Complex, v: Complex) -> tuple[complex, complex, str]:
     return 1.0 + 0.0j, 0.0j, ""
 
 
-def _headings(paths: Paths, motion: _Motion) -> Iterator[Cause]:
-    """Headings that are off by much the same everywhere, or counted the other way."""
+def _headings(paths: Paths, motion: Motion) -> Iterator[tuple[bool, Cause]]:
+    """Headings that are off by much the same everywhere, or counted the other way.
+
+    With each whether it explains all of the difference.
+    """
     alone = paths.rms_m <= _NO_MATTER_M
     if motion.gap == "mirrored":
         return
     if alone and (reported := _no_heading(paths)):
-        yield Cause("heading", *reported)
+        yield True, Cause("heading", *reported)
         return
     both = np.exp(1j * (paths.pose[:, 2] + paths.reference[:, 2])).mean()
     each = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2]))
     if alone and abs(both) >= 0.98 and abs(each.mean()) <= 0.9:
-        yield Cause(
-            "heading",
+        said = (
             f"all headings are clockwise instead of counter-clockwise, from "
-            f"{np.degrees(float(np.angle(both))):.0f} degrees",
-            _HEADING_HINT.format("sign"),
+            f"{np.degrees(float(np.angle(both))):.0f} degrees"
         )
+        yield True, Cause("heading", said, _HEADING_HINT.format("sign"))
         return
-    each = each * np.exp(-1j * motion.turn_rad)
+    each = each * np.exp(-1j * motion.moved.turn_rad)
     mean, together = float(np.angle(each.mean())), float(abs(each.mean()))
     varies = _spread(np.angle(each))
     least = _LEAST_ALONE_RAD if alone else _LEAST_HEADING_RAD
-    if abs(mean) < least or together < 0.98 or (alone and varies > _EXPLAINS * abs(mean)):
+    if abs(mean) < least or together < 0.98 or (alone and varies > _PARTLY * abs(mean)):
         return
-    yield Cause(
-        "heading",
+    said = (
         f"all headings differ by {np.degrees(mean):.1f} degrees from those of {paths.name}, the "
-        f"positions by {motion.left_m:.2f} m (RMS)",
-        _HEADING_HINT.format("zero and sign"),
+        f"positions by {motion.left_m:.2f} m (RMS)"
     )
+    explained = varies <= _EXPLAINS * abs(mean)
+    yield explained, Cause("heading", said, _HEADING_HINT.format("zero and sign"))
 
 
 def _no_heading(paths: Paths) -> tuple[str, str] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +11,20 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis import covariance_signatures as signatures
-from comparisons.checks.diagnosis.diagnosis import Paths, diagnose, rms
+from comparisons.checks.diagnosis.diagnosis import Diagnosis, Moved, Paths, diagnose, rms
 from comparisons.checks.grade import (
     LIKE_SIGMA,
     LIKE_VARIANCE,
     SMOOTHER,
     Likeness,
     Part,
+    Reference,
     in_sigma,
     joint_pair,
     pose_difference,
 )
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.logs.stamps import at_instants
 
 _MAP_HINT = "supply the whole map, with the ids of the log's measurements"
 _SWAPPED = 3.0
@@ -52,13 +54,13 @@ def facts(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]
     """
     if found.grade is not None:
         return []
-    causes = _means(given, found, clues)
+    causes, partly = _means(given, found, clues)
     causes += _covariances(given, found, clues)
     if found.missing:
         causes.append(Cause("coverage", "; ".join(found.missing), "supply the whole trajectory"))
     if found.unmapped:
         causes.append(Cause("map", "; ".join(found.unmapped), _map_hint(given, found)))
-    return causes
+    return causes + partly
 
 
 def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
@@ -79,33 +81,73 @@ def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
     return f"use the log's ids: {len(pairs)} landmarks have another id in the log: {listed}"
 
 
-def _means(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+def _means(given: ExternalEstimate, found: Likeness, clues: Clues) -> Diagnosis:
     poses, landmarks = found.parts[0], _part(found, "landmarks")
     far_poses = poses.sigma > LIKE_SIGMA + poses.rounding[0]
     far = np.zeros(0, dtype=bool)
     if landmarks is not None:
         far = landmarks.sigma > LIKE_SIGMA + landmarks.rounding[0]
     if not far_poses.any() and not far.any():
-        return []
-    known, causes = _known_path(given, found, clues) if far_poses.any() else None, []
+        return Diagnosis([], [])
+    known = _known_path(given, found, clues) if far_poses.any() else None
+    causes: list[Cause] = []
+    partly: list[Cause] = []
     if known is not None:
         causes.append(known)
     elif far_poses.any():
-        reference, at = found.reference, found.reference.known
-        time_s, covariance = reference.time_s[at], reference.pose_covariance[at]
-        others = {SMOOTHER: clues.smoothed[0], reference.name: reference.pose}
-        causes += diagnose(
-            [
-                Paths(time_s, given.pose[at], other[at], covariance, name)
-                for name, other in others.items()
-            ]
-        )
+        causes, partly = diagnose(paths_beside(given, found.reference, clues.smoothed[0]))
     swapped = _swapped(given, found)
     if swapped is not None and not causes:  # another frame exchanges landmarks, too
-        causes.append(swapped)
+        (partly if far_poses.any() else causes).append(swapped)
     if not causes or far.any():
         causes.append(_apart(given, found, far_poses, far))
-    return causes
+    return Diagnosis(causes, partly)
+
+
+def paths_beside(given: ExternalEstimate, reference: Reference, smoothed: Array) -> list[Paths]:
+    """The path of an estimate beside the smoother's (K, 3) and that of a reference."""
+    at = reference.known
+    time_s, covariance = reference.time_s[at], reference.pose_covariance[at]
+    others = {SMOOTHER: smoothed, reference.name: reference.pose}
+    return [
+        Paths(time_s, given.pose[at], other[at], covariance, name) for name, other in others.items()
+    ]
+
+
+def undone(given: ExternalEstimate, moved: Moved, instants_s: Array) -> ExternalEstimate:
+    """Return an estimate as it was before a motion of its frame, scale or clock.
+
+    A clock that was late by the same everywhere leads back to instants (J,) of the log.
+    """
+
+    def back(place: Array) -> Array:
+        at = (place[:, :2] @ (1.0, 1.0j) - moved.b) / moved.a
+        return np.column_stack((at.real, at.imag, place[:, 2:] - moved.turn_rad))
+
+    def turned(covariance: Array | None, pose: int) -> Array | None:
+        if covariance is None:
+            return None
+        own = 1.0 / moved.a
+        block = np.array(((own.real, -own.imag), (own.imag, own.real)))
+        places = (covariance.shape[-1] - pose // 3) // 2
+        by = np.kron(np.eye(places), block)
+        if pose:
+            by = np.insert(np.insert(by, 2, 0.0, axis=0), 2, 0.0, axis=1)
+            by[2, 2] = 1.0
+        return np.asarray(by @ covariance @ by.T)
+
+    time_s = given.time_s - moved.delay_s
+    nearest = instants_s[np.abs(instants_s[None] - time_s[:, None]).argmin(axis=1)]
+    time_s = at_instants(time_s + float(np.median(nearest - time_s)), instants_s)
+    return replace(
+        given,
+        time_s=time_s,
+        pose=back(given.pose),
+        landmark=None if given.landmark is None else back(given.landmark),
+        pose_covariance=turned(given.pose_covariance, 3),
+        landmark_covariance=turned(given.landmark_covariance, 0),
+        joint_covariance=turned(given.joint_covariance, 3),
+    )
 
 
 def _known_path(given: ExternalEstimate, found: Likeness, clues: Clues) -> Cause | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import motion_model
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.adapters.timeline import Timeline, resolved
+from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
 from comparisons.checks.diagnosis.hypotheses import (
     Hypothesis,
@@ -31,6 +31,7 @@ from comparisons.logs.odometry import (
     SteeringOdometry,
     VelocityOdometry,
 )
+from comparisons.logs.stamps import resolved
 from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
 
 EQUAL = 1e-7
@@ -150,7 +151,7 @@ def _features(run: EkfRun) -> Mapping[str, Array | Index]:
     timeline = run.timeline
     named_controls = {f"control {k + 1}": u for k, u in enumerate(timeline.control.T)}
     return {
-        "time [s]": timeline.step_begin_s(),
+        "time [s]": timeline.step_begin_s,
         "interval [s]": timeline.step_duration_s,
         **named_controls,
     }
@@ -282,7 +283,8 @@ def _other_samples(
     else:
         second = odometry.yaw_rate_radps
     recorded = np.vstack((np.zeros(2), np.column_stack((odometry.speed_mps, second))))
-    times_s, begin_s = resolved(odometry.time_s), timeline.step_begin_s() + 1e-6
+    times_s, begin_s = resolved(odometry.time_s), timeline.step_begin_s
+    begin_s = begin_s + np.maximum(1e-9, 2.0 * np.spacing(np.abs(begin_s)))
 
     def at(seconds: float, lag: int = 0) -> Array:
         sample = np.searchsorted(times_s, begin_s - seconds, side="right") - lag

@@ -21,6 +21,8 @@ from graphslam.spurious import conditional_covariance, information_about_start
 
 _MATTERS = 10.0
 """Times the heading's largest sigma: what is learnt less surely than that changes nothing."""
+_ROUNDING = 1e-9
+"""Information [1/rad^2] of a single measurement, which is named only for more."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def spurious_heading(problem: LinearProblem, run: EkfRun) -> SpuriousHeading | N
     time_s, variance = run.estimate.time_s, run.estimate.pose_covariance[:, 2, 2]
     variance = variance[variance >= 0.0]
     largest = None
-    if (most := found.largest) is not None:
+    if (most := found.largest) is not None and most.information > _ROUNDING:
         largest = LargestShare(
             float(time_s[most.epoch]),
             _landmark(run, most.landmark_index, most.width),

@@ -107,7 +107,7 @@ def turned(by: float) -> Array:
 def lagged(f: Foreign, k: int, lag: int) -> Array:
     """The control so many log samples before step k's own."""
     log = f.log.odometry
-    begin = f.timeline.step_begin_s()[k]
+    begin = f.timeline.step_begin_s[k]
     at = int(np.searchsorted(np.round(log.time_s, 4), begin + 1e-5, side="right")) - 1 - lag
     if at < 0:
         return np.zeros(2)

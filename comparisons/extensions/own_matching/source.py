@@ -12,9 +12,9 @@ from comparisons.adapters.beam_noise import sensor_of
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.scan_source import CloudsAt, ScanSource
 from comparisons.adapters.smoother_input import build_problem
-from comparisons.adapters.timeline import resolved
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.stamps import resolved
 from ekf_reference.scan_landmarks.templates import Template as FiltersTemplate
 from graphslam.problem import SlamProblem
 from graphslam.scan import planar

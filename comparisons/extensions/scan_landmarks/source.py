@@ -11,7 +11,6 @@ import numpy as np
 from comparisons.adapters.beam_noise import sensor_of
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
-from comparisons.adapters.timeline import resolved
 from comparisons.arrays import Array, Index, Mask
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import BARE
@@ -19,6 +18,7 @@ from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.stamps import resolved
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE

@@ -32,8 +32,7 @@ def start_from_gps(
         odometry.speed_mps[:-1],
         odometry.steering_rad[:-1],
         np.diff(odometry.time_s),
-        0.0,
-        0.0,
+        (0.0, 0.0),
         Stabilisation(),
         AckermannGeometry(**vars(odometry.vehicle)),
     ).displacement.T

@@ -20,6 +20,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
+from comparisons.logs.stamps import since
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers, within
 
@@ -58,11 +59,11 @@ def read(path: Path, robot: int) -> Log:
     start = float(odometry["time"][0])
     with odometry.locating():
         motion = VelocityOdometry(
-            odometry["time"] - start, odometry["v"], odometry["omega"], _NOISE
+            since(odometry["time"], start), odometry["v"], odometry["omega"], _NOISE
         )
     motion = replace(motion, time_s=motion.time_s + _ODOMETRY_LEAD_S)
     with captured.locating():
-        truth = Poses(captured["time"] - start, _unwrapped(captured.data[:, 1:]))
+        truth = Poses(since(captured["time"], start), _unwrapped(captured.data[:, 1:]))
     subject_of = dict(zip(barcodes["barcode"].tolist(), barcodes["subject"].tolist(), strict=True))
     subject = np.array([subject_of.get(code, 0.0) for code in measured["barcode"].tolist()])
     early = measured["time"] < start
@@ -116,7 +117,7 @@ def _measurements(measured: Table, start: float, landmark: Array) -> LandmarkMea
     count = len(measured)
     within("measurements", "bearing_rad", measured["bearing"], -1.5, 1.5)
     return LandmarkMeasurements(
-        time_s=measured["time"] - start,
+        time_s=since(measured["time"], start),
         range_m=measured["range"],
         bearing_rad=measured["bearing"],
         sigma_range_m=np.ones(count),

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.defects.algebra import (
+    NoCrossAtPrediction,
+    NoVehicleAtAugmentation,
+)
+from comparisons.adapters.defects.defect import with_state
 from comparisons.audit.audit import audit
 from comparisons.audit.events import Augment, Directions, Event, Remove, Snapshot, Update
 from comparisons.audit.own_filter import run_events, write_run
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, learnt
 from comparisons.audit.trace_file import Trace
-from comparisons.experiments.defects.algebra import (
-    NoCrossAtPrediction,
-    NoVehicleAtAugmentation,
-)
-from comparisons.experiments.defects.defect import with_state
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.pipeline.compare import Comparison, Modified
 from ekf_reference.core.state import KalmanState

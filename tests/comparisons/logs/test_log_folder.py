@@ -9,7 +9,7 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
-from comparisons.logs.hashing import log_hash
+from comparisons.logs.hashing import _rounded, log_hash
 from comparisons.logs.log import Landmarks, Log, Positions, Surfaces
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
@@ -122,6 +122,44 @@ def test_a_hash_tells_logs_apart() -> None:
     log = simulated(loop_s=5.0)
     other = replace(log, prior=replace(log.prior, time_s=-1e-9))
     assert log_hash(log) != log_hash(other)
+
+
+@pytest.mark.parametrize(("relative", "equal"), [(4e-16, True), (1e-8, False)])
+def test_a_hash_is_the_same_on_all_processors(relative: float, equal: bool) -> None:
+    """Last bits do not count, which another processor's sine and arctangent round otherwise."""
+    log = simulated(loop_s=5.0)
+    bearing = log.measurements.bearing_rad * (1 + relative)
+    other = replace(log, measurements=replace(log.measurements, bearing_rad=bearing))
+    assert (bearing != log.measurements.bearing_rad).any()
+    assert (log_hash(log) == log_hash(other)) is equal
+
+
+def with_prior(log: Log, pose: list[float], variances: list[float]) -> str:
+    prior = replace(log.prior, pose=np.array(pose), covariance=np.diag(variances))
+    return log_hash(replace(log, prior=prior))
+
+
+def test_a_hash_tells_small_numbers_beside_large_ones() -> None:
+    """And not a zero from one that is computed, nor 1 from the number below it."""
+    log, ones = simulated(loop_s=5.0), [1.0, 1.0, 1.0]
+    utm = [333_000.0, 6_250_000.0, 0.0]
+    assert with_prior(log, utm, ones) != with_prior(log, [*utm[:2], 0.003], ones)
+    assert with_prior(log, utm, ones) == with_prior(log, [*utm[:2], 1e-17], ones)
+    assert with_prior(log, utm, ones) == with_prior(log, [*utm[:2], -0.0], ones)
+    assert with_prior(log, utm, [1e6, 1e6, 1e-4]) != with_prior(log, utm, [1e6, 1e6, 4e-4])
+    assert with_prior(log, [0.3, 0.7, 1.0], ones) == with_prior(
+        log, [0.3, 0.7, float(np.nextafter(1.0, 0.0))], ones
+    )
+    below = np.array([np.nextafter(1.0, 0.0), 0.3, 0.7])
+    np.testing.assert_array_equal(_rounded(np.array([1.0, 0.3, 0.7])), _rounded(below))
+
+
+@pytest.mark.parametrize("number", [5e-324, 1e-310, 1e308, np.inf, np.nan])
+def test_any_number_is_rounded(number: float) -> None:
+    """Without a warning, which is an error here."""
+    found = _rounded(np.array([0.0, number, 1.0]))
+    assert found[0] == 0.0
+    assert _rounded(np.zeros((0, 3))).shape == (0, 3)
 
 
 def test_writing_replaces_nothing(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import pytest
 from ekf_reference.core.geometry import Array
 from ekf_reference.models.motion import (
     AckermannModel,
+    IntegratedModel,
     MotionModel,
     RelativePoseModel,
     UnicycleModel,
@@ -19,6 +20,10 @@ MODELS: dict[str, tuple[MotionModel, int]] = {
     "bicycle": (bicycle_model(2.83), 2),
     "unicycle": (UnicycleModel(), 2),
     "relative pose": (RelativePoseModel(), 3),
+    "ackermann, arc": (IntegratedModel(UTE, "euler", "arc"), 2),
+    "ackermann, middle": (IntegratedModel(UTE, "euler", "middle"), 2),
+    "unicycle, euler": (IntegratedModel(UnicycleModel(), "middle", "euler"), 2),
+    "unicycle, arc": (IntegratedModel(UnicycleModel(), "middle", "arc"), 2),
 }
 
 
@@ -109,3 +114,26 @@ def test_printed_jacobians_of_the_thesis_fail(seed: int) -> None:
     assert np.all(np.abs(printed - exact) > 1e-2 * np.abs(exact))
     corrected = UTE.step(pose, control, dt).jacobian_control[:, 1]
     assert relative_error(corrected, exact) < 1e-7
+
+
+@pytest.mark.parametrize("turn_radps", [-3.0, -0.2, -1e-3, 1e-9, 0.0, 0.04, 0.7])
+def test_the_arc_is_the_limit_of_small_steps(turn_radps: float) -> None:
+    """Of a thousand steps; the closed form of a unicycle's circle where it turns at all."""
+    control, pose = np.array((2.0, turn_radps)), np.array((3.0, -4.0, 1.0))
+    arc = IntegratedModel(UnicycleModel(), "middle", "arc").step(pose, control, 0.5).pose
+    small = pose
+    for _ in range(1000):
+        small = UnicycleModel().step(small, control, 0.0005).pose
+    assert np.abs(arc - small).max() < 1e-6
+    if abs(turn_radps) > 0.01:
+        radius, (a, b) = 2.0 / turn_radps, (1.0, 1.0 + 0.5 * turn_radps)
+        circle = radius * np.array((np.sin(b) - np.sin(a), np.cos(a) - np.cos(b)))
+        assert np.abs(arc[:2] - pose[:2] - circle).max() < 1e-12
+
+
+def test_middle_of_the_middle_is_the_model_itself() -> None:
+    control, pose = np.array((2.0, 0.7)), np.array((3.0, -4.0, 1.0))
+    own = UnicycleModel().step(pose, control, 0.5)
+    again = IntegratedModel(UnicycleModel(), "middle", "middle").step(pose, control, 0.5)
+    for one, other in zip(own, again, strict=True):
+        assert np.abs(one - other).max() < 1e-14

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from comparisons.adapters.defects.defect import Defect, with_observation, with_steps
 from comparisons.arrays import Array
-from comparisons.experiments.defects.defect import Defect, with_observation, with_steps
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.models.range_bearing import RangeBearing
 

@@ -27,8 +27,8 @@ class Defect:
     """One way in which EKF-SLAM code goes wrong.
 
     expected_cause: the gap that the report's first cause must name, then words that its evidence
-    or hint must hold. plant: puts the defect into a filter that has not started. log: of
-    comparisons.experiments.defects.logs, one that shows it.
+    or hint must hold. plant: puts the defect into a filter that has not started. log: the
+    name of one that shows it.
     """
 
     name: str
@@ -107,6 +107,6 @@ def with_steps(kind: type[Ekf]) -> Plant:
     """Other steps of the filter itself."""
 
     def plant(ekf: Ekf) -> None:
-        ekf.__class__ = kind
+        ekf.__class__ = type(kind.__name__, (kind, ekf.__class__), {})
 
     return plant

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.defects.defect import Defect, OtherMotion, with_motion, with_steps
 from comparisons.arrays import Array
-from comparisons.experiments.defects.defect import Defect, OtherMotion, with_motion, with_steps
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
@@ -218,13 +218,13 @@ DEFECTS = (
     ),
     Defect(
         "measurement one scan late",
-        "measurements are fused at the time of the next scan",
+        "the measurements are fused one scan late, at the time of the next",
         ("data", "measurements", "late"),
         with_steps(OneScanLate),
     ),
     Defect(
         "measurement one step late",
-        "measurements are fused after the next prediction",
+        "the measurements are fused one prediction late",
         ("data", "measurements", "late"),
         with_steps(OneStepLate),
     ),

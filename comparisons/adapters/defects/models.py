@@ -6,17 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.arrays import Array
-from comparisons.experiments.defects.defect import (
+from comparisons.adapters.defects.defect import (
     Defect,
     OtherMotion,
     OtherObservation,
     with_motion,
     with_observation,
 )
+from comparisons.arrays import Array
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import NewLandmarks, PredictedMeasurements
-from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
+from ekf_reference.models.motion import AckermannModel, IntegratedModel, MotionModel, MotionStep
 from ekf_reference.models.position import PositionModel
 from ekf_reference.models.range_bearing import RangeBearing
 
@@ -179,12 +179,16 @@ class HeadingDrift(OtherMotion):
 
 
 def _longer(motion: MotionModel) -> MotionModel:
+    if isinstance(motion, IntegratedModel):
+        return replace(motion, model=_longer(motion.model))
     if not isinstance(motion, AckermannModel):
         raise TypeError(f"{type(motion).__name__} has no wheelbase")
     return replace(motion, wheelbase_m=1.1 * motion.wheelbase_m)
 
 
 def _sensor_at_axle(motion: MotionModel) -> MotionModel:
+    if isinstance(motion, IntegratedModel):
+        return replace(motion, model=_sensor_at_axle(motion.model))
     if not isinstance(motion, AckermannModel):
         raise TypeError(f"{type(motion).__name__} has no sensor")
     return replace(motion, sensor_forward_m=0.0, sensor_left_m=0.0)
@@ -215,13 +219,13 @@ DEFECTS = (
     ),
     Defect(
         "innovation not wrapped",
-        "z - h(x) as plain numbers at the cut of the bearing",
+        "the innovation z - h(x) is not wrapped at the cut of the bearing",
         ("model", "the innovation", "not wrapped"),
         with_observation(UnwrappedInnovation),
     ),
     Defect(
         "bearing clockwise",
-        "bearings counted positive to the right",
+        "the bearings are counted clockwise, positive to the right",
         ("model", "the innovation", "clockwise"),
         with_observation(Clockwise),
     ),
@@ -233,7 +237,7 @@ DEFECTS = (
     ),
     Defect(
         "R not rotated by G_z",
-        "a new landmark gets R of range and bearing as its own",
+        "a new landmark gets R of range and bearing as its own, without G_z",
         ("model", "G_z is the identity"),
         with_observation(NoiseNotTurned),
     ),

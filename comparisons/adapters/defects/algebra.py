@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from comparisons.adapters.defects.defect import Defect, with_state
 from comparisons.arrays import Array
-from comparisons.experiments.defects.defect import Defect, with_state
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.state import Correction, KalmanState
 
@@ -164,7 +164,7 @@ DEFECTS = (
     ),
     Defect(
         "cross-covariance dropped at prediction",
-        "P between vehicle and map is not multiplied by F",
+        "the cross-covariance of vehicle and map is not multiplied by F",
         ("algebra", _PREDICT, "the cross-covariance of vehicle and map"),
         with_state(NoCrossAtPrediction),
     ),

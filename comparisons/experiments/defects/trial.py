@@ -1,21 +1,13 @@
-"""All planted defects."""
+"""Runs with planted defects, and whether the report names them."""
 
 from __future__ import annotations
 
+from comparisons.adapters.defects.defect import Defect
 from comparisons.checks.verdict import Verdict
 from comparisons.config import RunConfig
-from comparisons.experiments.defects import algebra, data, models, noise
-from comparisons.experiments.defects.defect import Defect
 from comparisons.experiments.defects.logs import open_case
 from comparisons.pipeline.compare import REQUIRED, Comparison, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
-
-REGISTRY: tuple[Defect, ...] = (
-    *algebra.DEFECTS,
-    *models.DEFECTS,
-    *noise.DEFECTS,
-    *data.DEFECTS,
-)
 
 
 def run_defect(defect: Defect, seed: int = 4) -> Comparison:

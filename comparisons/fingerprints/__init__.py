@@ -1,0 +1,1 @@
+"""Which known fault an estimate has: the reference filter with that fault reproduces it."""

@@ -1,0 +1,39 @@
+"""Time stamps: when two are of the same instant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from comparisons.arrays import Array
+
+
+def resolved(time_s: Array) -> Array:
+    """Times as epochs have them: to the nanosecond, where a float tells as much."""
+    return np.where(np.spacing(np.abs(time_s)) < 1e-10, np.round(time_s, 9), time_s)
+
+
+def since(time_s: Array, start_s: float) -> Array:
+    """Times after a start, without the digits that a float of many seconds does not tell.
+
+    Stamps since 1970 are told to a microsecond; their difference is that of the decimals written.
+    """
+    decimals = int(np.floor(-np.log10(np.spacing(max(abs(start_s), 1.0)))))
+    return np.round(time_s - start_s, min(decimals, 9))
+
+
+def at_instants(time_s: Array, instants_s: Array) -> Array:
+    """Times (K,) as instants (J,) have them, where they are the same but for how they are written.
+
+    A time is an instant's that lies within half of the times' last decimal, the fourth at least;
+    the third, where all times are so near.
+    """
+    right = np.clip(np.searchsorted(instants_s, time_s), 1, max(len(instants_s) - 1, 1))
+    left_s, right_s = instants_s[right - 1], instants_s[np.minimum(right, len(instants_s) - 1)]
+    nearest = np.where(time_s - left_s <= right_s - time_s, left_s, right_s)
+    apart, told = np.abs(nearest - time_s), 2.0 * np.spacing(np.abs(time_s))
+    for decimals in (3, *range(4, 10)):
+        near = apart <= 0.5 * 10.0**-decimals + told
+        written = np.abs(time_s - np.round(time_s, decimals)) <= told
+        if written.all() and (decimals > 3 or near.all()):
+            break
+    return np.where(near, nearest, time_s)

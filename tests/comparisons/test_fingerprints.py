@@ -1,0 +1,186 @@
+"""Faults without a trace: each planted one is named, and a sound filter has none.
+
+Held against filters written elsewhere in benchmarks/trust_strangers.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.adapters.filter_loop import NoObserver
+from comparisons.adapters.filter_variants import RobocentricState
+from comparisons.arrays import Array
+from comparisons.checks.grade import Reference, likeness
+from comparisons.checks.spread import within_spread
+from comparisons.config import CheckConfig
+from comparisons.estimates.external import ExternalEstimate
+from comparisons.fingerprints.catalogue import Fault, catalogue, families
+from comparisons.fingerprints.search import fingerprints
+from comparisons.pipeline.check import check
+from comparisons.pipeline.prepare import no_progress
+from comparisons.pipeline.references import EKF, ROBOCENTRIC, filter_named, variants
+from comparisons.pipeline.solve import Solution, solve
+from ekf_reference.core.ekf import Ekf
+from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
+from tests.ekf_reference.numerics import central_difference
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    return solve(of_speeds_and_yaw_rates(6.0))
+
+
+def run(solution: Solution, fault: Fault) -> Reference:
+    """The reference filter with a fault."""
+    prepared = solution.prepared
+    if fault.feed is not None:
+        prepared = replace(prepared, log=fault.feed(prepared.log))
+
+    def started(ekf: Ekf) -> NoObserver:
+        if fault.plant is not None:
+            fault.plant(ekf)
+        return NoObserver()
+
+    found = filter_named(EKF, prepared, solution.estimate.time_s, started)
+    assert found is not None
+    return found
+
+
+def handed_in(reference: Reference) -> ExternalEstimate:
+    rows = np.arange(len(reference.landmark))
+    return ExternalEstimate(
+        time_s=reference.time_s,
+        pose=reference.pose,
+        landmark_id=reference.landmark_id,
+        landmark=reference.landmark,
+        pose_covariance=reference.pose_covariance,
+        landmark_covariance=reference.landmark_covariances(rows),
+        joint_covariance=reference.joint_covariance,
+        information="filtered",
+    )
+
+
+PLANTED = (
+    "the position's terms in the range row of H",
+    "the heading's terms in the bearing row of H",
+    "the landmark's terms in the bearing row of H",
+    "the heading's column of G_x has the opposite sign",
+    "a landmark is initialised without any cross-covariance",
+    "measurements of landmarks in the map are used twice in one update",
+)
+FITTED = (
+    "R of new landmarks is {}",
+    "R of updates, or of the gain alone",
+    "the gain is computed with {} R",
+    "the turn's part of Q is {}",
+)
+
+
+def assert_named(solution: Solution, fault: Fault) -> None:
+    given = handed_in(run(solution, fault))
+    sound = likeness(given, run(solution, Fault("none")), labelled=True)
+    found = fingerprints(given, solution.prepared, sound, no_progress)
+    assert [(one.fault, one.exact) for one in found] == [(fault.what, True)]
+
+
+@pytest.mark.parametrize("words", PLANTED)
+def test_a_planted_fault_is_named(solution: Solution, words: str) -> None:
+    faults = [one for one in catalogue(solution.log) if one.what.startswith(words)]
+    assert len(faults) == 1
+    assert_named(solution, faults[0])
+
+
+@pytest.mark.parametrize("words", FITTED)
+def test_a_number_is_fitted(solution: Solution, words: str) -> None:
+    """To four digits, of a number that nobody would try."""
+    found = [one for one in families(solution.log) if one.what.startswith(words)]
+    assert len(found) == 1
+    assert_named(solution, found[0].member(2.345))
+
+
+def sound_filters(solution: Solution) -> list[Reference]:
+    others = variants(solution.prepared, solution.estimate.time_s)
+    return [run(solution, Fault("none")), *(one for one in others if one.name != ROBOCENTRIC)]
+
+
+def test_sound_filters_are_within_the_spread_of_the_others(solution: Solution) -> None:
+    """All but those two that are the most apart."""
+    sound, apart = sound_filters(solution), []
+    for one in sound:
+        others = [other for other in sound if other is not one]
+        found = [likeness(handed_in(one), other, labelled=True) for other in others]
+        near = min(found, key=lambda each: each.farthest)
+        if not within_spread(near, others, labelled=True):
+            apart.append(one.name)
+    assert set(apart) <= {"a first-estimates EKF", "a right-invariant EKF"}
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda given: replace(given, pose=given.pose + np.array((0.0, 0.0, 0.01))),
+        lambda given: replace(given, pose_covariance=1.5 * given.pose_covariance),
+        lambda given: replace(given, landmark=given.landmark[::-1].copy()),
+        lambda given: replace(given, joint_covariance=1.5 * given.joint_covariance),
+        lambda given: replace(
+            given, landmark_id=given.landmark_id[1:], landmark=given.landmark[1:],
+            landmark_covariance=None, joint_covariance=None,
+        ),
+    ],
+)  # fmt: skip
+def test_what_no_sound_filter_does_is_beyond_their_spread(
+    solution: Solution, broken: Callable[[ExternalEstimate], ExternalEstimate]
+) -> None:
+    sound = sound_filters(solution)
+    given = handed_in(sound[1])
+    near = likeness(given, sound[0], labelled=True)
+    assert within_spread(near, sound, labelled=True)
+    near = likeness(broken(given), sound[0], labelled=True)
+    assert not within_spread(near, sound, labelled=True)
+
+
+def test_a_mean_of_two_sound_filters_is_like_them(solution: Solution) -> None:
+    """What is twenty times as far is not."""
+    by_name = {one.name: one for one in sound_filters(solution)}
+    first = by_name["an iterated EKF"]
+    apart = by_name["an unscented Kalman filter"].pose - first.pose
+    for share, outcome in ((0.5, "agree"), (20.0, "disagree")):
+        given = replace(handed_in(first), pose=first.pose + share * apart)
+        found = check(solution.log, given, CheckConfig(require="like"))
+        assert (found.outcome, found.grade.value == "like") == (outcome, outcome == "agree")
+
+
+def seen_from_the_vehicle(x: Array) -> Array:
+    """Origin and landmarks of (3 + 2 L,) in the vehicle's frame, and the map's heading."""
+    places = np.concatenate(([0.0j], x[3:].reshape(-1, 2) @ (1.0, 1.0j)))
+    own = (places - complex(x[0], x[1])) * np.exp(-1j * x[2])
+    origin, *landmarks = np.column_stack((own.real, own.imag))
+    return np.concatenate((origin, [-x[2]], np.ravel(landmarks)))
+
+
+def test_a_robocentric_update_is_one_in_the_vehicles_frame() -> None:
+    """Mean and covariance by the change of coordinates itself, its Jacobian by differences."""
+    rng = np.random.default_rng(5)
+    pose = np.array((3.0, -2.0, 0.7))
+    root = rng.normal(size=(7, 7))
+    state = RobocentricState(pose, 0.01 * root[:3, :3] @ root[:3, :3].T)
+    by_pose, by_z = rng.normal(size=(2, 2, 3)), np.tile(np.eye(2), (2, 1, 1))
+    noise = np.tile(0.02 * np.eye(2), (2, 1, 1))
+    state.augment(np.array(((6.0, 1.0), (2.0, 5.0))), by_pose, by_z, noise)
+    before, p = state.mean.copy(), state.covariance.copy()
+    h, nu, r = rng.normal(size=(2, 7)), np.array((0.3, -0.2)), 0.05 * np.eye(2)
+    state.update(np.arange(7), h, nu, r)
+
+    to_own = central_difference(seen_from_the_vehicle, before)
+    own_h, own_p = h @ np.linalg.inv(to_own), to_own @ p @ to_own.T
+    gain = own_p @ own_h.T @ np.linalg.inv(own_h @ own_p @ own_h.T + r)
+    expected = seen_from_the_vehicle(before) + gain @ nu
+    assert np.allclose(seen_from_the_vehicle(state.mean), expected, rtol=0.0, atol=1e-9)
+    after = central_difference(seen_from_the_vehicle, state.mean)
+    reduced = own_p - gain @ own_h @ own_p
+    assert np.allclose(after @ state.covariance @ after.T, reduced, rtol=0.0, atol=1e-8)
+    assert not np.allclose(state.mean, before + p @ h.T @ np.linalg.solve(h @ p @ h.T + r, nu))
