@@ -241,6 +241,8 @@ class _Job:
         if first.causes and first.causes[0].gap in MOTIONS:
             return None
         beside = paths_beside(first.inside, first.peers[0], first.optimum.pose)
+        if beside[0].few:
+            return None
         path, motion = simplest_motion(beside)
         if motion.gap == "frame":
             return self.undone(first, motion) or self.undone(first, frame_at_start(path))

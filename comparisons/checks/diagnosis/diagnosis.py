@@ -94,6 +94,11 @@ class Paths:
         return _complex(self.reference)
 
     @property
+    def few(self) -> bool:
+        """Whether some motion fits whatever is wrong."""
+        return len(self.time_s) < _FEWEST
+
+    @property
     def rms_m(self) -> float:
         """Of the positions' difference."""
         return rms(self.pose[:, :2] - self.reference[:, :2])
@@ -126,7 +131,7 @@ class Moved(NamedTuple):
 _STILL = Moved()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Motion:
     """A motion fitted to a path. free: its parameters. square, left_m: what is left of it.
 
@@ -164,10 +169,10 @@ def diagnose(references: Sequence[Paths]) -> Diagnosis:
     references: the same path beside each reference that it may be of, the first being preferred;
     it is fitted to the one that fits best.
     """
-    if len(references[0].time_s) < _FEWEST:
-        return Diagnosis([], [])
-    paths, motion = simplest_motion(references)
     diagnosis = Diagnosis([], [])
+    if references[0].few:
+        return diagnosis
+    paths, motion = simplest_motion(references)
     for explained, one in _headings(paths, motion):
         (diagnosis.whole if explained else diagnosis.partly).append(one)
     left = motion.left_m / paths.rms_m if paths.rms_m > _NO_MATTER_M else np.inf
@@ -189,7 +194,8 @@ def diagnose(references: Sequence[Paths]) -> Diagnosis:
 def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, Motion]:
     """Return the simplest motion of a path, beside the reference that it fits best.
 
-    references: as of `diagnose`. Its gap is empty where no motion is simplest.
+    references: as of `diagnose`, of five poses or more. Its gap is empty where no motion is
+    simplest.
     """
     found: list[tuple[Paths, list[Motion]]] = [(one, list(_motions(one))) for one in references]
     paths, motions = min(found, key=lambda pair: min(m.square for m in pair[1]))
@@ -208,7 +214,15 @@ def frame_at_start(paths: Paths) -> Motion:
     place = (
         f"rotated by {_degrees(a)} about the log's origin and shifted by {_place(b)} m at its start"
     )
-    return Motion("frame", 3, paths.square(error), rms(error), place, _FRAME_HINT, Moved(a, b))
+    return Motion(
+        gap="frame",
+        free=3,
+        square=paths.square(error),
+        left_m=rms(error),
+        place=place,
+        hint=_FRAME_HINT,
+        moved=Moved(a, b),
+    )
 
 
 def rms(error: Array) -> float:
@@ -265,12 +279,22 @@ def _motions(paths: Paths) -> Iterator[Motion]:
     ) -> Motion:
         error = np.column_stack((left.real, left.imag))
         left_m = rms(error[np.isfinite(error).all(axis=1)])
-        return Motion(gap, free, paths.square(error), left_m, place, hint, moved)
+        return Motion(
+            gap=gap,
+            free=free,
+            square=paths.square(error),
+            left_m=left_m,
+            place=place,
+            hint=hint,
+            moved=moved,
+        )
 
     u, v = paths.u, paths.v
     yield motion("", 0, u - v, "", "")
     for free, fit in _FRAMES:
         a, b, said = fit(u, v)
+        if not a:
+            continue  # a path without extent has no scale
         gap, hint = ("frame", _FRAME_HINT)
         if abs(abs(a) - 1.0) > _LEAST_SCALE:
             gap, hint = "scale", _SCALE_HINT
