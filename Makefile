@@ -1,17 +1,17 @@
-# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` every
-# test. All set everything up: `run` without extras, tests with all of them (`scans` among them).
+# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` all
+# tests but those of a night. All set everything up: `run` without extras, tests with all of them (`scans` among them).
 VENV ?= .venv
 BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 QUICK := -m "not golden and not slow and not browser"
 # Quick tests that end in numbers.
 NUMERIC := tests/golden tests/ekf_reference/core tests/ekf_reference/filters \
 	tests/ekf_reference/association tests/graphslam/test_search.py tests/graphslam/test_smoother.py \
 	tests/graphslam/test_spurious.py tests/comparisons/test_check_page.py
 
-.PHONY: run test test-all test-golden test-flavours test-pythons test-newest lint settings docs pictures results results-speed peers bench nightly release-check clean
+.PHONY: run test test-all tests test-golden test-flavours test-pythons test-newest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -20,8 +20,12 @@ run: $(VENV)/installed
 test: lint
 	$(PYTEST) $(QUICK)
 
-test-all: lint
-	$(PYTEST) -m "not golden"
+# All but the shelves that no change asks for (tests/shelves.py); types are checked beside the tests.
+test-all: style
+	$(MAKE) -j 2 types tests
+
+tests: $(VENV)/installed-dev
+	$(PYTEST) -m "not golden and not nightly" --durations=30
 
 # Every golden run: results equal to those kept, to the bit on the processor that kept them.
 test-golden: $(VENV)/installed-dev
@@ -47,9 +51,13 @@ test-newest:
 	build/venv-newest/bin/python -m pip install --quiet --upgrade numpy scipy
 	$(MAKE) test VENV=build/venv-newest
 
-lint: $(VENV)/installed-dev
+lint: style types
+
+style: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(VENV)/installed-dev
 	$(BIN)/mypy
 
 # The documents' constants beside those that runs use.
@@ -84,10 +92,11 @@ peers: $(VENV)/installed-dev
 bench: $(VENV)/installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.ratios $(if $(KEEP),--keep)
 
-# Hours: 20,000 damaged files, odd settings, kills and full disks, drawn anew each time, with how
-# many of each kind were tried; the quick tests as on each processor, on each Python, and with the
-# newest numpy and scipy.
-nightly: $(VENV)/installed-dev
+# Hours: every test; 20,000 damaged files, odd settings, kills and full disks, drawn anew each time,
+# with how many of each kind were tried; the quick tests as on each processor, on each Python, and
+# with the newest numpy and scipy.
+nightly: lint
+	$(PYTEST)
 	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
 		--dist worksteal tests/fuzz
 	$(BIN)/python -m benchmarks.flavours env $(PYTEST) $(QUICK)

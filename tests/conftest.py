@@ -16,6 +16,7 @@ from graphslam.scan.libraries import open3d
 from tests.fresh_environment import fresh_environment
 from tests.graphslam.skips import pytest_runtest_call as pytest_runtest_call
 from tests.graphslam.skips import pytest_runtest_setup as pytest_runtest_setup
+from tests.shelves import changed_files, due, shelf_of
 
 # What is drawn in continuous integration is always the same; at night it is new, and more.
 COMMON = settings(
@@ -53,10 +54,19 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests that read the real logs."""
+    """Mark tests that read the real logs, and those of shelves that no change asks for."""
+    asked = due(changed_files())
     for item in items:
         if "shared_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.data)
+        shelf = shelf_of(item.nodeid, {mark.name for mark in item.iter_markers()})
+        if shelf is not None and shelf not in asked:
+            item.add_marker(pytest.mark.nightly)
+
+
+def pytest_report_header() -> str:
+    """Name the shelves that a change asks for."""
+    return f"shelves with changes: {', '.join(sorted(due(changed_files()))) or 'none'}"
 
 
 @pytest.fixture(scope="session")

@@ -17,6 +17,7 @@ from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import ExternalConsistency, external_consistency
 from comparisons.checks.diagnosis.departure import first_departure
 from comparisons.checks.diagnosis.diagnosis import (
+    FEWEST,
     MOTIONS,
     Motion,
     frame_at_start,
@@ -187,7 +188,7 @@ def check(
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
     first = job.graded(given)
-    if first.exact:
+    if first.exact or len(first.inside.time_s) < FEWEST:
         return first
     progress("motion models", 0, 0)
     first = job.integrated(first, ORDERS)
@@ -241,8 +242,6 @@ class _Job:
         if first.causes and first.causes[0].gap in MOTIONS:
             return None
         beside = paths_beside(first.inside, first.peers[0], first.optimum.pose)
-        if beside[0].few:
-            return None
         path, motion = simplest_motion(beside)
         if motion.gap == "frame":
             return self.undone(first, motion) or self.undone(first, frame_at_start(path))

@@ -45,8 +45,8 @@ _CLEARLY_LESS = 0.5
 """So much is left at most of what a motion leaves, where another is named in its place."""
 _INTERPOLATED = 0.7
 """So much of white noise is left between two poses."""
-_FEWEST = 5
-"""With fewer poses some motion fits whatever is wrong."""
+FEWEST = 5
+"""With fewer poses some motion, and some fault of a filter, fits whatever is wrong."""
 _FLOOR_M = 0.05
 """Standard deviation that a place has at least; a prior's is often next to nothing."""
 _INDEPENDENT = 20
@@ -92,11 +92,6 @@ class Paths:
     def v(self) -> Complex:
         """The reference's places (K,)."""
         return _complex(self.reference)
-
-    @property
-    def few(self) -> bool:
-        """Whether some motion fits whatever is wrong."""
-        return len(self.time_s) < _FEWEST
 
     @property
     def rms_m(self) -> float:
@@ -170,7 +165,7 @@ def diagnose(references: Sequence[Paths]) -> Diagnosis:
     it is fitted to the one that fits best.
     """
     diagnosis = Diagnosis([], [])
-    if references[0].few:
+    if len(references[0].time_s) < FEWEST:
         return diagnosis
     paths, motion = simplest_motion(references)
     for explained, one in _headings(paths, motion):
@@ -194,8 +189,7 @@ def diagnose(references: Sequence[Paths]) -> Diagnosis:
 def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, Motion]:
     """Return the simplest motion of a path, beside the reference that it fits best.
 
-    references: as of `diagnose`, of five poses or more. Its gap is empty where no motion is
-    simplest.
+    references: as of `diagnose`. Its gap is empty where no motion is simplest.
     """
     found: list[tuple[Paths, list[Motion]]] = [(one, list(_motions(one))) for one in references]
     paths, motions = min(found, key=lambda pair: min(m.square for m in pair[1]))

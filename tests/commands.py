@@ -1,0 +1,42 @@
+"""The command line in this process: what a process of its own would print and end with."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from pathlib import Path
+from typing import NamedTuple
+from unittest.mock import patch
+
+from comparisons.cli.app import main
+from tests.graphslam.skips import pass_on
+
+
+class Done(NamedTuple):
+    """How a command ended, as `subprocess.CompletedProcess` has it."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def slamcheck(*arguments: str, cwd: Path, columns: int = 100) -> Done:
+    """Run a command in a folder. Raises MissingLibraryError where it says that it lacks one."""
+    printed, said = io.StringIO(), io.StringIO()
+    with (
+        patch.object(sys, "argv", ["slamcheck", *arguments]),
+        patch.dict(os.environ, {"COLUMNS": str(columns), "NO_COLOR": "1", "TERM": "dumb"}),
+        contextlib.chdir(cwd),
+        contextlib.redirect_stdout(printed),
+        contextlib.redirect_stderr(said),
+    ):
+        try:
+            main()
+            code: object = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+    assert isinstance(code, int), code
+    pass_on(said.getvalue())
+    return Done(code, printed.getvalue(), said.getvalue())
