@@ -11,7 +11,7 @@ NUMERIC := tests/golden tests/ekf_reference/core tests/ekf_reference/filters \
 	tests/ekf_reference/association tests/graphslam/test_search.py tests/graphslam/test_smoother.py \
 	tests/graphslam/test_spurious.py tests/comparisons/test_check_page.py
 
-.PHONY: run test test-all tests test-golden test-flavours test-pythons test-newest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
+.PHONY: run test test-all tests test-golden same test-flavours test-pythons test-newest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -27,9 +27,14 @@ test-all: style
 tests: $(VENV)/installed-dev
 	$(PYTEST) -m "not golden and not nightly" --durations=30
 
-# Every golden run: results equal to those kept, to the bit on the processor that kept them.
+# Every golden run: verdicts, causes and counts as kept, figures within what processors round.
 test-golden: $(VENV)/installed-dev
 	$(PYTEST) --dist load tests/golden
+
+# Golden runs by the code of a commit and by the tree's, on this machine: every file is compared to
+# the bit, times apart. ONLY="loop-own check": these cases. Five minutes.
+same: $(VENV)/installed-dev
+	$(BIN)/python -m tests.golden.same $(BASE) $(ONLY)
 
 # Tests that end in numbers, as on an old processor and without numpy's newest vector features.
 # Two minutes.

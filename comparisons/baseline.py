@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -105,6 +106,7 @@ NOISE = 3.0
 """A tolerance is at least so many times the range over repetitions."""
 
 _EXACT = ("ekf.landmarks", "smoother.poses", "landmarks.count", "landmarks.agreeing")
+_METRIC = re.compile(r'\{\s+("value": .*),\s+("tolerance": .*)\s+\}')
 _WHICH = ("source", "sha256")
 _APART = ("settings", "log", "consistency")
 """Parts of a check's result that hold no figures of the estimate, or are read on their own."""
@@ -275,20 +277,32 @@ def compare_with(baseline: Baseline, found: Found) -> list[Change]:
             f"{found.log.name}: is not the log of the baseline ({baseline.log}): its streams "
             "differ, or slamcheck 0.2 or older saved it; save a new baseline"
         )
-    then, now = _all_words(baseline), _all_words(found)
+    return changes_of(
+        baseline, _all_words(found), figures(found), lambda name: _rounding(name, found)
+    )
+
+
+def changes_of(
+    baseline: Baseline,
+    now: Mapping[str, str | None],
+    values: Mapping[str, float | None],
+    rounding: Callable[[str], float | None] = lambda _: None,
+) -> list[Change]:
+    """Return every word and figure of a baseline beside those of now.
+
+    rounding: what rounding explains of a figure, by its name.
+    """
+    then = _all_words(baseline)
     changes = [
         Change(name, then[name], now.get(name), 0.0, _word_state(name, then[name], now.get(name)))
         for name in then
     ]
-    values = figures(found)
-    for name, kept in baseline.metrics.items():
-        value = values.pop(name, None)
-        state = _state(name, kept, value, _rounding(name, found))
-        changes.append(Change(name, kept.value, value, kept.tolerance, state))
     none = Metric(value=None, tolerance=0.0)
-    changes += [
-        Change(name, None, v, 0.0, _state(name, none, v, None)) for name, v in values.items()
-    ]
+    for name in dict.fromkeys((*baseline.metrics, *values)):
+        kept = baseline.metrics.get(name, none)
+        value = values.get(name)
+        state = _state(name, kept, value, rounding(name))
+        changes.append(Change(name, kept.value, value, kept.tolerance, state))
     return changes
 
 
@@ -311,7 +325,7 @@ def read_baseline(path: Path) -> Baseline:
 
 def write_baseline(baseline: Baseline, path: Path) -> None:
     """One metric a line, so that changes read well in a diff. Raises InputError."""
-    text = json.dumps(baseline.model_dump(), indent=1) + "\n"
+    text = _METRIC.sub(r"{\1, \2}", json.dumps(baseline.model_dump(), indent=1)) + "\n"
     write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 

@@ -446,6 +446,6 @@ def test_a_negative_tolerance_is_refused(tmp_path: Path, checked: CheckResult) -
     """With it no figure would hold, not even the same."""
     path = tmp_path / "kept.json"
     write_baseline(build_baseline([checked], CheckConfig()), path)
-    path.write_text(path.read_text().replace('"tolerance": 0.0\n', '"tolerance": -1.0\n'))
+    path.write_text(path.read_text().replace('"tolerance": 0.0}', '"tolerance": -1.0}'))
     with pytest.raises(InputError, match="tolerance: input should be greater than"):
         read_baseline(path)

@@ -22,7 +22,7 @@ from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityO
 from comparisons.logs.readers import read_log
 from comparisons.pipeline.solve import solve
 from tests.comparisons.test_external_trace import checked, filtered, hand_in
-from tests.golden.run import SHARED
+from tests.golden.cases import SHARED
 from tests.helpers import compared, first_seconds, simulated
 
 

@@ -2,111 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from comparisons.logs.log_folder import write_log_folder
 from tests.scenarios import scenario
 
-FILTERS = ("full", "compressed", "compressed-suboptimal", "misono", "misono-full")
-ASSOCIATIONS = ("known", "nn", "jcbb", "euclidean", "consensus")
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+_TABLE = """\
+victoria-park: run victoria-park
+loop-0-full-known: run simulated-loop --seed 0 --filter full --association known
+loop-0-misono-full-jcbb: run simulated-loop --seed 0 --filter misono-full --association jcbb
+loop-1-compressed-nn: run simulated-loop --seed 1 --filter compressed --association nn
+loop-1-full-euclidean: run simulated-loop --seed 1 --filter full --association euclidean
+loop-2-misono-jcbb: run simulated-loop --seed 2 --filter misono --association jcbb
+loop-2-compressed-consensus: run simulated-loop --seed 2 --filter compressed --association consensus
+loop-3-suboptimal-euclidean: run simulated-loop --seed 3 --filter compressed-suboptimal \
+--association euclidean
+loop-3-misono-known: run simulated-loop --seed 3 --filter misono --association known
+loop-4-misono-full-consensus: run simulated-loop --seed 4 --filter misono-full \
+--association consensus
+loop-4-suboptimal-nn: run simulated-loop --seed 4 --filter compressed-suboptimal --association nn
+loop-gnc: run simulated-loop --robust gnc --association jcbb
+loop-own: run simulated-loop --seed 3 --smoother-association own
+loop-isam2: run simulated-loop --smoother isam2 --robust huber
+waypoint-misono: run waypoint-run --filter misono --gps on
+waypoint-misono-full: run waypoint-run --filter misono-full --gps on
+car-park: run {shared}/acfr_car_park
+car-park-both: run {shared}/acfr_car_park --motion both
+car-park-scan: run {shared}/acfr_car_park --motion scan --gps on
+car-park-half: run {shared}/acfr_car_park --gps half
+car-park-trees: run {shared}/acfr_car_park --features trees --association nn --attributes on \
+--gps on
+mrclam-2-nn: run {shared}/mrclam/MRCLAM_Dataset6 --robot 2 --association nn
+scan-slam-own: run {work}/short --landmarks scans --smoother-matcher generalised-icp \
+--template-extraction per-segment
+scan-slam-fused: run {work}/short --landmarks scans --merge-landmarks
+scan-slam-enriched: run {work}/short --landmarks scans --map-aided-matching
+scan-slam-maps: run scan-slam-maps --landmarks scans --dense occupancy
+scan-loop-dense: run scan-loop-fine --dense points --dense sog --resolution 0.4
+high-level-dense: run occupancy-loop --high-level --dense occupancy
+dynamic-lanes: run dynamic-lanes --dynamic
+solve: solve {shared}/mrclam/MRCLAM_Dataset6 --robot 3 --robust gnc
+solve-loop: solve simulated-loop --association own
+odometry: odometry scan-loop-fine
+odometry-car-park: odometry {shared}/acfr_car_park --gps on
+map: map occupancy-loop
+map-scans: map scan-slam-maps --landmarks scans --layer occupancy --layer sog
+map-dynamic: map dynamic-places --dynamic --layer points
+traced: run simulated-loop --seed 4 --trace
+check: check simulated-loop --seed 4 --estimate {work}/traced/ekf
+check-path: check simulated-loop --seed 4 --estimate {work}/traced/ekf/trajectory.tum
+montecarlo: montecarlo circle --runs 25 --filters ekf,riekf
+"""
+CASES: dict[str, str] = dict(line.split(": ", 1) for line in _TABLE.splitlines())
+"""Command lines by name. {work}: the folder in which the folders of all cases are."""
+LONG = frozenset({"scan-slam-maps", "solve", "map-scans"})
+"""Cases of more than ten seconds, at night only."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One command line.
-
-    argv: with {shared}, {work} and {name} filled in. quick: part of `make test`. before: the case
-    whose output folder this one reads.
-    """
-
-    name: str
-    argv: str
-    quick: bool = False
-    before: str = ""
-
-    @property
-    def needs_data(self) -> bool:
-        """The case reads a real log."""
-        return "{shared}" in self.argv
+def words(name: str, work: Path) -> list[str]:
+    """Return a case's command line, with its folders filled in and its output in `work`."""
+    filled = CASES[name].format(shared=SHARED, work=work)
+    return [*filled.split(), "--out", str(work / name)]
 
 
-def _loops() -> list[Case]:
-    return [
-        Case(
-            f"loop-{seed}-{filter_}-{association}",
-            f"run simulated-loop --seed {seed} --filter {filter_} --association {association}",
-            quick=(seed, filter_, association)
-            in ((0, "full", "known"), (1, "compressed", "nn"), (2, "misono", "jcbb")),
-        )
-        for seed in range(5)
-        for filter_ in FILTERS
-        for association in ASSOCIATIONS
-    ]
+def with_before(names: Iterable[str]) -> list[str]:
+    """Return the names, each after that of the case whose output it reads."""
+    found: list[str] = []
+    for name in names:
+        found += [one for one in re.findall(r"\{work\}/([\w-]+)", CASES[name]) if one in CASES]
+        found.append(name)
+    return list(dict.fromkeys(found))
 
 
-CAR_PARK = "{shared}/acfr_car_park"
-MRCLAM = "{shared}/mrclam/MRCLAM_Dataset6"
-
-CASES = {
-    case.name: case
-    for case in (
-        Case("victoria-park", "run victoria-park", quick=True),
-        *_loops(),
-        Case("loop-gnc", "run simulated-loop --robust gnc --association jcbb"),
-        Case("loop-own", "run simulated-loop --seed 3 --smoother-association own", quick=True),
-        Case("loop-isam2", "run simulated-loop --smoother isam2 --robust huber"),
-        Case("waypoint-misono", "run waypoint-run --filter misono --gps on", quick=True),
-        Case("waypoint-misono-full", "run waypoint-run --filter misono-full --gps on"),
-        Case("car-park", f"run {CAR_PARK}", quick=True),
-        Case("car-park-both", f"run {CAR_PARK} --motion both"),
-        Case("car-park-scan", f"run {CAR_PARK} --motion scan --gps on"),
-        Case("car-park-half", f"run {CAR_PARK} --gps half"),
-        Case(
-            "car-park-trees",
-            f"run {CAR_PARK} --features trees --association nn --attributes on --gps on",
-        ),
-        Case("mrclam-2", f"run {MRCLAM} --robot 2"),
-        Case("mrclam-2-nn", f"run {MRCLAM} --robot 2 --association nn"),
-        Case(
-            "scan-slam-own",
-            "run {work}/short --landmarks scans --smoother-matcher generalised-icp "
-            "--template-extraction per-segment",
-        ),
-        Case("scan-slam-fused", "run {work}/short --landmarks scans --merge-landmarks"),
-        Case("scan-slam-enriched", "run {work}/short --landmarks scans --map-aided-matching"),
-        Case("scan-slam-maps", "run scan-slam-maps --landmarks scans --dense occupancy"),
-        Case("scan-loop-dense", "run scan-loop-fine --dense points --dense sog --resolution 0.4"),
-        Case("high-level", "run occupancy-loop --high-level"),
-        Case("high-level-dense", "run occupancy-loop --high-level --dense occupancy"),
-        Case("dynamic-lanes", "run dynamic-lanes --dynamic"),
-        Case("solve", f"solve {MRCLAM} --robot 3 --robust gnc"),
-        Case("solve-loop", "solve simulated-loop --association own", quick=True),
-        Case("odometry", "odometry scan-loop-fine"),
-        Case("odometry-car-park", f"odometry {CAR_PARK} --gps on"),
-        Case("map", "map occupancy-loop"),
-        Case("map-scans", "map scan-slam-maps --landmarks scans --layer occupancy --layer sog"),
-        Case("map-dynamic", "map dynamic-places --dynamic --layer points"),
-        Case("traced", "run simulated-loop --seed 4 --trace"),
-        Case(
-            "check",
-            "check simulated-loop --seed 4 --estimate {work}/traced/ekf",
-            before="traced",
-        ),
-        Case(
-            "check-path",
-            "check simulated-loop --seed 4 --estimate {work}/traced/ekf/trajectory.tum",
-            before="traced",
-        ),
-        Case("montecarlo", "montecarlo circle --runs 25 --filters ekf,riekf"),
-    )
-}
+def lacks_data(name: str) -> bool:
+    """Return whether a case reads a real log that is not on this machine."""
+    return "{shared}" in CASES[name] and not SHARED.is_dir()
 
 
-def _short(folder: Path) -> None:
-    write_log_folder(scenario("scan-slam", seed=1, seconds=14.0), folder)
-
-
-MADE: dict[str, Callable[[Path], None]] = {"{work}/short": _short}
-"""Logs that are made before a case that names them."""
+def make_logs(work: Path) -> None:
+    """Make the log that cases read from `work`."""
+    write_log_folder(scenario("scan-slam", seed=1, seconds=14.0), work / "short")

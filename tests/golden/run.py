@@ -1,91 +1,162 @@
-"""Run golden cases in this process; `python -m tests.golden.run` keeps their fingerprints anew."""
+"""Golden runs as baselines; `python -m tests.golden.run [CASE ...]` keeps them anew."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import json
-import os
 import sys
 import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
-from tests.golden.cases import CASES, MADE, Case
-from tests.golden.fingerprint import Fingerprint, of_folder
-from tests.golden.processor import processor
+import numpy as np
+
+from comparisons.baseline import (
+    Baseline,
+    Change,
+    Metric,
+    changes_of,
+    figures,
+    judged_by,
+    read_baseline,
+    write_baseline,
+)
+from comparisons.cli.app import main as slamcheck
+from comparisons.report.check import CheckResult
+from comparisons.report.models import Result
+from tests.golden.cases import CASES, make_logs, with_before, words
 from tests.graphslam.skips import pass_on
 
 KEPT = Path(__file__).parent / "kept"
-KEEPER = Path(__file__).parent / "keeper.json"
-"""The processor that kept them, as numpy and its BLAS see it, and the versions of both."""
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+MODELS: dict[str, type[Result | CheckResult]] = {"result.json": Result, "check.json": CheckResult}
+"""Results whose figures are those of the product's own baselines, and those of extensions."""
+LEFT_OUT = frozenset(
+    {"config", "settings", "schema", "log", "seconds", "cpu_s", "scans_per_second", "versions"}
+    | {"files", "starts", "minima", "id"}
+)
+"""Keys that are no results, or the way to the optimum."""
+TOLERANCE = 1e-4
+"""Share of a figure by which a processor's rounding may move it, and of LEAST where it is less."""
+LEAST = 0.1
+ROUNDING = 1e-6
+"""What is below is rounding, and may be any."""
 
 
-def run_case(case: Case, work: Path) -> dict[str, Fingerprint]:
-    """Run a case and what comes before it in a folder for both, and look at what it left."""
-    for name, make in MADE.items():
-        folder = Path(name.format(work=work))
-        if name in case.argv and not folder.exists():
-            make(folder)
-    if case.before and not (work / case.before).exists():
-        run_case(CASES[case.before], work)
-    out = work / case.name
-    argv = [word.format(shared=SHARED, work=work) for word in case.argv.split()]
-    printed = _slamcheck([*argv, "--out", str(out)])
-    return of_folder(out, printed)
+def run_case(name: str, work: Path) -> Baseline:
+    """Run a case, and what comes before it, in a folder for all; look at what it left."""
+    if not (work / "short").exists():
+        make_logs(work)
+    for one in with_before([name]):
+        if one == name or not (work / one).exists():
+            code = _run(words(one, work))
+    return baseline_of(work / name, code)
 
 
-def read_kept(name: str) -> dict[str, Fingerprint]:
-    """The fingerprints that were kept of a case."""
-    found: dict[str, Fingerprint] = json.loads((KEPT / f"{name}.json").read_text(encoding="utf-8"))
-    return found
+def baseline_of(folder: Path, code: int) -> Baseline:
+    """Return the words and figures of a result, with the tolerances of golden runs."""
+    (path,) = folder.glob("*.json")
+    found = json.loads(path.read_text(encoding="utf-8"))
+    values: dict[str, float | None] = {}
+    more = found
+    if path.name in MODELS:
+        result = MODELS[path.name].model_validate(found)
+        values, more = figures(result), result.model_extra or {}
+    values |= _summed_up(more)
+    log = found.get("log", found)
+    return Baseline(
+        log=log.get("name", ""),
+        sha256=log["sha256"],
+        runs=1,
+        verdict=found.get("verdict", ""),
+        words={
+            "exit code": str(code),
+            "grade": found.get("grade"),
+            "causes": ", ".join(cause["gap"] for cause in found.get("causes", ())),
+        },
+        metrics={name: _metric(v) for name, v in values.items() if v is not None},
+        versions={},
+    )
 
 
-def write_kept(name: str, fingerprints: dict[str, Fingerprint]) -> None:
-    """Keep fingerprints, one a line."""
-    rows = (f"{json.dumps(k)}: {json.dumps(v)}" for k, v in fingerprints.items())
-    text = "{\n" + ",\n".join(rows) + "\n}\n"
-    KEPT.mkdir(exist_ok=True)
-    (KEPT / f"{name}.json").write_text(text, encoding="utf-8")
+def differences(kept: Baseline, now: Baseline) -> list[Change]:
+    """Return what does not hold; what is better or new does not, either."""
+    values = {name: metric.value for name, metric in now.metrics.items()}
+    changes = changes_of(kept, {"verdict": now.verdict, **now.words}, values)
+    if kept.sha256 != now.sha256:
+        changes.insert(0, Change("log", kept.sha256, now.sha256, 0.0, "broken"))
+    return [change for change in changes if change.state != "holds"]
 
 
-def _slamcheck(argv: list[str]) -> str:
-    """What a command printed. Raises AssertionError where it ended in an error."""
-    from comparisons.cli.app import main
+def _metric(value: float) -> Metric:
+    """Counts are exact. Digits that no processor shares are not kept."""
+    if isinstance(value, int):
+        return Metric(value=value, tolerance=0.0)
+    if abs(value) < ROUNDING:
+        return Metric(value=0.0, tolerance=ROUNDING)
+    tolerance = TOLERANCE * max(abs(value), LEAST)
+    return Metric(value=float(f"{value:.7g}"), tolerance=float(f"{tolerance:.2g}"))
 
-    printed, said = io.StringIO(), io.StringIO()
+
+def _summed_up(found: dict[str, Any]) -> dict[str, float]:
+    """Return numbers by name; those of a list together as their root mean square."""
+    together = defaultdict(list)
+    for name, value in _numbers(found):
+        together[name].append(value)
+    return {
+        name: values[0] if len(values) == 1 else float(np.sqrt(np.mean(np.square(values))))
+        for name, values in together.items()
+    }
+
+
+def _numbers(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            whole = f"{name}.{key}".removeprefix(".")
+            judged = judged_by(whole)
+            if key not in LEFT_OUT and (judged is None or judged.side != "left out"):
+                yield from _numbers(inner, whole)
+    elif isinstance(value, list):
+        if value and isinstance(value[0], dict):
+            yield f"{name}.count", len(value)
+        for inner in value:
+            yield from _numbers(inner, name)
+    elif isinstance(value, int | float):
+        yield name, value
+
+
+def _run(argv: list[str]) -> int:
+    """Return the exit code of a command. Raises AssertionError where it ended in an error."""
+    said = io.StringIO()
     with (
         patch.object(sys, "argv", ["slamcheck", *argv]),
-        patch.dict(os.environ, {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}),
-        contextlib.redirect_stdout(printed),
+        contextlib.redirect_stdout(io.StringIO()),
         contextlib.redirect_stderr(said),
     ):
         try:
-            main()
-            code: object = 0
+            slamcheck()
+            code = 0
         except SystemExit as stop:
-            code = stop.code
+            code = int(stop.code or 0)
     pass_on(said.getvalue())
     assert code in (0, 1, 3), f"{argv} ended with {code}: {said.getvalue()}"
-    return printed.getvalue() + f"exit code {code}\n"
-
-
-def is_keeper() -> bool:
-    """Whether results must be equal to the bit: what rounds is as it was where they were kept."""
-    return bool(json.loads(KEEPER.read_text(encoding="utf-8")) == processor())
+    return code
 
 
 def main(names: list[str]) -> None:
-    """Keep the fingerprints of some cases, or of all; of some only where the others were kept."""
-    if names and not is_keeper():
-        sys.exit("another processor kept the results, keep all of them: python -m tests.golden.run")
-    KEEPER.write_text(json.dumps(processor(), indent=2) + "\n", encoding="utf-8")
+    """Keep some cases, or all, anew. A figure that holds stays as it was."""
     with tempfile.TemporaryDirectory() as work:
-        for name in names or list(CASES):
-            fingerprints = run_case(CASES[name], Path(work))
-            write_kept(name, fingerprints)
-            print(name, len(fingerprints), flush=True)
+        for name in with_before(names or CASES):
+            now, path = run_case(name, Path(work)), KEPT / f"{name}.json"
+            kept = read_baseline(path) if path.exists() else now
+            changes = differences(kept, now)
+            moved = {change.name for change in changes}
+            steady = {n: m for n, m in kept.metrics.items() if n in now.metrics and n not in moved}
+            write_baseline(now.model_copy(update={"metrics": now.metrics | steady}), path)
+            print(name, *map(str, changes), sep="\n  ", flush=True)
 
 
 if __name__ == "__main__":
