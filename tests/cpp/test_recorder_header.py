@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit.events import Event, Snapshot, Update
-from comparisons.audit.recorder import Recorder
-from comparisons.audit.trace_file import Trace
+from comparisons.trace.events import Event, Snapshot, Update
+from comparisons.trace.reader import Trace
+from comparisons.trace.recorder import Recorder
 
 CPP = Path(__file__).resolve().parents[2] / "cpp"
 COMPILER = shutil.which("c++") or shutil.which("g++")

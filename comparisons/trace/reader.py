@@ -14,10 +14,9 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from comparisons.audit.events import Event, Sensor
-from comparisons.audit.trace_rows import EventReader, shown, texts
-from comparisons.errors import InputError, printable
-from comparisons.files import check_regular
+from comparisons.errors import InputError, check_regular, printable
+from comparisons.trace.events import Event, Sensor
+from comparisons.trace.rows import EventReader, shown, texts
 
 APPLICATION = 0x534C4154
 VERSION = 1

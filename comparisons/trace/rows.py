@@ -13,7 +13,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from comparisons.arrays import Array, Mask
-from comparisons.audit.events import (
+from comparisons.errors import InputError, printable
+from comparisons.trace.events import (
     Augment,
     Blocks,
     Clone,
@@ -26,7 +27,6 @@ from comparisons.audit.events import (
     Snapshot,
     Update,
 )
-from comparisons.errors import InputError, printable
 
 MOST_ENTRIES = 20_000
 """Of a state."""

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from comparisons.arrays import Array
-from comparisons.audit.trace_file import APPLICATION, TABLES, VERSION
-from comparisons.audit.trace_rows import MOST_ENTRIES
 from comparisons.errors import InputError
+from comparisons.trace.reader import APPLICATION, TABLES, VERSION
+from comparisons.trace.rows import MOST_ENTRIES
 
 _COLUMNS = {
     "prior": ("covariance", "note"),
@@ -555,8 +555,8 @@ class Recorder:
 
     def _follow(self) -> None:
         """Read the trace that is appended to, for its last number and its blocks."""
-        from comparisons.audit.events import Augment, Clone, Prior, Remove
-        from comparisons.audit.trace_file import Trace
+        from comparisons.trace.events import Augment, Clone, Prior, Remove
+        from comparisons.trace.reader import Trace
 
         trace = Trace(self._path)
         for event in trace if trace.counts.events else ():

@@ -17,13 +17,14 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit import trace_file, trace_rows
 from comparisons.audit.audit import audit
-from comparisons.audit.events import Event, Predict, Update
-from comparisons.audit.recorder import _COLUMNS, Recorder
-from comparisons.audit.trace_file import TABLES, Trace
-from comparisons.audit.trace_rows import EventReader
 from comparisons.errors import InputError
+from comparisons.trace import reader
+from comparisons.trace import rows as trace_rows
+from comparisons.trace.events import Event, Predict, Update
+from comparisons.trace.reader import TABLES, Trace
+from comparisons.trace.recorder import _COLUMNS, Recorder
+from comparisons.trace.rows import EventReader
 
 P = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.25], [0.0, 0.25, 3.0]])
 F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -268,7 +269,7 @@ def test_pages_that_lead_to_the_same_pages_end(trace: Path) -> None:
     with closing(sqlite3.connect(trace)) as file:
         for pragma in (
             f"page_size = {size}",
-            f"application_id = {trace_file.APPLICATION}",
+            f"application_id = {reader.APPLICATION}",
             "user_version = 1",
         ):
             file.execute(f"PRAGMA {pragma}")
@@ -411,7 +412,7 @@ def test_an_unreadable_file_is_one_line(trace: Path, monkeypatch: pytest.MonkeyP
 def test_a_value_beyond_the_limit_is_not_loaded(
     trace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trace_file, "_LONGEST_BYTES", 100_000)
+    monkeypatch.setattr(reader, "_LONGEST_BYTES", 100_000)
     assert len(list(Trace(trace))) == 11
     change(trace, SET + "noise = zeroblob(200000) WHERE number = 3")
     said = refused(trace)
@@ -423,7 +424,7 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "audit-format.md").read_t
 
 def test_the_page_has_the_tables_and_kinds_as_they_are() -> None:
     assert re.findall(r"^CREATE TABLE .*$", PAGE, re.MULTILINE) == list(TABLES.values())
-    assert f"{trace_file.APPLICATION} (0x{trace_file.APPLICATION:X})" in PAGE
+    assert f"{reader.APPLICATION} (0x{reader.APPLICATION:X})" in PAGE
     rows = dict(re.findall(r"^\| `(\w+)` \| [^|]* \|(.*)\|$", PAGE, re.MULTILINE))
     columns = set(re.findall(r"(\w+) (?:REAL|TEXT|INTEGER|BLOB)", TABLES["event"]))
     common = {"number", "kind", "time_s", "blocks"}
@@ -528,10 +529,10 @@ def test_memory_holds_few_events_at_once(tmp_path: Path) -> None:
         recorder.prior({"a": n}, np.eye(n))
         for _ in range(60):
             recorder.snapshot(np.eye(n))
-    reader, sizes = EventReader(path), []
+    events_of, sizes = EventReader(path), []
     with closing(sqlite3.connect(path)) as file:
         rows: Iterator[Any] = file.execute("SELECT * FROM event")
-        while events := reader.events(rows):
+        while events := events_of.events(rows):
             sizes.append(len(events))
     assert sum(sizes) == 61
     assert max(sizes) < 12

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.audit import trace_file
-from comparisons.audit.events import Augment, Clone, Predict, Prior, Snapshot, Update
-from comparisons.audit.recorder import COMMIT_EVENTS, Recorder
-from comparisons.audit.trace_file import Trace
 from comparisons.errors import InputError
+from comparisons.trace import reader
+from comparisons.trace.events import Augment, Clone, Predict, Prior, Snapshot, Update
+from comparisons.trace.reader import Trace
+from comparisons.trace.recorder import COMMIT_EVENTS, Recorder
 
 ROOT = Path(__file__).resolve().parents[3]
 P = np.array([[2.0, 0.5], [0.5, 1.0]])
@@ -402,7 +402,7 @@ def test_large_snapshots_are_written_early(path: Path) -> None:
 CHILD = """
 import os, signal, sys
 import numpy as np
-from comparisons.audit.recorder import Recorder
+from comparisons.trace.recorder import Recorder
 
 class Killed:
     def __init__(self, file):
@@ -488,7 +488,7 @@ def test_a_hostile_journal_deletes_no_file(
         file.execute("UPDATE event SET time_s = 7")
         shutil.copy(path, hostile)
         shutil.copy(f"{path}-journal", f"{hostile}-journal")
-    magic, name = trace_file._JOURNAL_MAGIC, str(victim).encode()
+    magic, name = reader._JOURNAL_MAGIC, str(victim).encode()
     with Path(f"{hostile}-journal").open("ab") as journal:
         journal.write(struct.pack(">I", 2**30 // 32768 + 1) + name)
         journal.write(struct.pack(">II", len(name), sum(name)) + magic)
@@ -496,7 +496,7 @@ def test_a_hostile_journal_deletes_no_file(
         with pytest.raises(InputError, match="names another file, which SQLite would delete"):
             Trace(hostile)
     else:
-        monkeypatch.setattr(trace_file, "_JOURNAL_MAGIC", b"")
+        monkeypatch.setattr(reader, "_JOURNAL_MAGIC", b"")
         assert len(list(Trace(hostile))) == 3001
     assert victim.exists() == guarded
 
