@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sqlite3
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from comparisons.arrays import Array, Mask
 from comparisons.errors import InputError, printable
+from comparisons.trace.batch import COLUMNS, KINDS, Batch
 from comparisons.trace.events import (
+    ADDITIVE,
+    CHARTS,
     Augment,
     Blocks,
     Clone,
@@ -30,16 +31,58 @@ from comparisons.trace.events import (
 
 MOST_ENTRIES = 20_000
 """Of a state."""
-_LONGEST_TEXT = 1 << 22
-_CHUNK, _CHUNK_BYTES = 128, 1 << 24
-_MOST_TEXTS = 4096
+_MOST_NAMED = 4096
 _IN_CACHE = 16384
 """Numbers of matrices that are checked at once."""
 _ASYMMETRY, _NEGATIVE = 1e-6, 1e-9
 """Beyond rounding, of a covariance scaled to a unit diagonal: differences of entries that should be
 equal, and eigenvalues below zero."""
 
-Row = tuple[Any, ...]
+
+class Cell:
+    """A matrix, in the shape of the event that had it last; None for what is no finite numbers.
+
+    checked: whether it was looked at as a semidefinite covariance, and as a definite one.
+    """
+
+    __slots__ = ("checked", "matrix")
+
+    def __init__(self, matrix: Array | None) -> None:
+        """matrix: as it is stored."""
+        self.matrix = matrix
+        self.checked = 0
+
+
+class Row(NamedTuple):
+    """An event as it is stored, before it is checked.
+
+    blocks: names, None where they are no list of distinct texts. text: its own, as the sensor's
+    name. cells: its matrices, as COLUMNS of its kind has them; None for those that are not there.
+    """
+
+    number: int
+    kind: str
+    time_s: Any
+    blocks: Blocks | None
+    text: Any
+    used: Any
+    cells: tuple[Cell | None, ...]
+
+
+def batch_rows(batch: Batch, first: int) -> Iterable[Row]:
+    """Yield the rows of a batch. first: number of its first event."""
+    cells: list[Cell | None] = [Cell(one) for one in batch.arrays]
+    cells.append(None)  # for -1
+    names = [*map(distinct, batch.texts), None]
+    said = [*batch.texts, None]
+    columns = [(kind, len(COLUMNS[kind])) for kind in KINDS]
+    for number, (time_s, at, used, blocks, text, matrices) in enumerate(
+        zip(*batch[:6], strict=True), first
+    ):
+        kind, count = columns[at]
+        time = None if time_s != time_s else time_s
+        own = tuple([cells[one] for one in matrices[:count]])
+        yield Row(number, kind, time, names[blocks], said[text], used, own)
 
 
 class EventReader:
@@ -52,11 +95,10 @@ class EventReader:
         """path: named in errors."""
         self.at = -1
         self._path = path
-        self._bytes = 0
         self._dims: dict[str, int] = {}
+        self._charts: dict[str, str] = {}
         self._size = 0
-        self._blocks: dict[str, tuple[Blocks, int]] = {}
-        self._last: dict[tuple[str, str | None], tuple[str, dict[str, Array]]] = {}
+        self._named: dict[Blocks, int] = {}
         self._unchecked: list[tuple[int, str, bool, Array]] = []
         self._make: dict[str, Callable[[Row], Event]] = {
             "prior": self._prior,
@@ -70,33 +112,23 @@ class EventReader:
             "directions": self._directions,
         }
 
+    @property
+    def state(self) -> list[list[Any]]:
+        """Name, dimension and chart of every block after the last event."""
+        return [[name, dim, self._charts[name]] for name, dim in self._dims.items()]
+
     def events(self, rows: Iterable[Row]) -> list[Event]:
-        """Return the next events, some hundred of them or some megabytes.
+        """Return the next events.
 
         Raises:
             InputError: A row cannot be an event; of several the first, with its number.
         """
+        found: list[Event] = []
         with np.errstate(all="ignore"):  # a number that is too large is refused by itself
-            return self._events(rows)
-
-    def _events(self, rows: Iterable[Row]) -> list[Event]:
-        self._bytes, self._unchecked = 0, []
-        found = []
-        try:
-            for row in rows:
-                found.append(self._event(row))
-                if len(found) == _CHUNK or self._bytes > _CHUNK_BYTES:
-                    break
-        except sqlite3.Error as error:
-            self._check_covariances()
-            raise InputError(
-                f"{self._path}, after event {self.at}: SQLite cannot read it "
-                f"({printable(str(error)):.100}); the sqlite3 shell's .recover may save the rest"
-            ) from None
-        except InputError:
-            self._check_covariances()
-            raise
-        self._check_covariances()
+            try:
+                found.extend(map(self._event, rows))
+            finally:
+                self._check_covariances()
         return found
 
     def _event(self, row: Row) -> Event:
@@ -115,136 +147,126 @@ class EventReader:
         return event
 
     def _prior(self, row: Row) -> Prior:
-        number, time_s = row[0], row[2]
         if self._dims:
-            self._refuse(number, "is a second prior; a filter that begins anew has a new trace")
-        names, dims = texts(row[4]), _counts(row[15])
-        if not names or dims is None or len(dims) != len(names):
-            self._refuse(number, "blocks and note are not lists of names and of dimensions")
+            self._refuse(row.number, "is a second prior; a filter that begins anew has a new trace")
+        names, (dims, charts) = row.blocks or (), _pair(row.text)
+        sound = names and _counts(dims) and _all_charts(charts)
+        if not sound or not len(names) == len(dims) == len(charts):
+            self._refuse(row.number, "blocks and text are not names, and dimensions and charts")
         self._dims = dict(zip(names, dims, strict=True))
-        self._changed(number)
-        p = self._shaped(row, 12, "covariance", self._size, self._size)
-        self._unchecked.append((number, "covariance (P)", False, p))
-        return Prior(number, time_s, names, dims, p)
+        self._charts = dict(zip(names, charts, strict=True))
+        self._changed(row.number)
+        p = self._covariance(row, 0, "covariance (P)", self._size)
+        plain = () if set(charts) == {ADDITIVE} else tuple(charts)
+        return Prior(row.number, row.time_s, names, tuple(dims), p, self._own(row, 1), plain)
 
     def _predict(self, row: Row) -> Predict:
-        blocks, n = self._named(row)
-        before = self._before(row)
-        f = self._repeated(before, row, 6, "jacobian", n, n)
-        q = self._repeated(before, row, 7, "noise", n, n)
-        if row[7] is not None:
-            self._unchecked.append((row[0], "noise (Q)", False, q))
-        return Predict(row[0], row[2], blocks, f, q)
+        n = self._on(row)
+        f = self._shaped(row, 0, n, n)
+        q = self._covariance(row, 1, "noise (Q)", n)
+        points = self._own(row, 2), self._own(row, 3)
+        return Predict(row.number, row.time_s, row.blocks or (), f, q, *points)
 
     def _update(self, row: Row) -> Update:
-        number, _, time_s, sensor, _, used = row[:6]
-        blocks, n = self._named(row)
-        if not isinstance(sensor, str):
-            self._refuse(number, f"sensor {shown(sensor)}, expected a name")
-        if used not in (0, 1):
-            self._refuse(number, f"used is {shown(used)}, expected 0 or 1")
-        residual = self._array(row, 9, "residual")
+        n = self._on(row)
+        if not isinstance(row.text, str):
+            self._refuse(row.number, f"sensor {shown(row.text)}, expected a name")
+        if row.used not in (0, 1):
+            self._refuse(row.number, f"used is {shown(row.used)}, expected 0 or 1")
+        residual = self._flat(row, 0)
         m = len(residual)
         if not m:
-            self._refuse(number, "residual is empty")
-        before = self._before(row)
-        h = self._repeated(before, row, 6, "jacobian", m, n)
-        r = self._repeated(before, row, 7, "noise", m, m)
-        if row[7] is not None:
-            self._unchecked.append((number, "noise (R)", True, r))
+            self._refuse(row.number, "residual is empty")
+        h = self._shaped(row, 1, m, n)
+        r = self._covariance(row, 2, "noise (R)", m, definite=True)
         correction = gain = None
-        if row[10] is not None:
-            correction = self._shaped(row, 10, "correction", self._size)
-        if row[11] is not None:
-            gain = self._shaped(row, 11, "gain", self._size, m)
-        return Update(number, time_s, sensor, blocks, residual, h, r, bool(used), correction, gain)
-
-    def _augment(self, row: Row) -> Augment:
-        number, _, time_s = row[:3]
-        blocks, n = self._named(row)
-        name, d = self._new(row)
-        before = self._before(row)
-        g_x = self._repeated(before, row, 6, "jacobian", d, n)
-        if row[7] is None:
-            m = len(before["noise"]) if "noise" in before else 0
-        else:
-            m = math.isqrt(len(self._array(row, 7, "noise")))
-        r = self._repeated(before, row, 7, "noise", m, m)
-        g_z = self._repeated(before, row, 8, "noise_jacobian", d, m)
-        if row[7] is not None and m:
-            self._unchecked.append((number, "noise (R)", False, r))
-        self._dims[name] = d
-        self._changed(number)
-        return Augment(number, time_s, name, blocks, g_x, g_z, r)
-
-    def _clone(self, row: Row) -> Clone:
-        blocks, d = self._named(row)
-        if len(blocks) != 1:
-            self._refuse(row[0], f"clones {len(blocks)} blocks, expected one")
-        name = self._unused(row[0], row[15])
-        self._dims[name] = d
-        self._changed(row[0])
-        return Clone(row[0], row[2], name, blocks[0])
-
-    def _remove(self, row: Row) -> Remove:
-        blocks, _ = self._named(row)
-        for name in blocks:
-            del self._dims[name]
-        if not self._dims:
-            self._refuse(row[0], "removes the last block of the state")
-        self._changed(row[0])
-        return Remove(row[0], row[2], blocks)
-
-    def _reset(self, row: Row) -> Reset:
-        blocks, n = self._named(row)
-        j = self._repeated(self._before(row), row, 6, "jacobian", n, n)
-        return Reset(row[0], row[2], blocks, j)
-
-    def _snapshot(self, row: Row) -> Snapshot:
-        blocks, n = self._named(row)
-        return Snapshot(
-            row[0],
-            row[2],
-            blocks,
-            self._shaped(row, 12, "covariance", n, n),
-            None if row[13] is None else self._array(row, 13, "mean"),
-            None if row[14] is None else self._shaped(row, 14, "error", n),
+        if row.cells[3] is not None:
+            correction = self._shaped(row, 3, self._size)
+        if row.cells[4] is not None:
+            gain = self._shaped(row, 4, self._size, m)
+        return Update(
+            *(row.number, row.time_s, row.text, row.blocks or (), residual, h, r, bool(row.used)),
+            *(correction, gain, self._own(row, 5), self._own(row, 6), self._weight(row, 7)),
         )
 
-    def _directions(self, row: Row) -> Directions:
-        blocks, n = self._named(row)
-        note = _json(row[15])
-        names = blind = None
-        if isinstance(note, dict):
-            names, blind = _distinct(note.get("names")), _distinct(note.get("blind"))
-        if not names or not blind:
-            self._refuse(row[0], "note is not {names: [...], blind: [...]}, both not empty")
-        basis = self._shaped(row, 6, "jacobian", n, len(names))
-        return Directions(row[0], row[2], blocks, basis, names, blind)
+    def _augment(self, row: Row) -> Augment:
+        n = self._on(row)
+        name, d, chart = self._new(row)
+        m = math.isqrt(len(self._flat(row, 1)))
+        g_x, g_z = self._shaped(row, 0, d, n), self._shaped(row, 2, d, m)
+        r = self._covariance(row, 1, "noise (R)", m)
+        self._dims[name], self._charts[name] = d, chart
+        self._changed(row.number)
+        points = self._own(row, 3), self._own(row, 4), self._own(row, 5)
+        weight = self._weight(row, 6)
+        return Augment(
+            *(row.number, row.time_s, name, row.blocks or (), g_x, g_z, r, *points, weight, chart)
+        )
 
-    def _named(self, row: Row) -> tuple[Blocks, int]:
-        """Blocks that an event is on, and how many entries they have together."""
-        text = row[4]
-        found = self._blocks.get(text)
+    def _clone(self, row: Row) -> Clone:
+        d, blocks = self._on(row), row.blocks or ()
+        if len(blocks) != 1:
+            self._refuse(row.number, f"clones {len(blocks)} blocks, expected one")
+        name = self._unused(row.number, row.text)
+        self._dims[name], self._charts[name] = d, self._charts[blocks[0]]
+        self._changed(row.number)
+        return Clone(row.number, row.time_s, name, blocks[0])
+
+    def _remove(self, row: Row) -> Remove:
+        self._on(row)
+        blocks = row.blocks or ()
+        for name in blocks:
+            del self._dims[name], self._charts[name]
+        if not self._dims:
+            self._refuse(row.number, "removes the last block of the state")
+        self._changed(row.number)
+        return Remove(row.number, row.time_s, blocks)
+
+    def _reset(self, row: Row) -> Reset:
+        n = self._on(row)
+        return Reset(row.number, row.time_s, row.blocks or (), self._shaped(row, 0, n, n))
+
+    def _snapshot(self, row: Row) -> Snapshot:
+        n = self._on(row)
+        p, error = self._shaped(row, 0, n, n), None
+        if row.cells[2] is not None:
+            error = self._shaped(row, 2, n)
+        return Snapshot(row.number, row.time_s, row.blocks or (), p, self._own(row, 1), error)
+
+    def _directions(self, row: Row) -> Directions:
+        n = self._on(row)
+        names = blind = None
+        if isinstance(row.text, dict):
+            names, blind = distinct(row.text.get("names")), distinct(row.text.get("blind"))
+        if not names or not blind:
+            self._refuse(row.number, "text is not {names: [...], blind: [...]}, both not empty")
+        basis = self._shaped(row, 0, n, len(names))
+        return Directions(row.number, row.time_s, row.blocks or (), basis, names, blind)
+
+    def _on(self, row: Row) -> int:
+        """How many entries the blocks of an event have together."""
+        blocks = row.blocks
+        if not blocks:
+            self._refuse(row.number, "blocks are no list of distinct names")
+        found = self._named.get(blocks)
         if found is None:
-            names = texts(text)
-            if not names:
-                self._refuse(row[0], f"blocks {shown(text)}, expected a list of distinct names")
-            for name in names:
+            for name in blocks:
                 if name not in self._dims:
-                    self._refuse(row[0], f"block {shown(name)} is not in the state at that time")
-            if len(self._blocks) == _MOST_TEXTS:
-                self._blocks.clear()
-            found = self._blocks[text] = names, sum(self._dims[name] for name in names)
+                    fault = f"block {shown(name)} is not in the state at that time"
+                    self._refuse(row.number, fault)
+            if len(self._named) == _MOST_NAMED:
+                self._named.clear()
+            found = self._named[blocks] = sum(self._dims[name] for name in blocks)
         return found
 
-    def _new(self, row: Row) -> tuple[str, int]:
-        """Name and dimension of a block that begins."""
-        note = _json(row[15])
-        name, dim = note if isinstance(note, list) and len(note) == 2 else (None, None)
-        if type(dim) is not int or not 0 < dim <= MOST_ENTRIES:
-            self._refuse(row[0], f"note {shown(row[15])}, expected a name and a dimension")
-        return self._unused(row[0], name), dim
+    def _new(self, row: Row) -> tuple[str, int, str]:
+        """Name, dimension and chart of a block that begins."""
+        text = row.text
+        name, dim, chart = text if isinstance(text, list) and len(text) == 3 else (None,) * 3
+        if type(dim) is not int or not 0 < dim <= MOST_ENTRIES or not _all_charts([chart]):
+            fault = f"text {shown(text)}, expected a name, a dimension and a chart"
+            self._refuse(row.number, fault)
+        return self._unused(row.number, name), dim, str(chart)
 
     def _unused(self, number: int, name: Any) -> str:
         if not isinstance(name, str):
@@ -255,59 +277,66 @@ class EventReader:
 
     def _changed(self, number: int) -> None:
         """Take note of another set of blocks."""
-        self._blocks.clear()
+        self._named.clear()
         self._size = sum(self._dims.values())
         if self._size > MOST_ENTRIES:
             self._refuse(number, f"makes the state larger than {MOST_ENTRIES} entries")
 
-    def _before(self, row: Row) -> dict[str, Array]:
-        """Matrices of the event before of the same kind and sensor, if it was on these blocks."""
-        key = row[1], row[3]
-        found = self._last.get(key)
-        if found is None or found[0] != row[4]:
-            found = self._last[key] = row[4], {}
-        return found[1]
+    def _weight(self, row: Row, column: int) -> float:
+        """A share of a measurement's information; all of it where none is stored."""
+        if row.cells[column] is None:
+            return 1.0
+        (weight,) = self._shaped(row, column, 1).tolist()
+        if not 0.0 <= weight <= 1.0:
+            self._refuse(row.number, f"weight is {weight:g}, expected 0 to 1")
+        return float(weight)
 
-    def _repeated(
-        self, before: dict[str, Array], row: Row, column: int, name: str, *shape: int
+    def _own(self, row: Row, column: int) -> Array | None:
+        """Numbers of any count (k,), if they are stored."""
+        return None if row.cells[column] is None else self._flat(row, column)
+
+    def _covariance(
+        self, row: Row, column: int, name: str, n: int, *, definite: bool = False
     ) -> Array:
-        """A matrix, or that of the event before."""
-        if row[column] is not None:
-            found = before[name] = self._shaped(row, column, name, *shape)
-            return found
-        same = before.get(name)
-        if same is None or same.shape != shape:
-            self._refuse(
-                row[0],
-                f"{name} is missing, and the event before of this kind, sensor and blocks has "
-                f"none that is {' x '.join(map(str, shape))}",
-            )
-        return same
-
-    def _shaped(self, row: Row, column: int, name: str, *shape: int) -> Array:
-        found = self._array(row, column, name)
-        if len(found) != math.prod(shape):
-            self._refuse(
-                row[0], f"{name} has {len(found)} numbers, expected {' x '.join(map(str, shape))}"
-            )
-        return found.reshape(shape)
-
-    def _array(self, row: Row, column: int, name: str) -> Array:
-        """The numbers (n,) of a blob."""
-        blob = row[column]
-        if not isinstance(blob, bytes) or len(blob) % 8:
-            self._refuse(row[0], f"{name} is not a blob of float64 numbers")
-        found: Array = np.frombuffer(blob, "<f8")
-        self._bytes += len(blob)
-        if not math.isfinite(found.dot(found)):
-            self._refuse(row[0], f"{name} has a number that is not finite, or too large")
+        """A covariance (n, n), which is checked with others."""
+        found = self._shaped(row, column, n, n)
+        own, flag = row.cells[column], 1 + definite
+        if own is not None and not own.checked & flag and found.size:
+            own.checked |= flag
+            self._unchecked.append((row.number, name, definite, found))
         return found
+
+    def _shaped(self, row: Row, column: int, *shape: int) -> Array:
+        """A matrix, the same one each time that it is stored once."""
+        own = row.cells[column]
+        if own is not None and own.matrix is not None and own.matrix.shape == shape:
+            return own.matrix
+        flat = self._flat(row, column)
+        if flat.size != math.prod(shape):
+            name = COLUMNS[row.kind][column]
+            expected = " x ".join(map(str, shape))
+            self._refuse(row.number, f"{name} has {flat.size} numbers, expected {expected}")
+        found = flat.reshape(shape)
+        assert own is not None  # noqa: S101 - or it had no numbers
+        own.matrix = found
+        return found
+
+    def _flat(self, row: Row, column: int) -> Array:
+        """The numbers (n,) of a matrix."""
+        own, name = row.cells[column], COLUMNS[row.kind][column]
+        if own is None:
+            self._refuse(row.number, f"{name} is missing")
+        if own.matrix is None:
+            fault = f"{name} is no numbers, or has one that is not finite or too large"
+            self._refuse(row.number, fault)
+        return own.matrix.reshape(-1)
 
     def _check_covariances(self) -> None:
         """Raise InputError for the first noise or prior that no sound filter has."""
         alike = defaultdict(list)
         for number, name, definite, matrix in self._unchecked:
             alike[name, definite, len(matrix)].append((number, matrix))
+        self._unchecked = []
         faults = []
         for (name, definite, n), ones in alike.items():
             stack = np.concatenate([matrix for _, matrix in ones]).reshape(-1, n, n)
@@ -375,37 +404,29 @@ def _factored(stack: Array) -> Mask:
     return np.ones(len(stack), dtype=bool)
 
 
-def texts(text: Any) -> tuple[str, ...] | None:
-    """A list of distinct texts out of JSON; None where it is none."""
-    return _distinct(_json(text))
-
-
-def _distinct(found: Any) -> tuple[str, ...] | None:
+def distinct(found: Any) -> Blocks | None:
+    """A list of distinct texts; None where it is none."""
     if not isinstance(found, list) or not all(isinstance(one, str) for one in found):
         return None
     return tuple(found) if len(set(found)) == len(found) else None
 
 
-def _counts(text: Any) -> tuple[int, ...] | None:
-    """A list of positive whole numbers out of JSON; None where it is none."""
-    found = _json(text)
-    if not isinstance(found, list):
-        return None
-    sound = all(type(one) is int and 0 < one <= MOST_ENTRIES for one in found)
-    return tuple(found) if sound else None
+def _pair(text: Any) -> tuple[Any, Any]:
+    return (text[0], text[1]) if isinstance(text, list) and len(text) == 2 else (None, None)
 
 
-def _json(text: Any) -> Any:
-    """What a text in JSON says; None where it is none, or beyond what names take."""
-    if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
-        return None
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
-        return None
+def _counts(found: Any) -> bool:
+    """Whether it is a list of positive whole numbers."""
+    return isinstance(found, list) and all(
+        type(one) is int and 0 < one <= MOST_ENTRIES for one in found
+    )
+
+
+def _all_charts(found: Any) -> bool:
+    return isinstance(found, list) and all(isinstance(one, str) and one in CHARTS for one in found)
 
 
 def shown(value: Any) -> str:
-    """A value of a column, short and on one line."""
-    short = value[:40] if isinstance(value, str | bytes) else value
-    return printable(repr(short))[:60]
+    """A value of a file, short and on one line."""
+    short = value[:40] if isinstance(value, str | bytes | list) else value
+    return printable(repr(short)[:60])

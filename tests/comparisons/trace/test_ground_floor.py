@@ -19,10 +19,10 @@ HOUSE = ("comparisons", "ekf_reference", "graphslam", "slamcheck")
 print(*(name for name in sys.modules if name.split(".")[0] in HOUSE))
 """
 _AUDIT = """
-from slamcheck.__main__ import main
+import runpy
 sys.argv = ["slamcheck", "audit", {trace!r}, "--out", {out!r}, "--quiet"]
 try:
-    main()
+    runpy.run_module("slamcheck", run_name="__main__")
 except SystemExit as done:
     assert done.code == 1, done.code
 """
