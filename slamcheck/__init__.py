@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from comparisons.pipeline.solve import Solution as Solution
     from comparisons.settings import run_config as run_config
     from comparisons.trace.recorder import Recorder as Recorder
+    from comparisons.trace.wrapping import record as record
     from ekf_reference.core.ekf import Ekf as Ekf
     from ekf_reference.filters.compressed import CompressedEkf as CompressedEkf
     from ekf_reference.filters.misono import DirectionCosineEkf as DirectionCosineEkf
@@ -87,6 +88,7 @@ _PLACES = {
     "montecarlo": "comparisons.experiments.montecarlo.study",
     "planar_directions": "comparisons.audit.directions",
     "read_estimate": "comparisons.estimates.external:read_external",
+    "record": "comparisons.trace.wrapping",
     "run_config": "comparisons.settings",
     "write_estimate": "comparisons.estimates.folder",
     "write_log": "comparisons.logs.log_folder:write_log_folder",
@@ -124,6 +126,7 @@ __all__ = [
     "odometry",
     "planar_directions",
     "read_estimate",
+    "record",
     "run_config",
     "solve",
     "write_estimate",
