@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 from benchmarks.defects import interval
 from comparisons.audit.audit import Finding, audit
-from comparisons.audit.events import Snapshot
-from comparisons.audit.trace_file import Trace
+from comparisons.trace.events import Snapshot
+from comparisons.trace.reader import Trace
 from examples.audit.faults import Fault, Planted
 
 FILTERS = ("filterpy_ekf", "navlie_se3", "gtsam_filters", "msckf")

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from comparisons.audit.audit import audit
-from comparisons.audit.recorder import Recorder
-from comparisons.audit.trace_file import Trace
+from comparisons.trace.reader import Trace
+from comparisons.trace.recorder import Recorder
 
 Array = NDArray[np.float64]
 

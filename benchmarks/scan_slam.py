@@ -24,7 +24,6 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from comparisons.checks.accuracy import aligned
-from comparisons.checks.quantiles import chi2_quantile
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.accuracy import error_of_points
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
@@ -37,6 +36,7 @@ from comparisons.logs.simulate.scan_drive import ScanExperiment, scan_slam, simu
 from comparisons.logs.simulate.scanners import Planar
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.settings import run_config
+from comparisons.statistics import chi2_quantile
 from ekf_reference.scan_matching.alignment_covariance import scan_align
 from ekf_reference.scan_matching.scan_shape import of_scan
 from graphslam.scan import planar

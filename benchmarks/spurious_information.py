@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.audit.events import Directions, Event, Prior
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.experiments.montecarlo.plots import colour_of
@@ -27,6 +26,7 @@ from comparisons.experiments.scenarios.world import World, build_world, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf, InvariantEkf
 from comparisons.experiments.variants.recorded_state import record
 from comparisons.report.picture import blank, save
+from comparisons.trace.events import Directions, Event, Prior
 from ekf_reference.core.geometry import wrap_angle
 
 ROWS = (100, 500, 1000, 2500)

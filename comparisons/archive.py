@@ -12,8 +12,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from comparisons.errors import InputError
-from comparisons.files import check_regular
+from comparisons.errors import InputError, check_regular
 
 _MOST_BYTES = 2**32
 _MOST_TEXT = 1000

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import functools
 import hashlib
+import json
 import os
 import platform
 import re
@@ -19,12 +20,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from comparisons.errors import InputError
-from comparisons.files import check_regular
+from comparisons.errors import InputError, check_regular
 
 _OLD_S = 3600.0
 _PREFIX = f".slamcheck-{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"
 _NAME = re.compile(r"\.slamcheck-[0-9a-f]{8}-[0-9a-f]{16}")
+_RESULTS = ("result", "solution", "check", "odometry", "map", "audit")
 _NEW, _OLD = "new", "old"
 
 
@@ -88,6 +89,17 @@ def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -
             f"{target}: already holds {strange[0]}; give a new folder or empty this one"
         )
     return full
+
+
+def known_files(folder: Path) -> frozenset[str]:
+    """What an earlier job left in a folder, by its own account; empty where there is none."""
+    for name in _RESULTS:
+        try:
+            found = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+            return frozenset(str(file) for file in found["files"])
+        except (OSError, ValueError, TypeError, KeyError, RecursionError):
+            continue
+    return frozenset()
 
 
 def check_above(path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import suppress
+from pathlib import Path
 
 
 class InputError(ValueError):
@@ -32,3 +33,12 @@ def note(text: str) -> None:
 def printable(text: str) -> str:
     """Text without control characters or broken code points, which a terminal might obey."""
     return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def check_regular(path: Path) -> None:
+    """Raise InputError where there is something that is not a regular file, such as a folder.
+
+    A pipe or a device may never end.
+    """
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a regular file")

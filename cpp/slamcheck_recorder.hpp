@@ -2,6 +2,9 @@
 //
 //   c++ -std=c++17 filter.cpp -lsqlite3
 //
+// On a machine without sqlite3, define SLAMCHECK_NO_SQLITE and record to a file whose name ends in
+// .events, which slamcheck reads as well.
+//
 //   slamcheck::Recorder record("run.trace");
 //   record.prior({{"position", 2}, {"velocity", 2}}, P);
 //   record.predict(F, Q);
@@ -15,16 +18,21 @@
 // Calls of one recorder must not overlap. docs/audit-format.md describes the file.
 #pragma once
 
+#ifndef SLAMCHECK_NO_SQLITE
 #include <sqlite3.h>
+#endif
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
+#include <cstring>
 #include <initializer_list>
 #include <limits>
 #include <map>
+#include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -132,11 +140,135 @@ struct Sensor {
   std::vector<std::string> components;
 };
 
+// What slamcheck check needs of an event beside what the filter used. point: its blocks' own
+// numbers, about which it was linearised; of a prediction those before it. after: what it leads to,
+// of a prediction or a new block. numbers: of what was measured, in the log. weight: below 1 for a
+// part of a measurement. chart: of a new block's error, see docs/audit-format.md.
+struct About {
+  Vector point, after, numbers;
+  std::optional<double> weight;
+  std::string chart = "additive";
+};
+
+namespace detail {
+
+// Where batches go: a file, one after the other. What is written when it fails is left out.
+class RawFile {
+ public:
+  RawFile(const std::string& path, const std::string& sensors)
+      : file_(std::fopen(path.c_str(), "ab")) {
+    std::string head = "slamcheck events";
+    const std::int64_t numbers[2] = {2, static_cast<std::int64_t>(sensors.size())};
+    head.append(reinterpret_cast<const char*>(numbers), sizeof numbers);
+    put(head + sensors);
+  }
+  RawFile(const RawFile&) = delete;
+  RawFile& operator=(const RawFile&) = delete;
+  ~RawFile() {
+    if (file_) std::fclose(file_);
+  }
+
+  void add(const std::int64_t (&counts)[4], const std::string& state, const std::string& data) {
+    std::string head(reinterpret_cast<const char*>(counts), sizeof counts);
+    const std::int64_t sizes[2] = {static_cast<std::int64_t>(state.size()),
+                                   static_cast<std::int64_t>(data.size())};
+    head.append(reinterpret_cast<const char*>(sizes), sizeof sizes);
+    put(head + state);
+    put(data);
+  }
+
+  // A child of a fork leaves its parent's file alone.
+  void abandon() { file_ = nullptr; }
+
+ private:
+  void put(const std::string& bytes) {
+    if (!file_ || std::fwrite(bytes.data(), 1, bytes.size(), file_) != bytes.size() ||
+        std::fflush(file_) != 0) {
+      throw std::runtime_error(std::strerror(errno));
+    }
+  }
+
+  std::FILE* file_;
+};
+
+#ifndef SLAMCHECK_NO_SQLITE
+// Where batches go: an SQLite file, each in a transaction.
+class Database {
+ public:
+  explicit Database(const std::string& path) {
+    const int flags = SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
+    try {
+      check(sqlite3_open_v2(path.c_str(), &file_, flags, nullptr));
+      sqlite3_busy_timeout(file_, 5000);
+      execute("PRAGMA page_size = 32768; PRAGMA synchronous = OFF; PRAGMA cache_spill = OFF;"
+              "PRAGMA application_id = 1397506388; PRAGMA user_version = 2; BEGIN;"
+              "CREATE TABLE batch (first INTEGER PRIMARY KEY, events INTEGER NOT NULL, "
+              "updates INTEGER NOT NULL, snapshots INTEGER NOT NULL, state TEXT NOT NULL, "
+              "data BLOB NOT NULL);"
+              "CREATE TABLE sensor (name TEXT PRIMARY KEY, gate REAL, components TEXT)");
+    } catch (...) {
+      sqlite3_close(file_);
+      throw;
+    }
+  }
+  Database(const Database&) = delete;
+  Database& operator=(const Database&) = delete;
+  ~Database() { sqlite3_close(file_); }
+
+  void sensor(const std::string& name, const std::optional<double>& gate,
+              const std::string& components) {
+    insert("INSERT OR REPLACE INTO sensor VALUES (?, ?, ?)", [&](sqlite3_stmt* row) {
+      text(row, 1, name);
+      if (gate) check(sqlite3_bind_double(row, 2, *gate));
+      if (!components.empty()) text(row, 3, components);
+    });
+  }
+
+  void commit() { execute("COMMIT"); }
+
+  void add(const std::int64_t (&counts)[4], const std::string& state, const std::string& data) {
+    execute("BEGIN IMMEDIATE");
+    insert("INSERT INTO batch VALUES (?, ?, ?, ?, ?, ?)", [&](sqlite3_stmt* row) {
+      for (int i = 0; i < 4; ++i) check(sqlite3_bind_int64(row, i + 1, counts[i]));
+      text(row, 5, state);
+      check(sqlite3_bind_blob64(row, 6, data.data(), data.size(), SQLITE_STATIC));
+    });
+    execute("COMMIT");
+  }
+
+  void abandon() { file_ = nullptr; }
+
+ private:
+  template <class Bind>
+  void insert(const char* sql, const Bind& bind) {
+    sqlite3_stmt* row = nullptr;
+    check(sqlite3_prepare_v2(file_, sql, -1, &row, nullptr));
+    const std::unique_ptr<sqlite3_stmt, int (*)(sqlite3_stmt*)> kept(row, sqlite3_finalize);
+    bind(row);
+    const int code = sqlite3_step(row);
+    if (code != SQLITE_DONE) check(code);
+  }
+  void text(sqlite3_stmt* row, int column, const std::string& value) {
+    check(sqlite3_bind_text64(row, column, value.data(), value.size(), SQLITE_STATIC,
+                              SQLITE_UTF8));
+  }
+  void execute(const char* sql) { check(sqlite3_exec(file_, sql, nullptr, nullptr, nullptr)); }
+  void check(int code) {
+    if (code == SQLITE_OK) return;
+    throw std::runtime_error(file_ ? sqlite3_errmsg(file_) : sqlite3_errstr(code));
+  }
+
+  sqlite3* file_ = nullptr;
+};
+#endif
+
+}  // namespace detail
+
 class Recorder {
  public:
   using Names = std::vector<std::string>;
 
-  // Starts a file, which must not exist.
+  // Starts a file, which must not exist: in SQLite, or without it where its name ends in .events.
   explicit Recorder(const std::string& path, const std::vector<Sensor>& sensors = {})
       : path_(path) {
     for (const Sensor& one : sensors) {
@@ -172,7 +304,7 @@ class Recorder {
 
   // Commits what is recorded and closes the file.
   void close() {
-    if (!file_) return;
+    if (!is_open()) return;
     commit();
     release();
   }
@@ -180,8 +312,30 @@ class Recorder {
   // Writes what is recorded so far; it is done by itself every 2,000 events or 16 MiB.
   void commit() {
     check_open();
-    if (pending_) execute("COMMIT");
-    pending_ = pending_bytes_ = 0;
+    if (rows_.empty()) return;
+    const std::int64_t counts[4] = {first_, number_ - first_, updates_, snapshots_};
+    std::string state = "[";
+    for (const std::string& name : order_) {
+      const Block& one = dims_.at(name);
+      state += (state.size() > 1 ? ", [" : "[") + quoted(name) + ", " + std::to_string(one.dim) +
+               ", " + quoted(one.chart) + "]";
+    }
+    state += "]";
+    const std::string data = pack();
+    writing([&] {
+#ifndef SLAMCHECK_NO_SQLITE
+      if (database_) database_->add(counts, state, data);
+#endif
+      if (raw_) raw_->add(counts, padded(state, ' '), data);
+    });
+    first_ = number_;
+    rows_.clear();
+    texts_.clear();
+    spoken_.clear();
+    matrices_.clear();
+    stored_.clear();
+    updates_ = snapshots_ = 0;
+    pending_bytes_ = 0;
   }
 
   // Sets the time of the events that follow, in the filter's own clock.
@@ -190,18 +344,26 @@ class Recorder {
     time_s_ = time_s;
   }
 
-  // The first covariance. blocks: names and dimensions, in the state's order.
-  void prior(const std::vector<std::pair<std::string, std::size_t>>& blocks, const Matrix& P) {
+  // The first covariance. blocks: names and dimensions, in the state's order. point: the estimate,
+  // in the filter's own numbers. charts: of blocks whose error is not added to their numbers.
+  void prior(const std::vector<std::pair<std::string, std::size_t>>& blocks, const Matrix& P,
+             const Vector& point = {}, const std::map<std::string, std::string>& charts = {}) {
     check_open();
     if (!order_.empty()) fail_event("is a second prior; a filter that begins anew has a new trace");
     Names names;
-    std::string dims;
+    std::string dims, named;
     std::size_t size = 0;
-    std::unordered_map<std::string, std::size_t> found;
+    std::unordered_map<std::string, Block> found;
     for (const auto& [name, dim] : blocks) {
       check_name(name);
       if (dim == 0 || dim > most_entries) fail_event("a block's dimension is out of range");
-      if (!found.emplace(name, dim).second) fail_event("block " + quoted(name) + " is given twice");
+      const auto chart = charts.find(name);
+      const Block block{dim, chart == charts.end() ? "additive" : chart->second};
+      check_chart(block.chart);
+      if (!found.emplace(name, block).second) {
+        fail_event("block " + quoted(name) + " is given twice");
+      }
+      named += (named.empty() ? "" : ", ") + quoted(block.chart);
       names.push_back(name);
       dims += (dims.empty() ? "" : ", ") + std::to_string(dim);
       size += dim;
@@ -209,107 +371,101 @@ class Recorder {
     if (names.empty()) fail_event("a prior has no blocks");
     check_size(size);
     expect("P", P, size, size);
-    Row row = start("prior", json(names));
-    row.blob(covariance, P.values());
-    row.text(note, "[" + dims + "]");
-    finish(row);
     order_ = names;
     dims_ = found;
     size_ = size;
+    put(kind_prior, text(json(names)), {&P.values(), some(point)},
+        text("[[" + dims + "], [" + named + "]]"));
   }
 
   // A prediction of some blocks: e' = F e + w, w ~ N(0, Q); both (n, n).
-  void predict(const Matrix& F, const Matrix& Q, const Names& blocks = {}) {
-    const auto [text, n] = on(blocks);
+  void predict(const Matrix& F, const Matrix& Q, const Names& blocks = {},
+               const About& about = {}) {
+    const auto [spoken, n] = on(blocks);
     expect("F", F, n, n);
     expect("Q", Q, n, n);
-    Row row = start("predict", text);
-    repeated(row, "predict", "", text, {{jacobian, &F}, {noise, &Q}});
-    finish(row);
+    put(kind_predict, text(spoken), {&F.values(), &Q.values(), some(about.point), some(about.after)});
   }
 
   // A measurement that the filter used: residual = H e + v, v ~ N(0, R), residual = measured minus
   // predicted (m), H (m, n), R (m, m). correction: (N) what was added to the estimate of all
   // blocks; gain: (N, m). Both may be left empty.
   void update(const std::string& sensor, const Vector& residual, const Matrix& H, const Matrix& R,
-              const Names& blocks = {}, const Vector& correction = {}, const Matrix& gain = {}) {
-    measured(sensor, residual, H, R, blocks, true, correction, gain);
+              const Names& blocks = {}, const Vector& correction = {}, const Matrix& gain = {},
+              const About& about = {}) {
+    measured(sensor, residual, H, R, blocks, true, correction, gain, about);
   }
 
   // A measurement that the filter's gate rejected; arguments as of update().
   void reject(const std::string& sensor, const Vector& residual, const Matrix& H, const Matrix& R,
-              const Names& blocks = {}) {
-    measured(sensor, residual, H, R, blocks, false, {}, {});
+              const Names& blocks = {}, const About& about = {}) {
+    measured(sensor, residual, H, R, blocks, false, {}, {}, about);
   }
 
   // A new block, behind all others: e_new = G_x e + G_z v, v ~ N(0, R). G_x (d, n), G_z (d, m).
   void augment(const std::string& name, const Matrix& G_x, const Matrix& G_z, const Matrix& R,
-               const Names& blocks = {}) {
-    const auto [text, n] = on(blocks);
+               const Names& blocks = {}, const About& about = {}) {
+    const auto [spoken, n] = on(blocks);
     const std::size_t d = G_z.row_count(), m = G_z.column_count();
     if (d == 0) fail_event("G_z has no rows");
     check_new(name, d);
+    check_chart(about.chart);
     expect("G_x", G_x, d, n);
     expect("R", R, m, m);
-    Row row = start("augment", text);
-    repeated(row, "augment", "", text, {{jacobian, &G_x}, {noise, &R}, {noise_jacobian, &G_z}});
-    row.text(note, "[" + quoted(name) + ", " + std::to_string(d) + "]");
-    finish(row);
-    add(name, d);
+    const int at = text(spoken);
+    add(name, {d, about.chart});
+    const std::vector<double> weight(about.weight ? 1 : 0, about.weight.value_or(1.0));
+    put(kind_augment, at,
+        {&G_x.values(), &R.values(), &G_z.values(), some(about.point), some(about.after),
+         some(about.numbers), weight.empty() ? nullptr : &weight},
+        text("[" + quoted(name) + ", " + std::to_string(d) + ", " + quoted(about.chart) + "]"));
   }
 
   // A copy of a block, behind all others.
   void clone(const std::string& source, const std::string& name) {
-    const auto [text, d] = on({source});
+    const auto [spoken, d] = on({source});
     check_new(name, d);
-    Row row = start("clone", text);
-    row.text(note, name);
-    finish(row);
-    add(name, d);
+    const int at = text(spoken);
+    add(name, dims_.at(source));
+    put(kind_clone, at, {}, text(quoted(name)));
   }
 
   // Blocks that are marginalised out.
   void remove(const Names& names) {
     if (names.empty()) fail_event("a removal has no blocks");
-    const auto [text, n] = on(names);
+    const auto [spoken, n] = on(names);
     if (names.size() == order_.size()) fail_event("removes the last block of the state");
-    Row row = start("remove", text);
-    finish(row);
+    const int at = text(spoken);
     for (const std::string& name : names) {
       dims_.erase(name);
       order_.erase(std::find(order_.begin(), order_.end(), name));
     }
     size_ -= n;
-    last_.clear();  // a block of this name may begin with another dimension
+    put(kind_remove, at, {});
   }
 
   // The error is expressed anew, as after an error-state correction: e' = J e, J (n, n).
   void reset(const Matrix& J, const Names& blocks = {}) {
-    const auto [text, n] = on(blocks);
+    const auto [spoken, n] = on(blocks);
     expect("J", J, n, n);
-    Row row = start("reset", text);
-    repeated(row, "reset", "", text, {{jacobian, &J}});
-    finish(row);
+    put(kind_reset, text(spoken), {&J.values()});
   }
 
   // The filter's covariance (n, n) after the last event. mean: the estimate, in the filter's own
   // numbers; error: (n) truth minus estimate. Both may be left empty.
   void snapshot(const Matrix& P, const Names& blocks = {}, const Vector& mean = {},
                 const Vector& error = {}) {
-    const auto [text, n] = on(blocks);
+    const auto [spoken, n] = on(blocks);
     expect("P", P, n, n);
     if (!error.values().empty()) expect("error", error, n);
-    Row row = start("snapshot", text);
-    row.blob(covariance, P.values());
-    if (!mean.values().empty()) row.blob(mean_column, mean.values());
-    if (!error.values().empty()) row.blob(error_column, error.values());
-    finish(row);
+    ++snapshots_;
+    put(kind_snapshot, text(spoken), {&P.values(), some(mean), some(error)});
   }
 
   // Directions (n) of the error that some sensors cannot tell, by name: once, at the beginning.
   void directions(const std::vector<std::pair<std::string, Vector>>& basis, const Names& blind,
                   const Names& blocks = {}) {
-    const auto [text, n] = on(blocks);
+    const auto [spoken, n] = on(blocks);
     if (basis.empty() || blind.empty()) fail_event("directions or sensors are missing");
     Names names;
     std::vector<double> columns(n * basis.size());
@@ -322,149 +478,178 @@ class Recorder {
     }
     check_distinct(names);
     check_distinct(blind);
-    Row row = start("directions", text);
-    row.blob(jacobian, columns);
-    row.text(note, "{\"names\": " + json(names) + ", \"blind\": " + json(blind) + "}");
-    finish(row);
+    put(kind_directions, text(spoken), {&columns},
+        text("{\"names\": " + json(names) + ", \"blind\": " + json(blind) + "}"));
   }
 
  private:
-  // Columns of the table, counted from 1.
-  enum Column {
-    number_column = 1, kind_column, time_column, sensor_column, blocks_column, used_column,
-    jacobian, noise, noise_jacobian, residual_column, correction_column, gain_column, covariance,
-    mean_column, error_column, note
+  // In the order of docs/audit-format.md.
+  enum Kind : std::uint8_t {
+    kind_prior, kind_predict, kind_update, kind_augment, kind_clone, kind_remove, kind_reset,
+    kind_snapshot, kind_directions
   };
-  static constexpr std::size_t most_entries = 20000, commit_events = 2000;
+  using Numbers = std::vector<double>;
+  static constexpr std::size_t most_entries = 20000, commit_events = 2000, most_columns = 8;
   static constexpr std::size_t commit_bytes = std::size_t{1} << 24;
 
-  // An event in the making: values of its columns, those left out are NULL.
+  struct Block {
+    std::size_t dim;
+    std::string chart;
+  };
+
+  // A row of a batch's table.
   struct Row {
-    sqlite3_stmt* insert;
-    int status = SQLITE_OK;
-    std::size_t bytes = 0;
-
-    void took(int code) {
-      if (status == SQLITE_OK) status = code;
-    }
-    void blob(Column column, const std::vector<double>& values) {
-      static const double nothing = 0.0;
-      const std::size_t size = 8 * values.size();
-      const double* data = values.empty() ? &nothing : values.data();
-      took(sqlite3_bind_blob64(insert, column, data, size, SQLITE_TRANSIENT));
-      bytes += size;
-    }
-    void text(Column column, const std::string& value) {
-      took(sqlite3_bind_text64(insert, column, value.data(), value.size(), SQLITE_TRANSIENT,
-                               SQLITE_UTF8));
-      bytes += value.size();
-    }
+    double time_s;
+    std::uint8_t kind, used, nothing[2];
+    std::int32_t blocks, text, matrices[most_columns], rest;
   };
-
-  // The matrices of the last event of a kind and sensor, and the blocks it was on.
-  struct Last {
-    std::string blocks;
-    std::vector<std::vector<double>> matrices;
-  };
+  static_assert(sizeof(Row) == 56, "a row has no gaps");
 
   void open(const std::vector<Sensor>& sensors) {
-    const int flags = SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
-    check(sqlite3_open_v2(path_.c_str(), &file_, flags, nullptr));
-    sqlite3_busy_timeout(file_, 5000);
-    execute("PRAGMA page_size = 32768; PRAGMA synchronous = OFF; PRAGMA cache_spill = OFF;"
-            "PRAGMA application_id = 1397506388; PRAGMA user_version = 1");
-    execute("BEGIN");
-    execute("CREATE TABLE event (number INTEGER PRIMARY KEY, kind TEXT NOT NULL, time_s REAL, "
-            "sensor TEXT, blocks TEXT NOT NULL, used INTEGER, jacobian BLOB, noise BLOB, "
-            "noise_jacobian BLOB, residual BLOB, correction BLOB, gain BLOB, covariance BLOB, "
-            "mean BLOB, error BLOB, note TEXT)");
-    execute("CREATE TABLE sensor (name TEXT PRIMARY KEY, gate REAL, components TEXT)");
-    check(prepare("INSERT OR REPLACE INTO sensor VALUES (?, ?, ?)"));
-    for (const Sensor& one : sensors) {
-      Row row{insert_};
-      row.text(static_cast<Column>(1), one.name);
-      if (one.gate) row.took(sqlite3_bind_double(insert_, 2, *one.gate));
-      if (!one.components.empty()) row.text(static_cast<Column>(3), json(one.components));
-      insert(row);
-    }
-    execute("COMMIT");
-    sqlite3_finalize(insert_);
-    insert_ = nullptr;
-    check(prepare("INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"));
     process_ = this_process();
+    const std::string raw = ".events";
+    if (path_.size() > raw.size() &&
+        path_.compare(path_.size() - raw.size(), raw.size(), raw) == 0) {
+      std::string described = "[";
+      for (const Sensor& one : sensors) {
+        char gate[32] = "null";
+        if (one.gate) std::snprintf(gate, sizeof gate, "%.17g", *one.gate);
+        described += (described.size() > 1 ? ", [" : "[") + quoted(one.name) + ", " + gate + ", " +
+                     (one.components.empty() ? "null" : json(one.components)) + "]";
+      }
+      writing([&] {
+        raw_ = std::make_unique<detail::RawFile>(path_, padded(described + "]", ' '));
+      });
+      return;
+    }
+#ifdef SLAMCHECK_NO_SQLITE
+    fail("expected a name that ends in .events, for there is no SQLite");
+#else
+    writing([&] {
+      database_ = std::make_unique<detail::Database>(path_);
+      for (const Sensor& one : sensors) {
+        const std::string parts = one.components.empty() ? "" : json(one.components);
+        database_->sensor(one.name, one.gate, parts);
+      }
+      database_->commit();
+    });
+#endif
   }
 
   void measured(const std::string& sensor, const Vector& residual, const Matrix& H,
                 const Matrix& R, const Names& blocks, bool used, const Vector& correction,
-                const Matrix& gain) {
+                const Matrix& gain, const About& about) {
     check_name(sensor);
-    const auto [text, n] = on(blocks);
+    const auto [spoken, n] = on(blocks);
     const std::size_t m = residual.values().size();
     if (m == 0) fail_event("residual is empty");
     expect("H", H, m, n);
     expect("R", R, m, m);
     if (!correction.values().empty()) expect("correction", correction, size_);
     if (!gain.values().empty()) expect("gain", gain, size_, m);
-    Row row = start("update", text);
-    row.text(sensor_column, sensor);
-    row.took(sqlite3_bind_int(insert_, used_column, used));
-    row.blob(residual_column, residual.values());
-    if (!correction.values().empty()) row.blob(correction_column, correction.values());
-    if (!gain.values().empty()) row.blob(gain_column, gain.values());
-    repeated(row, "update", sensor, text, {{jacobian, &H}, {noise, &R}});
-    finish(row);
+    ++updates_;
+    const Numbers weight(about.weight ? 1 : 0, about.weight.value_or(1.0));
+    put(kind_update, text(spoken),
+        {&residual.values(), &H.values(), &R.values(), some(correction),
+         gain.values().empty() ? nullptr : &gain.values(), some(about.point), some(about.numbers),
+         weight.empty() ? nullptr : &weight},
+        text(quoted(sensor)), used);
   }
 
-  // The event's row, with what all kinds have.
-  Row start(const std::string& kind, const std::string& blocks) {
-    sqlite3_clear_bindings(insert_);
-    Row row{insert_};
-    row.took(sqlite3_bind_int64(insert_, number_column, number_));
-    row.text(kind_column, kind);
-    if (time_s_) row.took(sqlite3_bind_double(insert_, time_column, *time_s_));
-    row.text(blocks_column, blocks);
-    return row;
+  static const Numbers* some(const Vector& vector) {
+    return vector.values().empty() ? nullptr : &vector.values();
   }
 
-  // Binds matrices; NULL stands for one that the event before of this kind and sensor has had, if
-  // that was on the same blocks.
-  void repeated(Row& row, const std::string& kind, const std::string& sensor,
-                const std::string& blocks,
-                std::initializer_list<std::pair<Column, const Matrix*>> matrices) {
-    Last& last = last_[{kind, sensor}];
-    const bool same = last.blocks == blocks;
-    last.matrices.resize(matrices.size());
-    std::size_t k = 0;
-    for (const auto& [column, matrix] : matrices) {
-      if (!same || last.matrices[k] != matrix->values()) {
-        row.blob(column, matrix->values());
-        last.matrices[k] = matrix->values();
-      }
-      ++k;
+  // Records an event. blocks, own: texts of the batch. matrices: null for those that are not there.
+  void put(Kind kind, int blocks, std::initializer_list<const Numbers*> matrices, int own = -1,
+           bool used = false) {
+    Row row{};
+    row.time_s = time_s_.value_or(std::numeric_limits<double>::quiet_NaN());
+    row.kind = kind;
+    row.used = used;
+    row.blocks = blocks;
+    row.text = own;
+    std::fill(std::begin(row.matrices), std::end(row.matrices), -1);
+    std::size_t column = 0;
+    for (const Numbers* one : matrices) {
+      if (one) row.matrices[column] = matrix(*one);
+      ++column;
     }
-    last.blocks = blocks;
-  }
-
-  void finish(Row& row) {
-    if (pending_ == 0) execute("BEGIN");
-    insert(row);
+    rows_.push_back(row);
     ++number_;
-    ++pending_;
-    pending_bytes_ += row.bytes;
-    if (pending_ >= commit_events || pending_bytes_ >= commit_bytes) commit();
+    if (rows_.size() >= commit_events || pending_bytes_ >= commit_bytes) commit();
   }
 
-  void insert(const Row& row) {
-    check(row.status);
-    const int code = sqlite3_step(insert_);
-    sqlite3_reset(insert_);
-    if (code != SQLITE_DONE) check(code);
+  // The index of a matrix in the batch, in which each is stored once.
+  int matrix(const Numbers& values) {
+    std::string bytes(8 * values.size(), '\0');
+    if (!values.empty()) std::memcpy(bytes.data(), values.data(), bytes.size());
+    const auto found = matrices_.emplace(std::move(bytes), static_cast<int>(stored_.size()));
+    if (found.second) {
+      stored_.push_back(&found.first->first);
+      pending_bytes_ += 8 * values.size();
+    }
+    return found.first->second;
   }
 
-  void add(const std::string& name, std::size_t dim) {
+  // The index of a text, in JSON, in the batch.
+  int text(const std::string& spoken) {
+    const auto found = texts_.emplace(spoken, static_cast<int>(spoken_.size()));
+    if (found.second) spoken_.push_back(&found.first->first);
+    return found.first->second;
+  }
+
+  // The batch as docs/audit-format.md has it.
+  std::string pack() const {
+    std::string spoken = "[";
+    for (const std::string* one : spoken_) spoken += (spoken.size() > 1 ? "," : "") + *one;
+    spoken += "]";
+    const std::uint32_t head[4] = {static_cast<std::uint32_t>(rows_.size()),
+                                   static_cast<std::uint32_t>(spoken.size()),
+                                   static_cast<std::uint32_t>(stored_.size()), 0};
+    std::string data(reinterpret_cast<const char*>(head), sizeof head);
+    data.append(reinterpret_cast<const char*>(rows_.data()), sizeof(Row) * rows_.size());
+    data += padded(spoken, '\0');
+    std::string sizes;
+    std::map<std::size_t, std::vector<const std::string*>> alike;
+    for (const std::string* one : stored_) {
+      const auto size = static_cast<std::uint32_t>(one->size() / 8);
+      sizes.append(reinterpret_cast<const char*>(&size), sizeof size);
+      if (size) alike[size].push_back(one);
+    }
+    data += padded(sizes, '\0');
+    for (const auto& [size, ones] : alike) {
+      std::string mask((ones.size() * size + 7) / 8, '\0'), fresh;
+      std::size_t bit = 0;
+      for (std::size_t k = 0; k < ones.size(); ++k) {
+        for (std::size_t i = 0; i < size; ++i, ++bit) {
+          const char* number = ones[k]->data() + 8 * i;
+          if (k && std::memcmp(number, ones[k - 1]->data() + 8 * i, 8) == 0) continue;
+          mask[bit / 8] = static_cast<char>(mask[bit / 8] | (1 << bit % 8));
+          fresh.append(number, 8);
+        }
+      }
+      data += padded(mask, '\0') + fresh;
+    }
+    return data;
+  }
+
+  static std::string padded(std::string bytes, char with) {
+    bytes.append((8 - bytes.size() % 8) % 8, with);
+    return bytes;
+  }
+
+  void add(const std::string& name, const Block& block) {
     order_.push_back(name);
-    dims_[name] = dim;
-    size_ += dim;
+    dims_[name] = block;
+    size_ += block.dim;
+  }
+
+  void check_chart(const std::string& chart) const {
+    for (const char* one : {"additive", "se2", "so3 left", "so3 right", "se23 left", "se23 right"}) {
+      if (chart == one) return;
+    }
+    fail_event("there is no chart " + quoted(chart));
   }
 
   // Blocks as they are stored, and how many entries they have together.
@@ -477,7 +662,7 @@ class Recorder {
     for (const std::string& name : blocks) {
       const auto found = dims_.find(name);
       if (found == dims_.end()) fail_event("block " + quoted(name) + " is not in the state");
-      size += found->second;
+      size += found->second.dim;
     }
     return {json(blocks), size};
   }
@@ -560,23 +745,27 @@ class Recorder {
     return found + "]";
   }
 
-  int prepare(const char* sql) {
-    return sqlite3_prepare_v2(file_, sql, -1, &insert_, nullptr);
+  // A fault of the file ends the recording: a gap in its numbers would spoil it.
+  template <class Write>
+  void writing(const Write& write) {
+    try {
+      write();
+    } catch (const std::runtime_error& error) {
+      release();
+      fail(std::string("cannot be written (") + error.what() +
+           "); the recording ends before event " + std::to_string(first_));
+    }
   }
 
-  void execute(const char* sql) { check(sqlite3_exec(file_, sql, nullptr, nullptr, nullptr)); }
-
-  // A fault of the file ends the recording: a gap in its numbers would spoil it.
-  void check(int code) {
-    if (code == SQLITE_OK) return;
-    const std::string said = file_ ? sqlite3_errmsg(file_) : sqlite3_errstr(code);
-    release();
-    fail("cannot be written (" + said + "); the recording ends before event " +
-         std::to_string(number_ - static_cast<std::int64_t>(pending_)));
+  bool is_open() const {
+#ifndef SLAMCHECK_NO_SQLITE
+    if (database_) return true;
+#endif
+    return raw_ != nullptr;
   }
 
   void check_open() const {
-    if (!file_) fail("is closed");
+    if (!is_open()) fail("is closed");
     if (process_ != this_process()) {
       fail("was opened by another process; after a fork only the parent records");
     }
@@ -584,12 +773,13 @@ class Recorder {
 
   // Closes without a commit; a child of a fork leaves its parent's file alone.
   void release() {
-    if (process_ == this_process() || process_ == 0) {
-      sqlite3_finalize(insert_);
-      sqlite3_close(file_);
-    }
-    insert_ = nullptr;
-    file_ = nullptr;
+    const bool mine = process_ == this_process();
+#ifndef SLAMCHECK_NO_SQLITE
+    if (database_ && !mine) database_->abandon();
+    database_.reset();
+#endif
+    if (raw_ && !mine) raw_->abandon();
+    raw_.reset();
   }
 
   static long this_process() {
@@ -609,16 +799,20 @@ class Recorder {
   }
 
   std::string path_;
-  sqlite3* file_ = nullptr;
-  sqlite3_stmt* insert_ = nullptr;
+#ifndef SLAMCHECK_NO_SQLITE
+  std::unique_ptr<detail::Database> database_;
+#endif
+  std::unique_ptr<detail::RawFile> raw_;
   long process_ = 0;
-  std::int64_t number_ = 0;
-  std::size_t pending_ = 0, pending_bytes_ = 0;
+  std::int64_t number_ = 0, first_ = 0, updates_ = 0, snapshots_ = 0;
+  std::size_t pending_bytes_ = 0;
+  std::vector<Row> rows_;
+  std::unordered_map<std::string, int> texts_, matrices_;
+  std::vector<const std::string*> spoken_, stored_;
   std::optional<double> time_s_;
   Names order_;
-  std::unordered_map<std::string, std::size_t> dims_;
+  std::unordered_map<std::string, Block> dims_;
   std::size_t size_ = 0;
-  std::map<std::pair<std::string, std::string>, Last> last_;
 };
 
 }  // namespace slamcheck

@@ -16,8 +16,7 @@ import gtsam
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from graphslam.arrays import Array, Index
-from graphslam.marginals import Marginal
+from graphslam.arrays import Array, Index, Marginal
 
 MOST_NUMBERS = 4_000_000
 """In the equations of a piece."""

@@ -9,7 +9,7 @@ from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 import gtsam
 import numpy as np
 
-from graphslam.arrays import Array, Index
+from graphslam.arrays import Array, Index, Marginal
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -19,7 +19,7 @@ from graphslam.graph_builder import (
     unwrap,
 )
 from graphslam.initialisation import extension
-from graphslam.marginals import Marginal, joint_marginal, to_global
+from graphslam.marginals import joint_marginal, to_global
 from graphslam.problem import SlamProblem
 
 RELINEARISE = 0.1

@@ -15,9 +15,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.arrays import Array, Index
+from graphslam.arrays import Array, Index, Marginal
 from graphslam.graph_builder import LANDMARK_KEYS, POINT, POSE_KEY
-from graphslam.marginals import Marginal, joint_marginal
+from graphslam.marginals import joint_marginal
 
 
 @dataclass(frozen=True)

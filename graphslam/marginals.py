@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from graphslam.arrays import Array
+from graphslam.arrays import Array, Marginal
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, to_tangent
 
 PARTS_BEYOND = 2000
@@ -20,13 +19,6 @@ _UNFIXED = "the measurements do not fix the last pose and every landmark"
 
 class SingularProblemError(ArithmeticError):
     """The measurements leave some direction of the state without information."""
-
-
-class Marginal(NamedTuple):
-    """Mean (n,) and covariance (n, n) of the last pose and all landmarks, points first."""
-
-    mean: Array
-    covariance: Array
 
 
 def eliminate(graph: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:

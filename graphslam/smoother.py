@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from graphslam.arrays import Array
+from graphslam.arrays import Array, Marginal
 from graphslam.graph_builder import (
     KERNELS,
     LANDMARK_KEY,
@@ -21,7 +21,6 @@ from graphslam.graph_builder import (
 from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
 from graphslam.initialisation import extension, track
 from graphslam.marginals import (
-    Marginal,
     SingularProblemError,
     joint_marginal,
     last_pose_and_landmarks,

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from comparisons.audit.audit import Audit as Audit
     from comparisons.audit.directions import inertial_directions as inertial_directions
     from comparisons.audit.directions import planar_directions as planar_directions
-    from comparisons.audit.recorder import Recorder as Recorder
     from comparisons.config import CheckConfig as CheckConfig
     from comparisons.config import JobConfig
     from comparisons.config import MapConfig as MapConfig
@@ -55,6 +54,8 @@ if TYPE_CHECKING:
     from comparisons.pipeline.odometry import FrontEnd as FrontEnd
     from comparisons.pipeline.solve import Solution as Solution
     from comparisons.settings import run_config as run_config
+    from comparisons.trace.recorder import Recorder as Recorder
+    from comparisons.trace.wrapping import record as record
     from ekf_reference.core.ekf import Ekf as Ekf
     from ekf_reference.filters.compressed import CompressedEkf as CompressedEkf
     from ekf_reference.filters.misono import DirectionCosineEkf as DirectionCosineEkf
@@ -79,7 +80,7 @@ _PLACES = {
     "MapConfig": "comparisons.config",
     "MonteCarlo": "comparisons.experiments.montecarlo.study:Outcome",
     "OdometryConfig": "comparisons.config",
-    "Recorder": "comparisons.audit.recorder",
+    "Recorder": "comparisons.trace.recorder",
     "RunConfig": "comparisons.config",
     "Solution": "comparisons.pipeline.solve",
     "SolveConfig": "comparisons.config",
@@ -87,6 +88,7 @@ _PLACES = {
     "montecarlo": "comparisons.experiments.montecarlo.study",
     "planar_directions": "comparisons.audit.directions",
     "read_estimate": "comparisons.estimates.external:read_external",
+    "record": "comparisons.trace.wrapping",
     "run_config": "comparisons.settings",
     "write_estimate": "comparisons.estimates.folder",
     "write_log": "comparisons.logs.log_folder:write_log_folder",
@@ -124,6 +126,7 @@ __all__ = [
     "odometry",
     "planar_directions",
     "read_estimate",
+    "record",
     "run_config",
     "solve",
     "write_estimate",

@@ -18,9 +18,9 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
+from graphslam.arrays import Marginal
 from graphslam.graph_builder import POINT, POSE_LANDMARK
 from graphslam.linear_problem import LinearProblem, solve
-from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, model_system, moved_to
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth

@@ -16,8 +16,21 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.apart import ROUNDING, apart, covariance_gap, units
-from comparisons.audit.events import (
+from comparisons.audit.innovations import InnovationLog, SensorFigures
+from comparisons.audit.localise import Cause, localise, name_of
+from comparisons.audit.replay import (
+    ROUNDING,
+    Fused,
+    Replay,
+    apart,
+    check_gain,
+    covariance_gap,
+    units,
+)
+from comparisons.audit.smoothing import Anchors, Averaged, averaged
+from comparisons.audit.spurious import Learnt, SpuriousInformation
+from comparisons.statistics import faults
+from comparisons.trace.events import (
     Augment,
     Blocks,
     Clone,
@@ -31,16 +44,9 @@ from comparisons.audit.events import (
     Snapshot,
     Update,
 )
-from comparisons.audit.gains import check_gain
-from comparisons.audit.innovations import InnovationLog, SensorFigures
-from comparisons.audit.localise import Cause, localise, name_of
-from comparisons.audit.replay import Fused, Replay
-from comparisons.audit.smoothing import Anchors, Averaged, averaged
-from comparisons.audit.spurious import Learnt, SpuriousInformation
-from comparisons.audit.trace_file import Trace, TraceCounts
-from comparisons.checks.consistency.normalised import faults
+from comparisons.trace.reader import Trace, TraceCounts
+from graphslam.arrays import Marginal
 from graphslam.event_smoother import EventSmoother
-from graphslam.marginals import Marginal
 
 FALSE_ALARMS = 1e-3
 """Share of sound traces that any of the statistical checks calls faulty."""

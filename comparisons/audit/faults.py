@@ -13,7 +13,8 @@ from itertools import combinations
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.audit.events import (
+from comparisons.audit.replay import Replay
+from comparisons.trace.events import (
     Augment,
     Blocks,
     Clone,
@@ -23,7 +24,6 @@ from comparisons.audit.events import (
     Reset,
     Update,
 )
-from comparisons.audit.replay import Replay
 
 _FACTORS = (0.0, 0.25, 0.5, 2.0, 4.0)
 

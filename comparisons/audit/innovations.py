@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrc, betaincinv, chdtr, chdtrc, gammainc, gammaincinv, ndtr
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.events import Sensor
-from comparisons.checks.consistency.innovations import Nis, Whiteness, average, whiteness
-from comparisons.checks.consistency.normalised import Band
+from comparisons.statistics import Band, Nis, Whiteness, average, whiteness
+from comparisons.trace.events import Sensor
 
 MOST_WINDOWS = 60
 LEAST_IN_WINDOW = 10

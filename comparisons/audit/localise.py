@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from comparisons.audit.apart import apart, largest_pair
-from comparisons.audit.events import (
+from comparisons.audit.faults import KnownFault, known_faults
+from comparisons.audit.replay import Replay, apart, largest_pair
+from comparisons.trace.events import (
     Augment,
     Blocks,
     Clone,
@@ -21,8 +22,6 @@ from comparisons.audit.events import (
     Snapshot,
     Update,
 )
-from comparisons.audit.faults import KnownFault, known_faults
-from comparisons.audit.replay import Replay
 
 MOST_REPLAYED = 100_000
 """Events that are replayed in search of one cause."""

@@ -17,7 +17,7 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.audit.directions import planar_directions
-from comparisons.audit.events import (
+from comparisons.trace.events import (
     Augment,
     Directions,
     Event,
@@ -27,7 +27,7 @@ from comparisons.audit.events import (
     Snapshot,
     Update,
 )
-from comparisons.audit.recorder import Recorder
+from comparisons.trace.recorder import Recorder
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import MeasurementRecords
 

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.special import chdtr, chdtrc, gammaincinv
 
 from comparisons.arrays import Array, Index
-from comparisons.checks.consistency.filter_smoother import CLEAR, independent
+from comparisons.statistics import CLEAR, independent
+from graphslam.arrays import Marginal
 from graphslam.event_smoother import Link
-from graphslam.marginals import Marginal
 
 _LEAST_VARIANCE = 1e-12
 """Eigenvalue of a correlation matrix, relative to the largest, of a direction that counts."""

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.events import (
+from comparisons.audit.replay import Replay
+from comparisons.trace.events import (
     Augment,
     Blocks,
     Clone,
@@ -28,8 +29,7 @@ from comparisons.audit.events import (
     Reset,
     Update,
 )
-from comparisons.audit.replay import Replay
-from graphslam.spurious import conditional_covariance
+from graphslam.arrays import conditional_covariance
 
 MOST_POINTS = 400
 """Of the curve."""

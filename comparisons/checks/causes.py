@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
 
 
-GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
-"""Causes that are gaps between the estimates; other causes explain one, or stand beside."""
-_NAMES = {"oracle": "optimum not verified"}
-"""Of causes whose key in a result a reader would not understand."""
 FITTED = "check for these model errors, which were fitted to the trace: "
 """Begins a hint that names known model errors; they follow, separated by semicolons."""
 ALGEBRA_HINT = (
@@ -49,11 +45,6 @@ _NAMED = 3
 """So many differences of the models are named."""
 _GREW = 3.0
 """A dropout over which the position's sigma grew so many times is named as a cause."""
-
-
-def cause_name(key: str) -> str:
-    """Return the name of a cause as reports have it. key: of the result, as `truth`."""
-    return f"{key} gap" if key in GAPS else _NAMES.get(key, key)
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,10 @@ from comparisons.checks.grade import (
     match_map,
     pose_difference,
 )
-from comparisons.checks.quantiles import chi2_quantile
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.statistics import chi2_quantile
 
 _SURE = 0.999
 _MOST_OUTSIDE = 0.01

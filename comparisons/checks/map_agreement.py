@@ -8,8 +8,8 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
-from comparisons.checks.quantiles import chi2_quantile
 from comparisons.estimates.estimate import Estimate
+from comparisons.statistics import chi2_quantile
 
 _CHI2_2_99 = float(chi2_quantile(0.99, 2))
 MOST_OUTSIDE = 0.05

@@ -18,10 +18,10 @@ from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
-from comparisons.checks.quantiles import chi2_quantile
 from comparisons.checks.verdict import Verdict, rounded
 from comparisons.choices import FailOn
 from comparisons.logs.log import LandmarkMeasurements
+from comparisons.statistics import chi2_quantile
 
 TRUTH_GAP, UNCHECKED = "truth gap", "association unchecked"
 INCONSISTENT = "filter inconsistent"

@@ -33,11 +33,10 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
     """
     with guarded():
         chosen = chosen_output(**output)
-        from comparisons.atomic import folder_name
-        from comparisons.report.folder import check_free
+        from comparisons.atomic import check_replaceable, folder_name, known_files
 
         folder = out or Path(f"slamcheck-audit-{folder_name(trace.stem)}")
-        check_free(folder)
+        check_replaceable(folder, known_files(folder))
         from comparisons.audit.audit import audit as audit_trace
         from comparisons.report.audit import RESULT, audit_summary, write_audit
 

@@ -8,9 +8,11 @@ the filter, which may be more than one: what it puts beside the filter is made a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
+
+from comparisons.words import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,21 +27,6 @@ if TYPE_CHECKING:
     from comparisons.pipeline.prepare import Prepared
     from comparisons.report.html.drawing import Drawing
     from comparisons.report.models import LandmarkResult
-
-
-class Row(NamedTuple):
-    """One figure of the table of figures, on the terminal and on the page.
-
-    group: what the figure is of. quantity: what it measures, with the expected value if it has
-    one. value: with its unit. band: where the value should lie. inside: whether it lies there;
-    None where nothing says where it should lie.
-    """
-
-    group: str
-    quantity: str
-    value: str
-    band: str = ""
-    inside: bool | None = None
 
 
 class Extension:

@@ -11,8 +11,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError, printable
-from comparisons.files import check_regular
+from comparisons.errors import InputError, RecordError, check_regular, printable
 
 
 class Table:

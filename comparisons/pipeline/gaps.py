@@ -35,8 +35,8 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.prepare import Clock, Prepared
 from ekf_reference.core.landmark_types import POINT
+from graphslam.arrays import Marginal
 from graphslam.linear_problem import LinearProblem
-from graphslam.marginals import Marginal
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult
 

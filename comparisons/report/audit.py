@@ -12,24 +12,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import Field
 
-from comparisons.atomic import fresh_folder
+from comparisons.atomic import fresh_folder, known_files
 from comparisons.audit.audit import Audit, Finding
 from comparisons.audit.innovations import SensorFigures
 from comparisons.audit.smoothing import Averaged
 from comparisons.audit.spurious import Learnt
-from comparisons.extensions.interface import Row
-from comparisons.report.consistency_figure import draw_panel
-from comparisons.report.folder import known_files
 from comparisons.report.html.curves import data_block, panel_data
-from comparisons.report.html.look import script
-from comparisons.report.html.shell import document, prose
-from comparisons.report.html.tables import figures
-from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.model import Model, finite
-from comparisons.report.panels import Band, Curve, Panel
-from comparisons.report.picture import blank, save
-from comparisons.report.sections import package_versions
+from comparisons.report.html.shell import document, figures, prose, script
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, Band, Curve, Panel
+from comparisons.report.model import Model, finite, package_versions
+from comparisons.report.picture import blank, draw_panel, save
 from comparisons.report.terminal import STYLES, Summary
+from comparisons.words import Row
 
 RESULT = "audit.json"
 _SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")

@@ -14,7 +14,6 @@ from comparisons.checks.accuracy import landmark_errors
 from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.external_agreement import Block, ExternalAgreement
 from comparisons.checks.grade import Likeness, match_map
-from comparisons.extensions.interface import Row
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.external_trace import TraceCheck
 from comparisons.pipeline.prepare import Clock
@@ -38,7 +37,7 @@ from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import check_ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.model import Model, finite
+from comparisons.report.model import Model, finite, package_versions
 from comparisons.report.models import (
     AccuracyResult,
     BlockResult,
@@ -62,13 +61,7 @@ from comparisons.report.rows import (
     shown,
     smoother_rows,
 )
-from comparisons.report.sections import (
-    accuracy_result,
-    cause_result,
-    log_result,
-    package_versions,
-    smoother_result,
-)
+from comparisons.report.sections import accuracy_result, cause_result, log_result, smoother_result
 from comparisons.report.settings import (
     SettingsResult,
     setting_lines,
@@ -76,6 +69,7 @@ from comparisons.report.settings import (
     settings_rows,
 )
 from comparisons.report.terminal import STYLES, Summary
+from comparisons.words import Row
 
 NOT_STATED = "not stated"
 """In place of what an estimate's poses know of the log."""

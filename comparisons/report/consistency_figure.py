@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.marks import TRUTH_COLOUR
-from comparisons.report.panels import ConsistencyPanels, Panel
-from comparisons.report.picture import blank
+from comparisons.report.panels import ConsistencyPanels
+from comparisons.report.picture import blank, draw_panel
 
-_MARKERS = ("o-", "o--", "s-", "s--", "^-", "v-")
 _MARGINS = {
     "left": 0.07,
     "right": 0.99,
@@ -22,29 +19,6 @@ _MARGINS = {
 """Fixed, for finding them takes longer than drawing."""
 _LEAST_DRAWN = 1e-2
 """The lower end of squares, whose first ones rounding makes."""
-
-
-def draw_panel(axis: Axes, panel: Panel, *, marked: bool = False) -> None:
-    """Bands and curves of a panel; several may share an axis. marked: the points, too."""
-    for band in panel.bands:
-        known = band.name in axis.get_legend_handles_labels()[1]
-        axis.fill_between(
-            band.x, band.low, band.high, color=band.colour, alpha=0.22, linewidth=0.0,
-            label="" if known else band.name,
-        )  # fmt: skip
-    for i, curve in enumerate(panel.curves):
-        style = _MARKERS[i % len(_MARKERS)] if marked else "-"
-        axis.plot(
-            curve.x, curve.y, style, color=curve.colour, linewidth=0.8, markersize=3,
-            label=curve.name,
-        )  # fmt: skip
-    if panel.level is not None:
-        axis.axhline(panel.level, color=TRUTH_COLOUR, linewidth=0.5)
-    if panel.logarithmic:
-        axis.set_yscale("log")
-        axis.yaxis.set_major_formatter("{x:g}")  # powers of ten set as formulas take far longer
-        axis.minorticks_off()
-    axis.set_ylabel(panel.title)
 
 
 def consistency_figure(comparison: Comparison, panels: ConsistencyPanels) -> Figure:

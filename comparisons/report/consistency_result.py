@@ -11,8 +11,6 @@ from comparisons.checks.consistency.consistency import Consistency, ExternalCons
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
-from comparisons.checks.consistency.normalised import Normalised
-from comparisons.extensions.interface import Row
 from comparisons.report.models import (
     ConsistencyResult,
     ExternalConsistencyResult,
@@ -24,6 +22,8 @@ from comparisons.report.models import (
     WhitenessResult,
 )
 from comparisons.report.rows import band
+from comparisons.statistics import Normalised
+from comparisons.words import Row
 
 _NEES_BANDS = "95 % bands; the verdict: pose and landmarks at 99.9 %"
 _NIS_BANDS = "95 % bands; the verdict: NIS alone, at 99.9 %"

@@ -19,13 +19,12 @@ from comparisons.extensions.dense_maps.result import (
     surface_error_results,
     surface_error_rows,
 )
-from comparisons.extensions.interface import Row
 from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
-from comparisons.report.model import Model
+from comparisons.report.model import Model, package_versions
 from comparisons.report.models import AccuracyResult, EkfResult, LogResult
 from comparisons.report.rows import (
     accuracy_line,
@@ -34,14 +33,10 @@ from comparisons.report.rows import (
     log_rows,
     seconds_rows,
 )
-from comparisons.report.sections import (
-    accuracy_result,
-    ekf_result,
-    log_result,
-    package_versions,
-)
+from comparisons.report.sections import accuracy_result, ekf_result, log_result
 from comparisons.report.settings import SettingsResult, settings_result, settings_rows
 from comparisons.report.terminal import Summary
+from comparisons.words import Row
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import places
 from graphslam.scan.clouds import write_cloud

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
-from comparisons.atomic import check_replaceable, folder_name, fresh_folder
+from comparisons.atomic import check_replaceable, folder_name, fresh_folder, known_files
 from comparisons.config import Configured, JobConfig, shown
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONFIG = "config.toml"
-_RESULTS = ("result", "solution", "check", "odometry", "map", "audit")
 _BESIDE = ("job", "report", "cloud")
 """Settings that decide what else is written, not the results."""
 _LONG = 60
@@ -75,17 +74,6 @@ def _save(figures: Mapping[str, Figure], folder: Path, formats: Collection[str])
 
         for name, figure in figures.items():
             save(figure, folder / f"{name}.png", formats)
-
-
-def known_files(folder: Path) -> frozenset[str]:
-    """What an earlier job left in a folder, by its own account; empty where there is none."""
-    for name in _RESULTS:
-        try:
-            found = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-            return frozenset(str(file) for file in found["files"])
-        except (OSError, ValueError, TypeError, KeyError, RecursionError):
-            continue
-    return frozenset()
 
 
 def default_folder(

@@ -1,6 +1,8 @@
-"""Colours of the estimates and outlines of their ellipses, for figures and pages alike."""
+"""Colours of estimates, outlines of ellipses, and panels of curves, for figures and pages."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,3 +27,36 @@ def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) 
     scaled = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     result: Array = centre[:, None] + sigmas * circle @ scaled.transpose(0, 2, 1)
     return result
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line through points x, y: (n,)."""
+
+    name: str
+    colour: str
+    x: Array
+    y: Array
+
+
+@dataclass(frozen=True)
+class Band:
+    """What lies between low and high at x: (n,) each."""
+
+    name: str
+    colour: str
+    x: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """Curves over one axis. logarithmic: of the values. level: what is right, if one value is."""
+
+    title: str
+    x_label: str
+    curves: tuple[Curve, ...]
+    bands: tuple[Band, ...]
+    logarithmic: bool = False
+    level: float | None = None

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import platform
 import re
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
@@ -15,6 +18,8 @@ _FORMER = {
     "surer": "overconfident",
     "closures": "loop_closures",
 }
+_PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
+"""Those that the results depend on."""
 _WORDS = re.compile(rf"(?<![a-z])(?<!loop_)({'|'.join(_FORMER)})")
 
 
@@ -37,3 +42,12 @@ def current(stored: Any) -> Any:
 def finite(value: float) -> float | None:
     """JSON has no NaN or infinity: such a figure is absent, never passed on."""
     return value if math.isfinite(value) else None
+
+
+def package_versions() -> dict[str, str]:
+    """Of Python and of what the results depend on."""
+    versions = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            versions[package] = version(package)
+    return versions

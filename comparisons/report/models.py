@@ -453,7 +453,7 @@ class MapPairResult(Model):
 class NeesResult(Model):
     """Normalised errors squared, each with `dof` degrees of freedom.
 
-    See checks.consistency.normalised.
+    See comparisons.statistics.
 
     Over time, and over landmarks of one run, the values are correlated: no band holds for their
     average.
@@ -527,7 +527,7 @@ class NisResult(Model):
 class WhitenessResult(Model):
     """Autocorrelation of one component's innovations.
 
-    See comparisons.checks.consistency.innovations.Whiteness.
+    See comparisons.statistics.Whiteness.
 
     Attributes:
         component: component of the innovation.

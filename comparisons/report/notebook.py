@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.checks.causes import Cause, cause_name
+from comparisons.checks.causes import Cause
 from comparisons.checks.grade import match_map
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
@@ -28,6 +28,7 @@ from comparisons.report.ladder import Step, check_ladder, ladder
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, ellipses
 from comparisons.report.result import build_result
 from comparisons.report.run import run_map
+from comparisons.words import cause_name
 
 if TYPE_CHECKING:
     from comparisons.pipeline.dense_map import DenseMapping

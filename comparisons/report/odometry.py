@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 
 from comparisons.estimates.folder import tum_text
-from comparisons.extensions.interface import Row
 from comparisons.extensions.scan_motion.result import (
     IncrementResult,
     ScanOdometryResult,
@@ -24,7 +23,7 @@ from comparisons.pipeline.odometry import FrontEnd
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.odometry import front_end_figure
 from comparisons.report.folder import JobFolder
-from comparisons.report.model import Model
+from comparisons.report.model import Model, package_versions
 from comparisons.report.models import AccuracyResult, LogResult, SmootherResult
 from comparisons.report.rows import (
     accuracy_line,
@@ -33,14 +32,10 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import (
-    accuracy_result,
-    log_result,
-    package_versions,
-    smoother_result,
-)
+from comparisons.report.sections import accuracy_result, log_result, smoother_result
 from comparisons.report.settings import SettingsResult, settings_result, settings_rows
 from comparisons.report.terminal import STYLES, Summary
+from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.scan.clouds import write_cloud
 

@@ -16,10 +16,10 @@ from comparisons.arrays import Array
 from comparisons.checks.consistency.filter_smoother import LEAST_RATIO, FilterAgainstSmoother
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import PoseErrors
-from comparisons.checks.consistency.normalised import mean_band
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, Band, Curve, Panel
+from comparisons.statistics import mean_band
 
 if TYPE_CHECKING:
     from comparisons.checks.grade import Reference
@@ -31,39 +31,6 @@ REFERENCE_COLOURS = (REFERENCE_COLOUR, "#b05f9e", "#8f5d2b")
 _FURTHER = (SCANS_COLOUR, "#6a3d9a", REFERENCE_COLOUR)
 _COMPONENTS = (("east [m]", 1.0), ("north [m]", 1.0), ("heading [deg]", 180.0 / np.pi))
 _COLOURS = (EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, REFERENCE_COLOUR)
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A line through points x, y: (n,)."""
-
-    name: str
-    colour: str
-    x: Array
-    y: Array
-
-
-@dataclass(frozen=True)
-class Band:
-    """What lies between low and high at x: (n,) each."""
-
-    name: str
-    colour: str
-    x: Array
-    low: Array
-    high: Array
-
-
-@dataclass(frozen=True, kw_only=True)
-class Panel:
-    """Curves over one axis. logarithmic: of the values. level: what is right, if one value is."""
-
-    title: str
-    x_label: str
-    curves: tuple[Curve, ...]
-    bands: tuple[Band, ...]
-    logarithmic: bool = False
-    level: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

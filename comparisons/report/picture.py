@@ -1,4 +1,4 @@
-"""A figure to draw on, and its way to a file; loads nothing but matplotlib."""
+"""A figure to draw on, panels drawn on it, and its way to a file."""
 
 from __future__ import annotations
 
@@ -8,8 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from comparisons.report.marks import TRUTH_COLOUR, Panel
+
+_MARKERS = ("o-", "o--", "s-", "s--", "^-", "v-")
 
 
 def blank(width: float, height: float, *, fitted: bool = True) -> Figure:
@@ -51,3 +56,26 @@ def _pdf(figure: Figure) -> bytes:
     with matplotlib.rc_context({"pdf.fonttype": 42}):
         figure.savefig(drawn, format="pdf", dpi=300, metadata={"CreationDate": None})
     return drawn.getvalue()
+
+
+def draw_panel(axis: Axes, panel: Panel, *, marked: bool = False) -> None:
+    """Bands and curves of a panel; several may share an axis. marked: the points, too."""
+    for band in panel.bands:
+        known = band.name in axis.get_legend_handles_labels()[1]
+        axis.fill_between(
+            band.x, band.low, band.high, color=band.colour, alpha=0.22, linewidth=0.0,
+            label="" if known else band.name,
+        )  # fmt: skip
+    for i, curve in enumerate(panel.curves):
+        style = _MARKERS[i % len(_MARKERS)] if marked else "-"
+        axis.plot(
+            curve.x, curve.y, style, color=curve.colour, linewidth=0.8, markersize=3,
+            label=curve.name,
+        )  # fmt: skip
+    if panel.level is not None:
+        axis.axhline(panel.level, color=TRUTH_COLOUR, linewidth=0.5)
+    if panel.logarithmic:
+        axis.set_yscale("log")
+        axis.yaxis.set_major_formatter("{x:g}")  # powers of ten set as formulas take far longer
+        axis.minorticks_off()
+    axis.set_ylabel(panel.title)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from comparisons.checks.agreement import block_agrees
-from comparisons.extensions.interface import Row
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.consistency_result import (
@@ -12,7 +11,7 @@ from comparisons.report.consistency_result import (
     consistency_rows,
 )
 from comparisons.report.ladder import ladder
-from comparisons.report.model import finite
+from comparisons.report.model import finite, package_versions
 from comparisons.report.models import (
     SCHEMA,
     Accuracies,
@@ -44,13 +43,13 @@ from comparisons.report.sections import (
     cause_result,
     ekf_result,
     log_result,
-    package_versions,
     smoother_result,
     spurious_heading_result,
     truth_gap_result,
 )
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.report.terminal import STYLES, Summary
+from comparisons.words import Row
 
 
 def build_result(comparison: Comparison, read: Clock | None = None) -> Result:

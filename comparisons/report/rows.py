@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
 from comparisons.checks.verdict import rounded
-from comparisons.extensions.interface import Row
 from comparisons.report.ladder import Step
 from comparisons.report.models import (
     AccuracyResult,
@@ -19,6 +18,7 @@ from comparisons.report.models import (
     SmootherResult,
     SpuriousHeadingResult,
 )
+from comparisons.words import Row
 
 AGREEING_RATIOS = f"{LEAST_VARIANCE_RATIO:g} to {1.0 / LEAST_VARIANCE_RATIO:g}"
 """Variances of the EKF over the smoother's within which a block of a run agrees."""

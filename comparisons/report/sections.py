@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import platform
-from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,10 +44,6 @@ if TYPE_CHECKING:
     from comparisons.checks.map_agreement import Pair
     from comparisons.checks.position_gate import RejectedFixes
     from comparisons.checks.qualifiers import TruthGap
-
-
-_PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
-"""Those that the results depend on."""
 
 
 def log_result(log: Log) -> LogResult:
@@ -263,15 +256,6 @@ def map_pair_result(p: Pair) -> MapPairResult:
         landmarks=len(p.distance_sigma),
         agrees=p.agrees,
     )
-
-
-def package_versions() -> dict[str, str]:
-    """Of Python and of what the results depend on."""
-    versions = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        with suppress(PackageNotFoundError):
-            versions[package] = version(package)
-    return versions
 
 
 def _median(values: Array) -> float | None:

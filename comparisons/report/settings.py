@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from comparisons.config import EkfConfig, JobConfig, Section
 from comparisons.documented.preset import differing
 from comparisons.documented.row import Value, shown
-from comparisons.extensions.interface import Row
 from comparisons.report.model import Model
+from comparisons.words import Row
 
 
 class DifferingSetting(Model):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.checks.verdict import misfit_remarks, rounded
-from comparisons.extensions.interface import Row
 from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
+from comparisons.report.model import package_versions
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import (
     accuracy_line,
@@ -25,11 +25,11 @@ from comparisons.report.sections import (
     association_check_result,
     association_result,
     log_result,
-    package_versions,
     smoother_result,
 )
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.report.terminal import STYLES, Summary
+from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
 
 LARGEST_DRAWN = 150

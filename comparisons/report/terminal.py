@@ -6,16 +6,17 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, zip_longest
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich.console import Console
 from rich.text import Text
 
-from comparisons.checks.causes import cause_name
 from comparisons.errors import printable
-from comparisons.extensions.interface import Row
-from comparisons.report.ladder import Step
-from comparisons.report.models import CauseResult
+from comparisons.words import Row, cause_name
+
+if TYPE_CHECKING:
+    from comparisons.report.ladder import Step
+    from comparisons.report.models import CauseResult
 
 WIDTH, MOST = 80, 5
 """Columns of what is printed, and how many causes, reasons and notes; the report has all."""

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.audit.events import Event, Update
-from comparisons.audit.trace_file import Trace
+from comparisons.trace.events import Event, Update
+from comparisons.trace.reader import Trace
 
 
 @dataclass(frozen=True)

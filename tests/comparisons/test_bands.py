@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from comparisons.checks.consistency import consistency, innovations, normalised
+from comparisons import statistics
+from comparisons.checks.consistency import consistency, innovations
 from comparisons.checks.consistency.consistency import check_consistency
 from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
 )
-from comparisons.checks.consistency.innovations import Whiteness, whiteness
-from comparisons.checks.consistency.normalised import Band, mean_band
 from comparisons.experiments.bands.coverage import Coverage, Figure, coverage, figures_of, wrong
 from comparisons.experiments.bands.sound_drives import sound_log, sound_run
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import Comparison
+from comparisons.statistics import Band, Whiteness, mean_band, whiteness
 from graphslam.optimum import chi_square_test
 from tests.helpers import Array
 
@@ -128,10 +128,10 @@ def by_the_filters_alone(
 @pytest.mark.parametrize(
     ("module", "name", "broken", "reported"),
     [
-        (normalised, "mean_band", another_level, "EKF NEES, pose, share inside"),
-        (normalised, "mean_band", one_more_dof, "smoother NEES, heading, share inside"),
-        (innovations, "mean_band", as_if_independent, "measurements, NIS of range"),
-        (innovations, "mean_band", as_if_independent, "positions, NIS of east"),
+        (statistics, "mean_band", another_level, "EKF NEES, pose, share inside"),
+        (statistics, "mean_band", one_more_dof, "smoother NEES, heading, share inside"),
+        (statistics, "mean_band", as_if_independent, "measurements, NIS of range"),
+        (statistics, "mean_band", as_if_independent, "positions, NIS of east"),
         (innovations, "whiteness", narrower, "whiteness of bearing by landmark, share of lags"),
         (innovations, "whiteness", half_the_dof, "by landmark, p-value over 0.05"),
         (consistency, "filter_against_smoother", by_the_filters_alone, "smoother, mean per dof"),

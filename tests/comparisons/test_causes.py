@@ -10,7 +10,6 @@ import pytest
 
 from comparisons.adapters.smoother_input import build_problem, model_system_at, model_system_of
 from comparisons.checks import causes
-from comparisons.checks.causes import GAPS
 from comparisons.checks.diagnosis.data_usage import odometry_remarks
 from comparisons.checks.diagnosis.dropouts import find_dropouts
 from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
@@ -18,6 +17,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.compare import Comparison
+from comparisons.words import GAPS
 from ekf_reference.core.landmark_types import POSE
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import SlamProblem

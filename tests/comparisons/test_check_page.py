@@ -23,7 +23,8 @@ from comparisons.report.consistency_result import consistency_result, external_c
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html.page import page
 from comparisons.report.ladder import EXTERNAL, SMOOTHER, check_ladder
-from comparisons.report.panels import Panel, external_panels
+from comparisons.report.marks import Panel
+from comparisons.report.panels import external_panels
 from tests.comparisons.browser import came_up, look
 from tests.comparisons.test_html_report import HOSTILE, read
 from tests.helpers import compared, simulated

@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import chi2
 
 from comparisons.checks.consistency.nees import TruthConsistency
-from comparisons.checks.consistency.normalised import mean_band
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
+from comparisons.statistics import mean_band
 from tests.helpers import Array, compared, simulated
 
 SEEDS = 20

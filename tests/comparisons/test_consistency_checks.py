@@ -13,18 +13,10 @@ from scipy.stats import chi2
 from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
-    independent,
 )
-from comparisons.checks.consistency.innovations import (
-    Nis,
-    SensorInnovations,
-    Whiteness,
-    sensor,
-    whiten,
-    whiteness,
-)
+from comparisons.checks.consistency.innovations import SensorInnovations, sensor, whiten
 from comparisons.checks.consistency.nees import distances, map_errors, pose_errors, spanning_tree
-from comparisons.checks.consistency.normalised import mean_band, normalise
+from comparisons.statistics import Nis, Whiteness, independent, mean_band, normalise, whiteness
 from tests.comparisons.linear_world import STEPS, Runs, simulate
 from tests.helpers import Array, central_difference, relative_error
 
@@ -127,7 +119,7 @@ def white_series(count: int, landmarks: int = 1) -> list[Whiteness]:
 
 
 def test_ten_lags_of_a_short_series_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("comparisons.checks.consistency.innovations._PER_LAG", 1)
+    monkeypatch.setattr("comparisons.statistics._PER_LAG", 1)
     p = np.array([w.p_value for w in white_series(60)])
     assert np.mean(p < 0.01) > 0.016
 

@@ -15,12 +15,12 @@ from comparisons.documented.preset import SETTINGS, applies, differing, read
 from comparisons.documented.row import Documented, in_code, same, setting_default
 from comparisons.documented.rows import ROWS
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Row
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.bundled import open_log
 from comparisons.logs.transforms.published_sigmas import FORMATS
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.settings import configure, run_config, run_options
+from comparisons.words import Row
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "settings.md"

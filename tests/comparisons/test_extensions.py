@@ -11,13 +11,13 @@ import pytest
 
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Row
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.pipeline.compare import compare
 from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result, run_rows
 from comparisons.report.run import run_folder
 from comparisons.settings import configure, run_config
+from comparisons.words import Row
 from tests.comparisons.toy_extension.extension import DockingFinding
 from tests.helpers import simulated
 

@@ -12,7 +12,7 @@ import pytest
 
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
-from comparisons.report.html.look import script
+from comparisons.report.html.shell import script
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
 from tests.comparisons.browser import came_up, look

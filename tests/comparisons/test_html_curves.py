@@ -10,7 +10,7 @@ import pytest
 from comparisons.arrays import Array, Index
 from comparisons.report.html.curves import MOST_POINTS, data_block, panel_data, short, thinned
 from comparisons.report.html.map import ratio_colours
-from comparisons.report.panels import Band, Curve, Panel
+from comparisons.report.marks import Band, Curve, Panel
 
 
 def spiky(count: int = 50_000) -> Array:

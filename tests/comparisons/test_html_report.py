@@ -15,21 +15,22 @@ import pytest
 
 from comparisons.checks.causes import EXPLANATIONS
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Finding, Row
+from comparisons.extensions.interface import Finding
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html import map as map_page
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
-from comparisons.report.html.look import DARK, policy, script, style, themed
 from comparisons.report.html.page import page
-from comparisons.report.html.shell import prose
-from comparisons.report.html.tables import figures, settings
+from comparisons.report.html.shell import DARK, figures, policy, prose, script, style, themed
+from comparisons.report.html.tables import settings
+from comparisons.report.marks import Panel
 from comparisons.report.models import CauseResult, Result
-from comparisons.report.panels import Panel, consistency_panels
+from comparisons.report.panels import consistency_panels
 from comparisons.report.result import build_result, run_rows
 from comparisons.report.run import run_folder, run_page
 from comparisons.report.settings import SETTINGS, SettingLine, setting_lines, settings_result
+from comparisons.words import Row
 from tests.helpers import compared, simulated
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""

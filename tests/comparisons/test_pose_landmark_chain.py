@@ -15,9 +15,9 @@ from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
+from graphslam.arrays import Marginal
 from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
-from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, model_system
 from graphslam.problem import Merges, PoseLandmarkMeasurements, SlamProblem
 from graphslam.smoother import SmootherOptions, smooth

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 from scipy.special import bdtrc
 
-from comparisons.checks.quantiles import chi2_quantile, chi2_tail, f_quantile
+from comparisons.statistics import chi2_quantile, chi2_tail, f_quantile
 
 ROOT = Path(__file__).resolve().parents[2]
 SCIPY = {f"scipy.{name}" for name in ("stats", "optimize", "interpolate", "ndimage", "spatial")}

@@ -17,7 +17,6 @@ from rich.console import Console
 from comparisons.cli.app import main
 from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.extensions.interface import Row
 from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import build_check_result, check_summary
@@ -36,6 +35,7 @@ from comparisons.report.terminal import (
     print_summary,
     table,
 )
+from comparisons.words import Row
 from tests.helpers import compared, first_seconds, simulated
 
 LONG = "a cause with many words " * 40

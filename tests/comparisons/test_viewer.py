@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.atomic import write_whole
+from comparisons.atomic import known_files, write_whole
 from comparisons.config import ReportConfig
 from comparisons.errors import InputError
 from comparisons.pipeline.compare import Comparison
 from comparisons.report import viewer
-from comparisons.report.folder import known_files, write_job_folder
+from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
 from tests.comparisons.test_cli import flat

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.events import (
+from comparisons.trace.events import (
     Augment,
     Clone,
     Event,
@@ -20,7 +20,7 @@ from comparisons.audit.events import (
     Snapshot,
     Update,
 )
-from comparisons.audit.trace_file import Trace
+from comparisons.trace.reader import Trace
 
 
 @dataclass

@@ -16,8 +16,8 @@ import pytest
 
 from benchmarks.audit_faults import judge
 from comparisons.audit.audit import audit
-from comparisons.audit.events import Clone, Event, Prior, Snapshot, Update
-from comparisons.audit.trace_file import Trace
+from comparisons.trace.events import Clone, Event, Prior, Snapshot, Update
+from comparisons.trace.reader import Trace
 from examples.audit.faults import Fault, Planted
 from tests.examples.replay import departures
 

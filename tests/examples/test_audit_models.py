@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit.events import Predict, Update
-from comparisons.audit.trace_file import Trace
+from comparisons.trace.events import Predict, Update
+from comparisons.trace.reader import Trace
 from examples.audit import gtsam_filters, msckf
 from examples.audit.navlie_groups import SE3
 

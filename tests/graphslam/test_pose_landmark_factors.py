@@ -7,9 +7,9 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
+from graphslam.arrays import Marginal
 from graphslam.graph_builder import POINT, POSE_LANDMARK, right_perturbation
 from graphslam.linear_problem import solve
-from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import Merges, PoseLandmarkMeasurements, SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 import graphslam.spurious as module
-from graphslam.arrays import Array
+from graphslam.arrays import Array, conditional_covariance
 from graphslam.linear_problem import (
     LinearPositions,
     LinearPrior,
@@ -18,7 +18,7 @@ from graphslam.linear_problem import (
     LinearSurvey,
 )
 from graphslam.marginals import SingularProblemError
-from graphslam.spurious import conditional_covariance, information_about_start
+from graphslam.spurious import information_about_start
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 TURN = np.array([0.0, 0.0, 1.0])

@@ -13,11 +13,11 @@ from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
 )
-from comparisons.checks.consistency.innovations import Nis, SensorInnovations, check_innovations
+from comparisons.checks.consistency.innovations import SensorInnovations, check_innovations
 from comparisons.checks.consistency.nees import TruthConsistency, against_truth
-from comparisons.checks.consistency.normalised import WORDS, Band
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
+from comparisons.statistics import WORDS, Band, Nis
 from ekf_reference.core.geometry import wrap_angle
 
 if TYPE_CHECKING:

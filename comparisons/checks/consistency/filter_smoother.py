@@ -14,12 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.checks.consistency.normalised import Band, counted, faults, mean_band
-from comparisons.checks.quantiles import chi2_quantile
+from comparisons.statistics import (
+    CLEAR,
+    Band,
+    chi2_quantile,
+    counted,
+    faults,
+    independent,
+    mean_band,
+)
 from ekf_reference.core.geometry import wrap_angle
 
-CLEAR = 0.05
-"""Least share of the filter's variance that the future took away, in a direction that is judged."""
 LEAST_RATIO = 0.95**2
 """Of the filter's variance to the smoother's, 5 % in sigma. Relinearising alone moves variances: of
 the sound filter on Nieto's loop the least ratio of a drive is 0.92 to 0.99."""
@@ -72,23 +77,6 @@ class FilterAgainstSmoother:
     def overconfident(self) -> Index:
         """Epochs at which the filter is clearly more certain than the smoother."""
         return np.flatnonzero(self.ratio < LEAST_RATIO)
-
-
-def independent(values: Array) -> float:
-    """Return how many independent numbers have a mean as certain as that of a series (n,).
-
-    n over 1 + 2 sum r_k with autocorrelations about zero, which is where the series belongs, summed
-    until two neighbours cancel (Geyer 1992, section 3.3, initial positive sequence).
-    """
-    n = len(values)
-    spectrum = np.fft.rfft(values, 2 * n)
-    r = np.fft.irfft(spectrum * spectrum.conj(), 2 * n)[:n]
-    if not r[0] > 0.0:
-        return float(n)
-    pairs = r[: n - n % 2].reshape(-1, 2).sum(axis=1) / r[0]
-    cancelled = np.flatnonzero(pairs <= 0.0)
-    lasting = pairs[: cancelled[0]] if len(cancelled) else pairs
-    return n / max(2.0 * float(lasting.sum()) - 1.0, 1.0)
 
 
 def filter_against_smoother(

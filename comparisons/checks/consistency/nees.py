@@ -13,9 +13,9 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.consistency.normalised import Normalised, normalise
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.logs.log import Log
+from comparisons.statistics import Normalised, normalise
 from ekf_reference.core.geometry import wrap_angle
 
 _LEAST_SIGMAS = 5.0

@@ -14,9 +14,9 @@ from scipy.special import bdtrc
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.misfit import squared_misfit
-from comparisons.checks.quantiles import chi2_quantile
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
+from comparisons.statistics import chi2_quantile
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurements import REJECTED
 

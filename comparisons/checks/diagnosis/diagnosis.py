@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.checks.causes import Cause
-from comparisons.checks.quantiles import f_quantile
+from comparisons.statistics import f_quantile
 
 Complex = NDArray[np.complex128]
 Fit = Callable[[Complex, Complex], tuple[complex, complex, str]]

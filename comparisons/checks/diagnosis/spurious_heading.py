@@ -15,9 +15,10 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import TraceArrays
+from graphslam.arrays import conditional_covariance
 from graphslam.linear_problem import LinearProblem, LinearRelations
 from graphslam.marginals import SingularProblemError
-from graphslam.spurious import conditional_covariance, information_about_start
+from graphslam.spurious import information_about_start
 
 _MATTERS = 10.0
 """Times the heading's largest sigma: what is learnt less surely than that changes nothing."""

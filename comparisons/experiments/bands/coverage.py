@@ -10,10 +10,10 @@ import numpy as np
 from scipy import stats
 
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
-from comparisons.checks.consistency.innovations import SensorInnovations, Whiteness
+from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
-from comparisons.checks.consistency.normalised import Normalised, mean_band
 from comparisons.pipeline.compare import Comparison
+from comparisons.statistics import Normalised, Whiteness, mean_band
 from graphslam.optimum import ChiSquareTest
 
 LEVEL = 0.01

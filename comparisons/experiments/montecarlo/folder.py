@@ -26,10 +26,10 @@ from comparisons.experiments.montecarlo.statistics import (
     per_run,
 )
 from comparisons.experiments.montecarlo.study import Outcome
-from comparisons.extensions.interface import Row
 from comparisons.report.model import finite
 from comparisons.report.picture import save
 from comparisons.report.terminal import Summary
+from comparisons.words import Row
 
 RESULT = "montecarlo.json"
 _MOST_FAILURES = 5

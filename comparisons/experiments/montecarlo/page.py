@@ -17,9 +17,8 @@ from comparisons.experiments.montecarlo.statistics import (
 )
 from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.report.html.curves import data_block, panel_data
-from comparisons.report.html.look import script
-from comparisons.report.html.shell import again, document, number, sortable, table
-from comparisons.report.panels import Band, Curve, Panel
+from comparisons.report.html.shell import again, document, number, script, sortable, table
+from comparisons.report.marks import Band, Curve, Panel
 
 _SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
 _UNITS = {"position": "m", "heading": "rad", "landmarks": "m"}

@@ -15,7 +15,6 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.checks.consistency.nees import map_errors
-from comparisons.checks.consistency.normalised import mean_band
 from comparisons.experiments.reproduction.interface import Claim, at_least, at_most
 from comparisons.experiments.reproduction.nieto_dense import Coarsened, Maps, Rounds
 from comparisons.experiments.reproduction.watched_run import truth_in_order
@@ -26,6 +25,7 @@ from comparisons.extensions.dense_maps.accuracy import (
     near_share,
 )
 from comparisons.logs.log import Log
+from comparisons.statistics import mean_band
 from ekf_reference.dense.layers.layer import Samples
 
 LITERALLY = "by the thesis' settings: "

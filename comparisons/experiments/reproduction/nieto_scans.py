@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
-from comparisons.checks.consistency.normalised import mean_band
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
@@ -24,6 +23,7 @@ from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scan_worlds import PlacedShape, ScanWorld, placed_shapes
 from comparisons.logs.simulate.scanners import half_degrees
 from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR
+from comparisons.statistics import mean_band
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.templates import ObservationOptions
 from ekf_reference.scan_matching.alignment_covariance import scan_align

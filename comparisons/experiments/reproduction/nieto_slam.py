@@ -11,13 +11,13 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.checks.consistency.nees import PoseErrors, pose_errors
-from comparisons.checks.consistency.normalised import normalise
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.interface import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive
+from comparisons.statistics import normalise
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import correlation_coefficients
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.checks.consistency.normalised import mean_band
 from comparisons.experiments.reproduction.interface import (
     SHARE_WITHIN_3_SIGMA,
     THREE_SIGMA_SQUARED,
@@ -20,6 +19,7 @@ from comparisons.experiments.reproduction.interface import (
     at_most,
 )
 from comparisons.experiments.reproduction.nieto_slam import Fixed, LoopDrive, Loops, Moment
+from comparisons.statistics import mean_band
 
 NEAR_M, FAR_M = 12.0, 50.0
 """Landmarks nearer than that are close to each other; farther ones are not."""

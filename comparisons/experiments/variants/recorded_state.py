@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.events import Augment, Blocks, Directions, Event, Predict, Prior, Update
 from comparisons.experiments.variants.batch_ekf import BatchEkf, InvariantEkf
 from comparisons.experiments.variants.batch_models import turned
 from comparisons.experiments.variants.batch_state import BatchState, InvariantState, measured
+from comparisons.trace.events import Augment, Blocks, Directions, Event, Predict, Prior, Update
 
 SENSOR = "landmarks"
 _POSE, _NAMES = 3, ("east", "north", "heading")

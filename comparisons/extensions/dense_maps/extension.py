@@ -13,11 +13,12 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.memory import Demand
 from comparisons.extensions.dense_maps.result import dense_result, dense_rows
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing
+from comparisons.words import Row
 from ekf_reference.core.landmark_types import POINT
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from comparisons.extensions.dense_maps.accuracy import SurfaceError
 from comparisons.extensions.dense_maps.check import DenseAgreement
 from comparisons.extensions.dense_maps.source import DenseRun
-from comparisons.extensions.interface import Row
 from comparisons.report.model import Model, finite
+from comparisons.words import Row
 
 _LISTED = 20
 

@@ -16,11 +16,12 @@ from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import Cloud, Sampling, build_fastslam, run_fastslam
 from comparisons.extensions.fastslam.result import FastSlamResult, fastslam_result
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.logs.transforms.known_landmarks import surveyed
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.rows import accuracy_rows
+from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
 
 if TYPE_CHECKING:

@@ -18,10 +18,11 @@ from comparisons.extensions.high_level.source import (
     HighLevelRun,
     HighLevelSource,
 )
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing
+from comparisons.words import Row
 
 
 class HighLevel(Extension):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.extensions.high_level.source import HighLevelRun
-from comparisons.extensions.interface import Row
 from comparisons.report.model import Model
+from comparisons.words import Row
 
 
 def high_level_result(run: HighLevelRun) -> HighLevelResult:

@@ -18,7 +18,7 @@ from comparisons.checks.association import score_association
 from comparisons.choices import When
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.extensions.own_association.check import (
     OwnAssociationCheck,
     association_cause,
@@ -33,6 +33,7 @@ from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, AssociationResult
 from comparisons.report.rows import accuracy_rows, association_rows, in_sigma
 from comparisons.report.sections import accuracy_result, association_result
+from comparisons.words import Row
 from ekf_reference.core.measurements import DYNAMIC
 from graphslam.optimum import Optimality
 from graphslam.problem import PoseLandmarkMeasurements

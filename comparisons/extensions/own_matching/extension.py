@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from comparisons.adapters.smoother_input import smoothed_estimate
 from comparisons.checks.accuracy import assess
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.extensions.own_matching.check import (
     OwnMatchingCheck,
     check_own_matching,
@@ -17,6 +17,7 @@ from comparisons.extensions.own_matching.result import own_matching_result, own_
 from comparisons.extensions.own_matching.source import own_measurements
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.pipeline.gaps import Compared
+from comparisons.words import Row
 from graphslam.smoother import smooth
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.extensions.interface import Row
 from comparisons.extensions.own_matching.check import LandmarkMatching, OwnMatchingCheck
 from comparisons.report.model import Model, finite
 from comparisons.report.models import AccuracyResult, MapPairResult
 from comparisons.report.rows import accuracy_rows, in_sigma
 from comparisons.report.sections import accuracy_result, map_pair_result
+from comparisons.words import Row
 
 MATCHER = "Open3D, generalised ICP"
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.extensions.posterior.check import (
     Judged,
     PosteriorCheck,
@@ -20,6 +20,7 @@ from comparisons.extensions.posterior.check import (
 from comparisons.extensions.posterior.result import posterior_result, posterior_rows
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
+from comparisons.words import Row
 from graphslam.sampling import LARGEST_DIMENSION, SamplingOptions, sample_posterior
 
 

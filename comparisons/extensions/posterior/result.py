@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from comparisons.extensions.interface import Row
 from comparisons.extensions.posterior.check import Judged, PosteriorCheck
 from comparisons.report.model import Model, finite
+from comparisons.words import Row
 from graphslam.chain_diagnostics import Estimated
 from graphslam.sampling import (
     LARGEST_R_HAT,

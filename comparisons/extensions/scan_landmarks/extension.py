@@ -13,7 +13,7 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
     ScanLandmarkResult,
@@ -30,6 +30,7 @@ from comparisons.extensions.scan_landmarks.source import (
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing
+from comparisons.words import Row
 from ekf_reference.scan_landmarks.merging import FusingOptions
 
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.checks.accuracy import assess
 from comparisons.checks.map_agreement import compare_maps
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.extensions.scan_motion.increments import check_increments
 from comparisons.extensions.scan_motion.result import (
     increment_remarks,
@@ -32,6 +32,7 @@ from comparisons.extensions.scan_motion.three_way import (
 from comparisons.logs.transforms.scan_motion import BEYOND, with_scan_motion
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
+from comparisons.words import Row
 from graphslam.scan.loop_closure import loop_closer
 from graphslam.smoother import SmootherOptions
 

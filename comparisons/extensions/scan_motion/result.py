@@ -9,13 +9,13 @@ from collections.abc import Iterable
 import numpy as np
 
 from comparisons.adapters.scan_odometry import ScanMotion
-from comparisons.extensions.interface import Row
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, MapPairResult
 from comparisons.report.rows import accuracy_rows, band
 from comparisons.report.sections import accuracy_result, map_pair_result
+from comparisons.words import Row
 
 _SURE = 2.0
 """Sigmas too small by more than this factor are remarked upon."""

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.errors import InputError
-from comparisons.files import check_regular
+from comparisons.errors import InputError, check_regular
 from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
 from graphslam.g2o import read_g2o

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
-from comparisons.files import check_regular
+from comparisons.errors import InputError, check_regular
 
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8",

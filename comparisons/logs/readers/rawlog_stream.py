@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
-from comparisons.files import check_regular
+from comparisons.errors import InputError, check_regular
 from comparisons.logs.table import shorten
 from comparisons.logs.validation import LARGEST
 

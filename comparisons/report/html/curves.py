@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.report.html.look import themed
-from comparisons.report.panels import Panel
+from comparisons.report.html.shell import themed
+from comparisons.report.marks import Panel
 
 MOST_POINTS = 2000
 _DIGITS = 4

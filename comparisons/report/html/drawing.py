@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
-from comparisons.report.html.look import themed
+from comparisons.report.html.shell import themed
 
 MOST_POINTS = 4000
 MOST_LINES = 3000

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from comparisons.checks.causes import EXPLANATIONS, cause_name
-from comparisons.extensions.interface import Row
+from comparisons.checks.causes import EXPLANATIONS
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.ladder import ladder_picture
-from comparisons.report.html.look import script
 from comparisons.report.html.map import RATIO_LAYER, MapContent, draw_map, ratio_legend
-from comparisons.report.html.shell import again, document, picture, prose, table
-from comparisons.report.html.tables import LandmarkRow, figures, landmarks, settings, timing
+from comparisons.report.html.shell import again, document, figures, picture, prose, script, table
+from comparisons.report.html.tables import LandmarkRow, landmarks, settings, timing
 from comparisons.report.ladder import Step
+from comparisons.report.marks import Panel
 from comparisons.report.models import CauseResult
-from comparisons.report.panels import Panel
 from comparisons.report.settings import SETTINGS, SettingLine
+from comparisons.words import Row, cause_name
 
 _HINT = {
     "map": "Wheel to zoom, drag to move, double click for all; click a landmark to find its row.",

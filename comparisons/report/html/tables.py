@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
-from itertools import groupby
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from comparisons.extensions.interface import Row
 from comparisons.report.html.shell import number, sortable
-from comparisons.report.models import BlockResult
-from comparisons.report.settings import SettingLine
+
+if TYPE_CHECKING:
+    from comparisons.report.models import BlockResult
+    from comparisons.report.settings import SettingLine
 
 
 class LandmarkRow(NamedTuple):
@@ -21,34 +21,6 @@ class LandmarkRow(NamedTuple):
     name: str
     block: BlockResult
     error_m: float = math.nan
-
-
-def figures(rows: Sequence[Row]) -> str:
-    """A table of quantity, value, band and whether the value lies in it, by group."""
-    note = ""
-    if any(_SINGLE in f"{row.group} {row.band}" for row in rows):
-        note = f'<p class="note">{_BANDS}</p>'
-    head = "".join(f"<th>{name}</th>" for name in ("quantity", "value", "band", "in or out"))
-    parts = []
-    for group, found in groupby(rows, key=lambda row: row.group):
-        parts.append(f'<tbody><tr class="group"><th colspan="4">{escape(group)}</th></tr>')
-        for row in found:
-            cells = (row.quantity, row.value, row.band, _MARKS[row.inside])
-            body = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-            parts.append(f'<tr class="{_KINDS[row.inside]}">{body}</tr>')
-        parts.append("</tbody>")
-    return f'{note}<table class="figures"><thead><tr>{head}</tr></thead>{"".join(parts)}</table>'
-
-
-_SINGLE = "95 %"
-_BANDS = (
-    "One value in twenty is outside its 95 % band by chance, so a single one outside is no "
-    "failure: the verdict on the filter's consistency allows more. A mean NEES over the epochs of "
-    "one run has the band of a single epoch, for its errors are correlated; so has one over "
-    "landmarks."
-)
-_KINDS = {True: "good", False: "bad", None: ""}
-_MARKS = {True: "in", False: "out", None: ""}
 
 
 def landmarks(rows: Sequence[LandmarkRow], note: str) -> str:

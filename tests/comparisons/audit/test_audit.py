@@ -10,7 +10,7 @@ import pytest
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import FALSE_ALARMS, Audit, audit
-from comparisons.audit.recorder import Recorder
+from comparisons.trace.recorder import Recorder
 from tests.comparisons.audit.toy_filter import GATE, SENSORS, Alter, F, Q, Toy
 
 PARTS = {

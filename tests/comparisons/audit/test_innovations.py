@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from comparisons.arrays import Array
-from comparisons.audit.events import Sensor
 from comparisons.audit.innovations import InnovationLog, SensorFigures, _lengthened, _onset
+from comparisons.trace.events import Sensor
 
 LEVEL = 1e-3
 

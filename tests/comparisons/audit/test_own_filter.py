@@ -15,13 +15,13 @@ from comparisons.adapters.defects.algebra import (
 )
 from comparisons.adapters.defects.defect import with_state
 from comparisons.audit.audit import audit
-from comparisons.audit.events import Augment, Directions, Event, Remove, Snapshot, Update
 from comparisons.audit.own_filter import run_events, write_run
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, learnt
-from comparisons.audit.trace_file import Trace
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.pipeline.compare import Comparison, Modified
+from comparisons.trace.events import Augment, Directions, Event, Remove, Snapshot, Update
+from comparisons.trace.reader import Trace
 from ekf_reference.core.state import KalmanState
 from tests.comparisons.test_initialisation_run import initialised_boundless
 from tests.comparisons.test_known_landmarks import with_survey

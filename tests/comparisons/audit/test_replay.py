@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit.events import Augment, Clone, Predict, Prior, Remove, Reset, Update
 from comparisons.audit.replay import Replay
+from comparisons.trace.events import Augment, Clone, Predict, Prior, Remove, Reset, Update
 
 RNG = np.random.default_rng(0)
 

@@ -8,18 +8,6 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.events import (
-    Augment,
-    Clone,
-    Directions,
-    Event,
-    Predict,
-    Prior,
-    Remove,
-    Reset,
-    Snapshot,
-    Update,
-)
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import (
     MOST_POINTS,
@@ -34,6 +22,18 @@ from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, In
 from comparisons.experiments.variants.batch_state import BatchState
 from comparisons.experiments.variants.linearisation import AtFirstEstimate, MeasuredPoints
 from comparisons.experiments.variants.recorded_state import record
+from comparisons.trace.events import (
+    Augment,
+    Clone,
+    Directions,
+    Event,
+    Predict,
+    Prior,
+    Remove,
+    Reset,
+    Snapshot,
+    Update,
+)
 from tests.comparisons.montecarlo.worlds import short_world
 
 BLIND = "camera"

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from comparisons.arrays import Array
 from comparisons.audit.directions import Part, inertial_directions
-from comparisons.audit.events import (
+from comparisons.audit.spurious import Learnt, learnt
+from comparisons.trace.events import (
     Augment,
     Clone,
     Directions,
@@ -23,7 +24,6 @@ from comparisons.audit.events import (
     Remove,
     Update,
 )
-from comparisons.audit.spurious import Learnt, learnt
 
 STEP_S, STEPS = 0.1, 25
 GRAVITY = np.array([0.0, 0.0, -9.81])

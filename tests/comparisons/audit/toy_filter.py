@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.audit.recorder import Recorder
+from comparisons.trace.recorder import Recorder
 
 BLOCKS = {"position": 2, "velocity": 2, "bias": 2}
 _DT = 0.5

@@ -14,11 +14,12 @@ from pydantic import BaseModel
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Extension, Finding, Row
+from comparisons.extensions.interface import Extension, Finding
 from comparisons.logs.log import Poses
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.picture import blank
+from comparisons.words import Row
 from ekf_reference.core.ekf import NEW, Ekf
 from tests.comparisons.toy_extension.config import DockingConfig
 

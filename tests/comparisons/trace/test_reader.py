@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import re
+import shutil
 import sqlite3
 import struct
 import time
-from collections.abc import Callable, Iterator
+import tracemalloc
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -17,14 +20,19 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit import trace_file, trace_rows
 from comparisons.audit.audit import audit
-from comparisons.audit.events import Event, Predict, Update
-from comparisons.audit.recorder import _COLUMNS, Recorder
-from comparisons.audit.trace_file import TABLES, Trace
-from comparisons.audit.trace_rows import EventReader
 from comparisons.errors import InputError
+from comparisons.trace import reader
+from comparisons.trace import rows as trace_rows
+from comparisons.trace.batch import COLUMNS, KINDS, ROW, pack, unpack
+from comparisons.trace.events import Augment, Event, Predict, Prior, Snapshot, Update
+from comparisons.trace.first_format import FirstFormat
+from comparisons.trace.reader import TABLES, Trace
+from comparisons.trace.recorder import Recorder
+from comparisons.trace.rows import EventReader, batch_rows
+from tests.comparisons.audit.toy_filter import Toy
 
+CHARTS = ["additive", "additive"]
 P = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.25], [0.0, 0.25, 3.0]])
 F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 Q = np.diag([0.0, 0.1, 0.2])
@@ -79,6 +87,38 @@ def refused(path: Path) -> str:
     return said.removeprefix(str(path))
 
 
+KEPT = Path(__file__).resolve().parents[1] / "kept" / "v1"
+"""Traces of format 1, as slamcheck 0.2 recorded them."""
+
+
+@pytest.fixture
+def first(tmp_path: Path) -> Path:
+    """The same events as `record`, in format 1."""
+    return Path(shutil.copy(KEPT / "one-of-each.trace", tmp_path / "run.trace"))
+
+
+def edit(path: Path, number: int, column: str, value: Any) -> None:
+    """Change an event: its time, kind, use, blocks, text, or one of its matrices."""
+    with closing(sqlite3.connect(path)) as file:
+        ((data,),) = file.execute("SELECT data FROM batch")
+        batch = unpack(data)
+        rows = [list(row[:5]) + row[5] for row in zip(*batch[:6], strict=True)]
+        texts = [json.dumps(text) for text in batch.texts]
+        matrices = [b"" if one is None else one.tobytes() for one in batch.arrays]
+        row = rows[number]
+        if column in ("blocks", "text"):
+            row[3 if column == "blocks" else 4] = len(texts)
+            texts.append(value if isinstance(value, str) else json.dumps(value))
+        elif column in ("time_s", "kind", "used"):
+            row[("time_s", "kind", "used").index(column)] = value
+        else:
+            row[5 + COLUMNS[KINDS[row[1]]].index(column)] = -1 if value is None else len(matrices)
+            matrices += [] if value is None else [value]
+        packed = pack([ROW.pack(*one) for one in rows], texts, matrices)
+        file.execute("UPDATE batch SET data = ?", (packed,))
+        file.commit()
+
+
 def plain(event: Event) -> tuple[Any, ...]:
     return tuple(x.tolist() if isinstance(x, np.ndarray) else x for x in event)
 
@@ -96,14 +136,15 @@ def test_every_kind_is_read_as_it_was_recorded(trace: Path) -> None:
     a, ab, r = ("a",), ("a", "b"), R.tolist()
     basis = [[1.0, 0.0], [0.0, 1.0], [0.0, 2.0]]
     gain = [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]
+    nothing = None, None, 1.0
     assert [plain(event) for event in events] == [
-        (0, None, ab, (2, 1), P.tolist()),
+        (0, None, ab, (2, 1), P.tolist(), None, ()),
         (1, None, ab, basis, ("shift", "turn"), ("odometry",)),
-        (2, 0.5, ab, F.tolist(), Q.tolist()),
-        (3, 1.0, ab, F.tolist(), Q.tolist()),
-        (4, 1.0, "gps", a, [0.1, 0.2], H.tolist(), r, True, [1.0, 2.0, 3.0], gain),
-        (5, 1.0, "gps", a, [9.0, 9.0], H.tolist(), r, False, None, None),
-        (6, 1.0, "c", a, [[1.0, 2.0]], [[1.0, 0.5]], r),
+        (2, 0.5, ab, F.tolist(), Q.tolist(), None, None),
+        (3, 1.0, ab, F.tolist(), Q.tolist(), None, None),
+        (4, 1.0, "gps", a, [0.1, 0.2], H.tolist(), r, True, [1.0, 2.0, 3.0], gain, *nothing),
+        (5, 1.0, "gps", a, [9.0, 9.0], H.tolist(), r, False, None, None, *nothing),
+        (6, 1.0, "c", a, [[1.0, 2.0]], [[1.0, 0.5]], r, None, *nothing, "additive"),
         (7, 1.0, "copy", "a"),
         (8, 1.0, ("b",), [[2.0]]),
         (9, 1.0, ("b", "c"), [[1.0, 0.0], [0.0, 1.0]], [1.0, 2.0, 3.0, 4.0], [0.5, 0.25]),
@@ -112,47 +153,85 @@ def test_every_kind_is_read_as_it_was_recorded(trace: Path) -> None:
     assert [plain(event) for event in found] == [plain(event) for event in events], "once more"
 
 
-SET = "UPDATE event SET "
+@pytest.mark.parametrize("name", ["one-of-each", "toy"])
+def test_the_first_format_is_read_with_a_line_that_says_so(
+    name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    now = tmp_path / f"{name}.trace"
+    if name == "toy":
+        Toy(seed=1, steps=12).record(now)
+    else:
+        record(now)
+    former = Trace(KEPT / f"{name}.trace")
+    assert "is of format 1, of slamcheck 0.2, which the next release" in capfd.readouterr().err
+    assert former.counts == Trace(now).counts
+    assert former.sensors == Trace(now).sensors
+    both = zip(former, Trace(now), strict=True)
+    assert all(plain(one) == plain(other) for one, other in both)
+
+
+def test_what_a_check_needs_is_read_as_it_was_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "run.trace"
+    with Recorder(path) as recorder:
+        recorder.prior({"a": 2, "r": 1}, P, point=[1.0, 2.0], charts={"r": "so3 right"})
+        recorder.predict(F, Q, point=[1.0], after=[2.0, 3.0])
+        recorder.update("x", [0.1, 0.2], H, R, ["a"], point=[4.0], numbers=[7, 8], weight=0.25)
+        recorder.reject("x", [0.1, 0.2], H, R, ["a"], numbers=9)
+        more: dict[str, Any] = {"point": [5.0], "after": [6.0], "numbers": 3, "weight": 0.0}
+        recorder.augment("c", [[1.0, 2.0]], [[1.0, 0.5]], R, ["a"], chart="se2", **more)
+        recorder.clone("c", "d")
+    prior, predict, update, reject, augment, _ = Trace(path)
+    assert isinstance(prior, Prior)
+    assert isinstance(predict, Predict)
+    assert isinstance(update, Update)
+    assert isinstance(reject, Update)
+    assert isinstance(augment, Augment)
+    assert plain(prior)[5:] == ([1.0, 2.0], ("additive", "so3 right"))
+    assert plain(predict)[5:] == ([1.0], [2.0, 3.0])
+    assert plain(update)[8:] == (None, None, [4.0], [7.0, 8.0], 0.25)
+    assert plain(reject)[7:] == (False, None, None, None, [9.0], 1.0)
+    assert plain(augment)[7:] == ([5.0], [6.0], [3.0], 0.0, "se2")
+    with Recorder(tmp_path / "other") as recorder:
+        recorder.prior({"a": 1}, 1.0)
+        with pytest.raises(TypeError, match="unexpected keyword argument 'numbrs'"):
+            recorder.update("x", 1.0, 1.0, 1.0, numbrs=1)  # type: ignore[call-arg]
+
+
+NO_NAMES: tuple[Any, ...] = ('"a"', [], [1], {}, None, ["a", "a"], [["a"]])
+NOT_A_NUMBER = "is no numbers, or has one that is not finite or too large"
 BAD_EVENTS: list[tuple[int, str, Any, str]] = [
     (PRIOR, "covariance", b"", "covariance has 0 numbers, expected 3 x 3"),
-    (PRIOR, "covariance", P.tobytes()[:-1], "covariance is not a blob of float64 numbers"),
-    (PRIOR, "covariance", None, "covariance is not a blob of float64 numbers"),
-    (PRIOR, "note", "[20000, 20000]", "makes the state larger than 20000 entries"),
-    (PRIOR, "note", "[20000, 1]", "makes the state larger than 20000 entries"),
-    (PRIOR, "note", "[19999, 1]", "covariance has 9 numbers, expected 20000 x 20000"),
-    (PRIOR, "note", "[1e9, 1]", "blocks and note are not lists of names and of dimensions"),
-    (PRIOR, "note", "[true, 1]", "blocks and note are not lists of names and of dimensions"),
-    (PRIOR, "note", "[0, 3]", "blocks and note are not lists of names and of dimensions"),
-    (PRIOR, "note", "[2]", "blocks and note are not lists of names and of dimensions"),
-    (PRIOR, "note", "[" * 100_000, "blocks and note are not lists of names and of dimensions"),
-    (PRIOR, "blocks", '["a", "a"]', "blocks and note are not lists of names and of dimensions"),
-    (PRIOR, "blocks", "[]", "blocks and note are not lists of names and of dimensions"),
-    (PRIOR, "kind", "predict", "is a predict, expected the prior first"),
-    (DIRECTIONS, "note", "{}", "note is not {names: [...], blind: [...]}, both not empty"),
-    (DIRECTIONS, "note", "7", "note is not {names: [...], blind: [...]}, both not empty"),
+    (PRIOR, "covariance", None, "covariance is missing"),
+    *(
+        (PRIOR, "text", text, "blocks and text are not names, and dimensions and charts")
+        for text in (
+            *([[1e9, 1], CHARTS], [[True, 1], CHARTS], [[0, 3], CHARTS], [[2], CHARTS], [2, 1]),
+            *([[2, 1], ["additive", "round"]], [[2, 1], [[], []]], "7", "null"),
+        )
+    ),
+    (PRIOR, "text", [[20000, 20000], CHARTS], "makes the state larger than 20000 entries"),
+    (PRIOR, "text", [[19999, 1], CHARTS], "covariance has 9 numbers, expected 20000 x 20000"),
+    (PRIOR, "blocks", ["a", "a"], "blocks and text are not names, and dimensions and charts"),
+    (PRIOR, "blocks", [], "blocks and text are not names, and dimensions and charts"),
+    (PRIOR, "kind", 1, "is a predict, expected the prior first"),
+    (DIRECTIONS, "text", {}, "text is not {names: [...], blind: [...]}, both not empty"),
+    (DIRECTIONS, "text", 7, "text is not {names: [...], blind: [...]}, both not empty"),
     (DIRECTIONS, "jacobian", bytes(8), "jacobian has 1 numbers, expected 3 x 2"),
-    (PREDICT, "kind", "prior", "is a second prior; a filter that begins anew has a new trace"),
-    (PREDICT, "kind", "dance", "kind 'dance', expected one of prior, predict, update, augment, "),
-    (PREDICT, "kind", "\x1b[2J\n" * 1000, "kind '\\x1b[2J\\n"),
-    (PREDICT, "time_s", "noon", "time_s 'noon', expected a number of seconds"),
+    (PREDICT, "kind", 0, "is a second prior; a filter that begins anew has a new trace"),
     (PREDICT, "time_s", float("inf"), "time_s inf, expected a number of seconds"),
-    (PREDICT, "jacobian", np.full(9, np.nan).tobytes(), "jacobian has a number that is not finite"),
-    (PREDICT, "noise", np.full(9, np.inf).tobytes(), "noise has a number that is not finite"),
-    (PREDICT, "noise", np.full(9, 1e300).tobytes(), "noise has a number that is not finite, or"),
-    (PREDICT, "jacobian", None, "jacobian is missing, and the event before of this kind, sensor"),
-    (PREDICT, "blocks", '["a"]', "jacobian has 9 numbers, expected 2 x 2"),
-    (PREDICT, "blocks", '["z"]', "block 'z' is not in the state at that time"),
-    (PREDICT, "blocks", '["a", "b"', 'blocks \'["a", "b"\', expected a list of distinct names'),
-    (PREDICT, "blocks", "[" * 100_000, "blocks '[[[[["),
-    (PREDICT, "blocks", '"a"', "blocks '\"a\"', expected a list of distinct names"),
-    (PREDICT, "blocks", "[]", "blocks '[]', expected a list of distinct names"),
-    (PREDICT, "blocks", "[1]", "blocks '[1]', expected a list of distinct names"),
+    (PREDICT, "jacobian", np.full(9, np.nan).tobytes(), f"jacobian {NOT_A_NUMBER}"),
+    (PREDICT, "noise", np.full(9, np.inf).tobytes(), f"noise {NOT_A_NUMBER}"),
+    (PREDICT, "noise", np.full(9, 1e300).tobytes(), f"noise {NOT_A_NUMBER}"),
+    (PREDICT, "point", np.full(9, np.inf).tobytes(), f"point {NOT_A_NUMBER}"),
+    (PREDICT, "jacobian", None, "jacobian is missing"),
+    (PREDICT, "blocks", ["a"], "jacobian has 9 numbers, expected 2 x 2"),
+    (PREDICT, "blocks", ["z"], "block 'z' is not in the state at that time"),
+    *((PREDICT, "blocks", one, "blocks are no list of distinct names") for one in NO_NAMES),
     (PREDICT, "noise", np.diag([1.0, 1.0, -1e-6]).tobytes(), "noise (Q) has a negative eigenvalue"),
     (PREDICT, "noise", (P + F).tobytes(), "noise (Q) is not symmetric"),
-    (AGAIN, "blocks", '["b", "a"]', "jacobian is missing, and the event before of this kind"),
-    (UPDATE, "sensor", None, "sensor None, expected a name"),
+    (UPDATE, "text", None, "sensor None, expected a name"),
+    (UPDATE, "text", ["\x1b[2J\n" * 1000] * 9, "sensor ['\\x1b[2J\\n"),
     (UPDATE, "used", 2, "used is 2, expected 0 or 1"),
-    (UPDATE, "used", None, "used is None, expected 0 or 1"),
     (UPDATE, "residual", b"", "residual is empty"),
     (UPDATE, "residual", bytes(24), "jacobian has 4 numbers, expected 3 x 2"),
     (UPDATE, "noise", np.diag([1.0, 0.0]).tobytes(), "noise (R) is not positive definite"),
@@ -160,24 +239,23 @@ BAD_EVENTS: list[tuple[int, str, Any, str]] = [
     (UPDATE, "noise", H.tobytes()[8:], "noise has 3 numbers, expected 2 x 2"),
     (UPDATE, "correction", bytes(16), "correction has 2 numbers, expected 3"),
     (UPDATE, "gain", bytes(16), "gain has 2 numbers, expected 3 x 2"),
-    (REJECT, "residual", bytes(8), "jacobian is missing, and the event before of this kind"),
-    (REJECT, "sensor", "radar", "jacobian is missing, and the event before of this kind"),
-    (AUGMENT, "note", '["a", 1]', "new block 'a' is in the state already"),
-    (AUGMENT, "note", '["c", 20000]', "jacobian has 2 numbers, expected 20000 x 2"),
-    (AUGMENT, "note", '["c", true]', "note '[\"c\", true]', expected a name and a dimension"),
-    (AUGMENT, "note", f"[{'[' * 500}{']' * 500}, 1]", "the new block's name is not a text"),
-    (AUGMENT, "noise", bytes(24), "noise has 3 numbers, expected 1 x 1"),
+    (UPDATE, "weight", np.array([1.5]).tobytes(), "weight is 1.5, expected 0 to 1"),
+    (UPDATE, "weight", bytes(16), "weight has 2 numbers, expected 1"),
+    (AUGMENT, "text", ["a", 1, "additive"], "new block 'a' is in the state already"),
+    (AUGMENT, "text", ["c", 20000, "additive"], "jacobian has 2 numbers, expected 20000 x 2"),
+    (AUGMENT, "text", ["c", True, "se2"], "text ['c', True, 'se2'], expected a name, a dimension"),
+    (AUGMENT, "text", ["c", 1, "x"], "text ['c', 1, 'x'], expected a name, a dimension and a"),
+    (AUGMENT, "text", [[[]], 1, "se2"], "the new block's name is not a text"),
+    (AUGMENT, "noise", bytes(24), "noise_jacobian has 2 numbers, expected 1 x 1"),
     (AUGMENT, "noise", np.diag([-1.0, 1.0]).tobytes(), "noise (R) has a negative eigenvalue"),
     (AUGMENT, "noise_jacobian", bytes(8), "noise_jacobian has 1 numbers, expected 1 x 2"),
-    (CLONE, "blocks", '["a", "b"]', "clones 2 blocks, expected one"),
-    (CLONE, "note", "b", "new block 'b' is in the state already"),
-    (CLONE, "note", None, "the new block's name is not a text"),
+    (CLONE, "blocks", ["a", "b"], "clones 2 blocks, expected one"),
+    (CLONE, "text", '"b"', "new block 'b' is in the state already"),
+    (CLONE, "text", None, "the new block's name is not a text"),
     (RESET, "jacobian", bytes(16), "jacobian has 2 numbers, expected 1 x 1"),
     (SNAPSHOT, "covariance", bytes(8), "covariance has 1 numbers, expected 2 x 2"),
-    (SNAPSHOT, "mean", "1", "mean is not a blob of float64 numbers"),
     (SNAPSHOT, "error", bytes(8), "error has 1 numbers, expected 2"),
-    (REMOVE, "blocks", '["a", "b", "c", "copy"]', "removes the last block of the state"),
-    (REMOVE, "number", 12, "stands after event 9, expected 10"),
+    (REMOVE, "blocks", ["a", "b", "c", "copy"], "removes the last block of the state"),
 ]
 
 
@@ -185,26 +263,35 @@ BAD_EVENTS: list[tuple[int, str, Any, str]] = [
 def test_a_bad_event_is_one_line(
     trace: Path, number: int, column: str, value: Any, said: str
 ) -> None:
-    change(trace, f"{SET}{column} = ? WHERE number = ?", value, number)
+    edit(trace, number, column, value)
+    assert refused(trace).startswith(f", event {number}: {said}")
+
+
+SET = "UPDATE event SET "
+BAD_ROWS: list[tuple[int, str, Any, str]] = [
+    (PREDICT, "kind", "dance", "kind 'dance', expected one of prior, predict, update, augment, "),
+    (PREDICT, "kind", "\x1b[2J\n" * 1000, "kind '\\x1b[2J\\n"),
+    (PREDICT, "time_s", "noon", "time_s 'noon', expected a number of seconds"),
+    (PREDICT, "jacobian", None, "jacobian is missing"),
+    (PREDICT, "blocks", "[" * 100_000, "blocks are no list of distinct names"),
+    (PRIOR, "covariance", P.tobytes()[:-1], f"covariance {NOT_A_NUMBER}"),
+    (PRIOR, "note", "[" * 100_000, "blocks and text are not names, and dimensions and charts"),
+    (AGAIN, "blocks", '["b", "a"]', "jacobian is missing"),
+    (REJECT, "sensor", "radar", "jacobian is missing"),
+    (UPDATE, "used", None, "used is None, expected 0 or 1"),
+    (SNAPSHOT, "mean", "1", f"mean {NOT_A_NUMBER}"),
+    (REMOVE, "number", 12, "stands after event 9, expected 10"),
+]
+"""In format 1."""
+
+
+@pytest.mark.parametrize(("number", "column", "value", "said"), BAD_ROWS)
+def test_a_bad_row_of_the_first_format_is_one_line(
+    first: Path, number: int, column: str, value: Any, said: str
+) -> None:
+    change(first, f"{SET}{column} = ? WHERE number = ?", value, number)
     at = value if column == "number" else number
-    assert refused(trace).startswith(f", event {at}: {said}")
-
-
-def test_a_removed_block_is_gone(trace: Path) -> None:
-    change(
-        trace,
-        "INSERT INTO event (number, kind, sensor, blocks, used, jacobian, noise, residual) "
-        "SELECT 11, kind, sensor, blocks, used, jacobian, noise, residual FROM event "
-        "WHERE number = 4",
-    )
-    assert list(Trace(trace))[-1].number == 11
-    change(trace, SET + "blocks = '[\"copy\"]' WHERE number = 11")
-    assert refused(trace) == ", event 11: block 'copy' is not in the state at that time"
-
-
-def test_a_gap_in_the_numbers_is_named(trace: Path) -> None:
-    change(trace, "DELETE FROM event WHERE number = 5")
-    assert refused(trace) == ", event 6: stands after event 4, expected 5"
+    assert refused(first).startswith(f", event {at}: {said}")
 
 
 HOSTILE: tuple[Any, ...] = (
@@ -214,9 +301,9 @@ HOSTILE: tuple[Any, ...] = (
 """Values to put in any column."""
 
 
-def test_any_value_in_any_column_is_read_or_refused(trace: Path) -> None:
+def test_any_value_in_any_column_is_read_or_refused(first: Path) -> None:
     """Nothing but InputError, with the number of the event or a later one that it spoils."""
-    with closing(sqlite3.connect(trace)) as file:
+    with closing(sqlite3.connect(first)) as file:
         rows = file.execute("SELECT * FROM event").fetchall()
     said = []
     for number, row in enumerate(rows):
@@ -224,14 +311,68 @@ def test_any_value_in_any_column_is_read_or_refused(trace: Path) -> None:
             for value in HOSTILE:
                 changed = [*rows[:number], (*row[:column], value, *row[column + 1 :])]
                 try:
-                    EventReader(trace).events([*changed, *rows[number + 1 :]])
+                    former = map(FirstFormat().row, [*changed, *rows[number + 1 :]])
+                    EventReader(first).events(former)
                 except InputError as error:
                     said.append(str(error))
-    assert len(said) > 1500
+    assert len(said) > 1000
     for one in said:
         assert one.isprintable()
-        assert one.startswith(f"{trace}, event ")
-        assert len(one) < len(str(trace)) + 300
+        assert one.startswith(f"{first}, event ")
+        assert len(one) < len(str(first)) + 300
+
+
+def stored(path: Path) -> bytes:
+    with closing(sqlite3.connect(path)) as file:
+        ((data,),) = file.execute("SELECT data FROM batch")
+    return bytes(data)
+
+
+def test_any_byte_of_a_batch_is_read_or_refused(trace: Path) -> None:
+    """Whole events, or ValueError and InputError; and never more numbers than a batch may hold."""
+    whole, draw, fine, said = stored(trace), random.Random(3), 0, list[str]()  # noqa: S311
+    for length in range(0, len(whole), 11):
+        with pytest.raises((ValueError, struct.error)):
+            unpack(whole[:length])
+    for trial in range(3000):
+        damaged = bytearray(whole)
+        for at in draw.sample(range(len(whole)), 1 + trial % 3):
+            damaged[at] = draw.randrange(256)
+        try:
+            events = EventReader(trace).events(batch_rows(unpack(bytes(damaged)), 0))
+        except ValueError as error:  # InputError is one
+            said.append(str(error))
+        else:
+            fine += len(events) == 11
+    assert 0 < fine < 2900
+    assert all(one.isprintable() for one in said)
+
+
+BATCHES = {
+    "no blob": ("data = 7", ", event 0: the batch is no blob"),
+    "empty": ("data = x''", ", after event -1: the batch holds "),
+    "many numbers": (
+        f"data = x'{struct.pack('<4I4xI', 0, 2, 1, 0, 0).hex()}'",
+        ", after event -1: the batch holds ",
+    ),
+    "another first": ("first = 1", ", event 1: stands after event -1, expected 0"),
+    "other blocks": ("state = '[]'", ", event 10: the batch says that it has other events, or"),
+    "no state": ("state = '['", ", event 10: the batch says that it has other events, or leads"),
+    "other count": ("events = 12", ", event 10: the batch says that it has other events, or leads"),
+}
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_a_bad_batch_is_one_line(trace: Path, name: str) -> None:
+    changed, said = BATCHES[name]
+    change(trace, f"UPDATE batch SET {changed}")  # noqa: S608
+    assert refused(trace).startswith(said)
+
+
+def test_a_batch_of_more_numbers_than_it_may_hold_is_refused() -> None:
+    head = struct.pack("<4I", 0, 2, 4, 0) + b"[]".ljust(8, b"\0")
+    with pytest.raises(ValueError, match="more than 134217728 numbers"):
+        unpack(head + struct.pack("<4I", *[2**31] * 4))
 
 
 def test_a_truncated_file_is_refused_at_any_length(trace: Path) -> None:
@@ -268,13 +409,13 @@ def test_pages_that_lead_to_the_same_pages_end(trace: Path) -> None:
     with closing(sqlite3.connect(trace)) as file:
         for pragma in (
             f"page_size = {size}",
-            f"application_id = {trace_file.APPLICATION}",
-            "user_version = 1",
+            f"application_id = {reader.APPLICATION}",
+            "user_version = 2",
         ):
             file.execute(f"PRAGMA {pragma}")
         for table in TABLES.values():
             file.execute(table)
-        file.execute("INSERT INTO event (number, kind, blocks) VALUES (0, 'prior', '[]')")
+        file.execute("INSERT INTO batch VALUES (0, 1, 0, 0, '[]', x'00')")
         file.commit()
     pages = bytearray(trace.read_bytes())
     count = len(pages) // size
@@ -300,15 +441,15 @@ def test_pages_that_lead_to_the_same_pages_end(trace: Path) -> None:
 
 BAD_FILES: dict[str, tuple[tuple[str, ...], str]] = {
     "another application": (("PRAGMA application_id = 7",), ": is no filter's trace, but another"),
-    "a later version": (("PRAGMA user_version = 2",), ": is a trace of version 2, expected 1; use"),
+    "a later version": (("PRAGMA user_version = 3",), ": is a trace of version 3, expected 2; use"),
     "a table more": (("CREATE TABLE x (y)",), ": table 'x' is not as a recorder's"),
-    "an index": (("CREATE INDEX x ON event (kind)",), ": table 'x' is not as a recorder's"),
+    "an index": (("CREATE INDEX x ON batch (events)",), ": table 'x' is not as a recorder's"),
     "a trigger": (
-        ("CREATE TRIGGER event AFTER INSERT ON event BEGIN DELETE FROM event; END",),
-        ": table 'event' is not as a recorder's",
+        ("CREATE TRIGGER batch AFTER INSERT ON batch BEGIN DELETE FROM batch; END",),
+        ": table 'batch' is not as a recorder's",
     ),
     "a view": (
-        ("ALTER TABLE event RENAME TO x", "CREATE VIEW event AS SELECT * FROM x"),
+        ("ALTER TABLE batch RENAME TO x", "CREATE VIEW batch AS SELECT * FROM x"),
         " is not as a recorder's",
     ),
     "a generated column": (
@@ -316,15 +457,15 @@ BAD_FILES: dict[str, tuple[tuple[str, ...], str]] = {
         ": table 'sensor' is not as a recorder's",
     ),
     "a table less": (("DROP TABLE sensor",), ": table 'sensor' is not as a recorder's"),
-    "no events": (("DELETE FROM event",), ": holds no events, expected a filter's trace"),
+    "no events": (("DELETE FROM batch",), ": holds no events, expected a filter's trace"),
     "a write-ahead log": (("PRAGMA journal_mode = WAL",), ": has a write-ahead log, which a trace"),
     "a gate of two": (("UPDATE sensor SET gate = 2",), ", sensor 'gps': gate 2.0 or components"),
     "a gate of text": (("UPDATE sensor SET gate = 'x'",), ", sensor 'gps': gate 'x' or components"),
     "a nameless sensor": (("UPDATE sensor SET name = NULL",), ", sensor None: gate 0.99 or"),
     "components of a number": (("UPDATE sensor SET components = 7",), ", sensor 'gps': gate 0.99"),
     "text that is no UTF-8": (
-        ("UPDATE event SET blocks = CAST(x'ff' AS TEXT) WHERE number = 3",),
-        ", after event 2: SQLite cannot read it (Could not decode to UTF-8 column 'blocks'",
+        ("UPDATE batch SET state = CAST(x'ff' AS TEXT)",),
+        ": SQLite cannot read it (Could not decode to UTF-8 column 'state'",
     ),
 }
 
@@ -411,11 +552,11 @@ def test_an_unreadable_file_is_one_line(trace: Path, monkeypatch: pytest.MonkeyP
 def test_a_value_beyond_the_limit_is_not_loaded(
     trace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trace_file, "_LONGEST_BYTES", 100_000)
+    monkeypatch.setattr(reader, "_LONGEST_BYTES", 100_000)
     assert len(list(Trace(trace))) == 11
-    change(trace, SET + "noise = zeroblob(200000) WHERE number = 3")
+    change(trace, "UPDATE batch SET data = zeroblob(200000)")
     said = refused(trace)
-    assert said.startswith(", after event 1: SQLite cannot read it (string or blob too big)")
+    assert said.startswith(": SQLite cannot read it (string or blob too big)")
 
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "audit-format.md").read_text("utf-8")
@@ -423,20 +564,19 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "audit-format.md").read_t
 
 def test_the_page_has_the_tables_and_kinds_as_they_are() -> None:
     assert re.findall(r"^CREATE TABLE .*$", PAGE, re.MULTILINE) == list(TABLES.values())
-    assert f"{trace_file.APPLICATION} (0x{trace_file.APPLICATION:X})" in PAGE
-    rows = dict(re.findall(r"^\| `(\w+)` \| [^|]* \|(.*)\|$", PAGE, re.MULTILINE))
-    columns = set(re.findall(r"(\w+) (?:REAL|TEXT|INTEGER|BLOB)", TABLES["event"]))
-    common = {"number", "kind", "time_s", "blocks"}
-    for kind, ours in _COLUMNS.items():
-        assert set(re.findall(r"`(\w+)`", rows[kind])) & columns - common == set(ours), kind
+    assert f"{reader.APPLICATION} (0x{reader.APPLICATION:X})" in PAGE
+    rows = dict(re.findall(r"^\| `(\w+)` \| [^|]* \|[^|]*\|(.*)\|$", PAGE, re.MULTILINE))
+    assert list(rows) == list(KINDS)
+    for kind, ours in COLUMNS.items():
+        assert tuple(re.findall(r"`(\w+)`", rows[kind])) == ours, kind
 
 
 def test_the_pages_example_is_a_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (text,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     exec(compile(text, "audit-format.md", "exec"), {})  # noqa: S102
-    assert audit(tmp_path / "by-hand.trace").sound
-    events = list(Trace(tmp_path / "by-hand.trace"))
+    assert audit(tmp_path / "by-hand.events").sound
+    events = list(Trace(tmp_path / "by-hand.events"))
     assert [type(event).__name__ for event in events] == ["Prior", "Predict", "Update", "Snapshot"]
 
 
@@ -499,10 +639,10 @@ def test_the_first_of_several_faults_is_named(tmp_path: Path) -> None:
             recorder.predict(1.0, -1.0 if number in (303, 310) else float(number))
         recorder.update("gps", 1.0, 1.0, -1.0)
     assert refused(path) == ", event 303: noise (Q) has a negative eigenvalue"
-    change(path, SET + "jacobian = x'00' WHERE number = 305")
+    edit(path, 305, "jacobian", b"")
     assert refused(path) == ", event 303: noise (Q) has a negative eigenvalue"
-    change(path, SET + "jacobian = x'00' WHERE number = 302")
-    assert refused(path) == ", event 302: jacobian is not a blob of float64 numbers"
+    edit(path, 302, "jacobian", b"")
+    assert refused(path) == ", event 302: jacobian has 0 numbers, expected 1 x 1"
 
 
 def test_a_recording_is_read_while_it_goes_on(tmp_path: Path) -> None:
@@ -524,17 +664,17 @@ def test_a_recording_is_read_while_it_goes_on(tmp_path: Path) -> None:
 def test_memory_holds_few_events_at_once(tmp_path: Path) -> None:
     """Sixty snapshots of 2 MB: only some of them are held."""
     path, n = tmp_path / "run.trace", 500
+    draw = np.random.default_rng(1)
     with Recorder(path) as recorder:
         recorder.prior({"a": n}, np.eye(n))
         for _ in range(60):
-            recorder.snapshot(np.eye(n))
-    reader, sizes = EventReader(path), []
-    with closing(sqlite3.connect(path)) as file:
-        rows: Iterator[Any] = file.execute("SELECT * FROM event")
-        while events := reader.events(rows):
-            sizes.append(len(events))
-    assert sum(sizes) == 61
-    assert max(sizes) < 12
+            recorder.snapshot(draw.standard_normal((n, n)))
+    tracemalloc.start()
+    kinds = [type(event) for event in Trace(path)]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert kinds.count(Snapshot) == 60
+    assert peak < 0.6 * 60 * 8 * n**2
 
 
 def test_matrices_that_are_repeated_are_one(trace: Path) -> None:

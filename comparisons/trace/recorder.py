@@ -7,53 +7,58 @@ import math
 import os
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn, Self, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from comparisons.arrays import Array
-from comparisons.audit.trace_file import APPLICATION, TABLES, VERSION
-from comparisons.audit.trace_rows import MOST_ENTRIES
 from comparisons.errors import InputError
+from comparisons.trace.batch import COLUMNS, KINDS, MOST_COLUMNS, ROW, pack
+from comparisons.trace.events import ADDITIVE, CHARTS
+from comparisons.trace.reader import APPLICATION, TABLES, VERSION, last_state
+from comparisons.trace.rows import MOST_ENTRIES
 
-_COLUMNS = {
-    "prior": ("covariance", "note"),
-    "predict": ("jacobian", "noise"),
-    "update": ("sensor", "used", "residual", "jacobian", "noise", "correction", "gain"),
-    "augment": ("jacobian", "noise", "noise_jacobian", "note"),
-    "clone": ("note",),
-    "remove": (),
-    "reset": ("jacobian",),
-    "snapshot": ("covariance", "mean", "error"),
-    "directions": ("jacobian", "note"),
-}
-"""What an event of each kind has, beside its number, time and blocks; others are NULL."""
-
-
-def _insert(kind: str, columns: tuple[str, ...]) -> str:
-    names = ", ".join(("number", "time_s", "blocks", "kind", *columns))
-    return f"INSERT INTO event ({names}) VALUES (?, ?, ?, '{kind}'{', ?' * len(columns)})"  # noqa: S608
-
-
-_INSERT = {
-    kind: [_insert(kind, columns[:count]) for count in range(len(columns) + 1)]
-    for kind, columns in _COLUMNS.items()
-}
-"""Statements by kind and how many of its columns are given."""
 PAGE_BYTES = 32768
 COMMIT_EVENTS, COMMIT_BYTES = 2000, 1 << 24
 """A recording that is killed is valid up to its last commit."""
-_LARGE = 4096
-"""Bytes of a matrix; smaller ones are not counted."""
 _DTYPE = np.dtype("<f8")
-_STATEMENT, _VALUES = itemgetter(0), itemgetter(1)
+_NONE = [(-1,) * (MOST_COLUMNS - count) for count in range(MOST_COLUMNS + 1)]
+PRIOR, PREDICT, UPDATE, AUGMENT, CLONE, REMOVE, RESET, SNAPSHOT, DIRECTIONS = range(len(KINDS))
 
-Column = bytes | bytearray | str | int | None
+Blob = bytes | None
+
+
+class Measured(TypedDict, total=False):
+    """What may be said of a measurement beside what the filter used.
+
+    correction: (N,) what was added to the estimate of all blocks, if it is to be checked. gain:
+    (N, m) likewise. point: the blocks' numbers about which it was linearised. numbers: of what was
+    measured, in the log. weight: of a part of a measurement, the share of its information.
+    """
+
+    correction: ArrayLike
+    gain: ArrayLike
+    point: ArrayLike
+    numbers: ArrayLike
+    weight: ArrayLike
+
+
+class Begun(TypedDict, total=False):
+    """What may be said of a new block beside what the filter used.
+
+    point: the blocks' numbers about which it was linearised. after: its own numbers. numbers: of
+    what was measured, in the log. weight: as of `Measured`; 0 where no measurement tells it, but a
+    prior. chart: of its error, one of events.CHARTS.
+    """
+
+    point: ArrayLike
+    after: ArrayLike
+    numbers: ArrayLike
+    weight: ArrayLike
+    chart: str
 
 
 class Recorder:
@@ -96,15 +101,18 @@ class Recorder:
         """
         self._path = Path(path)
         self._dims: dict[str, int] = {}
+        self._charts: dict[str, str] = {}
         self._first = 0
-        self._time_s: float | None = None
-        self._rows: list[tuple[str, tuple[Any, ...]]] = []
-        self._bytes = 0
-        self._sizes: dict[tuple[str, ...] | None, tuple[str, int]] = {}
-        self._last: dict[str | tuple[str, str], tuple[str, list[bytes]]] = {}
+        self._time_s = math.nan
+        self._rows: list[bytes] = []
+        self._matrices: dict[bytes, int] = {}
+        self._texts: dict[str, int] = {}
+        self._sensors: dict[str, int] = {}
+        self._bytes = self._updates = self._snapshots = 0
+        self._sizes: dict[tuple[str, ...] | None, tuple[int, int]] = {}
         self._ended: str | None = None
         self._process = os.getpid()
-        sensors = self._sensors(gates or {}, components or {})
+        sensors = self._described(gates or {}, components or {})
         if append:
             self._follow()
         else:
@@ -147,21 +155,35 @@ class Recorder:
             raise InputError(
                 f"{self._path}: was opened by another process; after a fork only the parent records"
             )
-        rows, first = self._rows, self._first
+        if not self._rows:
+            return
+        state = [[name, dim, self._charts[name]] for name, dim in self._dims.items()]
+        counts = self._first, len(self._rows), self._updates, self._snapshots
+        row = (*counts, json.dumps(state), pack(self._rows, self._texts, self._matrices))
+        inserted = False
         try:
             self._file.execute("BEGIN IMMEDIATE")
-            for statement, alike in groupby(rows, _STATEMENT):
-                self._file.executemany(statement, map(_VALUES, alike))
-            self._rows, self._first, self._bytes = [], first + len(rows), 0
+            self._file.execute("INSERT INTO batch VALUES (?, ?, ?, ?, ?, ?)", row)
+            inserted = True
             self._file.execute("COMMIT")
         except sqlite3.Error as error:
-            self._end(f"cannot be written ({error}); the recording ends before event {first}")
+            self._end(f"cannot be written ({error}); the recording ends before event {counts[0]}")
             self._check_open()
-        except BaseException:  # an interrupt: the events stay for the next commit
+        except BaseException:  # an interrupt: what is not written stays for the next commit
             if self._file.in_transaction:
                 self._file.execute("ROLLBACK")
-                self._rows, self._first = rows, first
+            elif inserted:
+                self._begin()
             raise
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin another batch."""
+        self._first += len(self._rows)
+        self._rows, self._matrices, self._texts = [], {}, {}
+        self._bytes = self._updates = self._snapshots = 0
+        self._sensors.clear()
+        self._sizes.clear()
 
     def at(self, time_s: float) -> None:
         """Set the time of the events that follow.
@@ -174,12 +196,21 @@ class Recorder:
             self._refuse("time_s is not finite")
         self._time_s = time_s
 
-    def prior(self, blocks: Mapping[str, int], covariance: ArrayLike) -> None:
+    def prior(
+        self,
+        blocks: Mapping[str, int],
+        covariance: ArrayLike,
+        *,
+        point: ArrayLike | None = None,
+        charts: Mapping[str, str] | None = None,
+    ) -> None:
         """Record the first covariance.
 
         Args:
             blocks: Names and dimensions of all blocks, in the state's order.
             covariance: (n, n).
+            point: The estimate, in the filter's own numbers.
+            charts: Of blocks whose error is not added to their numbers, one of events.CHARTS.
         """
         self._check_open()
         if self._dims:
@@ -189,16 +220,23 @@ class Recorder:
         if not 0 < n <= MOST_ENTRIES:
             self._refuse(f"the state has {n} entries, expected 1 to {MOST_ENTRIES}")
         p = self._blob("P", covariance, (n, n))
-        note = json.dumps(list(dims.values()))
-        self._put("prior", json.dumps(list(dims)), [p, note])
-        self._dims = dims
+        begun = self._own("point", point)
+        named = {name: self._chart((charts or {}).get(name, ADDITIVE)) for name in dims}
+        if strange := set(charts or ()) - set(dims):
+            self._refuse(f"charts name {min(strange)!r}, which is no block")
+        note = self._text(json.dumps([list(dims.values()), list(named.values())]))
+        self._dims, self._charts = dims, named
         self._sizes.clear()
+        self._put(PRIOR, self._text(json.dumps(list(dims))), (p, begun), note)
 
     def predict(
         self,
         F: ArrayLike,  # noqa: N803
         Q: ArrayLike,  # noqa: N803
         blocks: Iterable[str] | None = None,
+        *,
+        point: ArrayLike | None = None,
+        after: ArrayLike | None = None,
     ) -> None:
         """Record a prediction: e' = F e + w, w ~ N(0, Q).
 
@@ -206,11 +244,16 @@ class Recorder:
             F: (n, n) on the blocks.
             Q: (n, n).
             blocks: Those that the prediction moves.
+            point: Their numbers before it, if the trace is to be compared with a log.
+            after: Their numbers after it.
         """
         text, n = self._size(blocks)
         shape = n, n
         f, q = self._blob("F", F, shape), self._blob("Q", Q, shape)
-        self._put("predict", text, self._new("predict", text, [f, q]))
+        if point is None and after is None:
+            self._put(PREDICT, text, (f, q))
+        else:
+            self._put(PREDICT, text, (f, q, self._own("point", point), self._own("after", after)))
 
     def update(
         self,
@@ -219,9 +262,7 @@ class Recorder:
         H: ArrayLike,  # noqa: N803
         R: ArrayLike,  # noqa: N803
         blocks: Iterable[str] | None = None,
-        *,
-        correction: ArrayLike | None = None,
-        gain: ArrayLike | None = None,
+        **more: Unpack[Measured],
     ) -> None:
         """Record a measurement that the filter used: residual = H e + v, v ~ N(0, R).
 
@@ -231,16 +272,9 @@ class Recorder:
             H: (m, n) on the blocks.
             R: (m, m).
             blocks: Those that H stands on.
-            correction: (N,) what was added to the estimate of all blocks, if it is to be checked.
-            gain: (N, m) likewise.
+            more: What else is to be checked, as of `Measured`.
         """
-        if correction is None and gain is None:
-            self._measured(1, sensor, residual, H, R, blocks, (None, None))
-            return
-        whole, m = self._size(None)[1], np.size(residual)
-        added = None if correction is None else self._vector("correction", correction, whole)
-        by = None if gain is None else self._blob("gain", gain, (whole, m))
-        self._measured(1, sensor, residual, H, R, blocks, (added, by))
+        self._measured(1, sensor, residual, (H, R), blocks, more)
 
     def reject(
         self,
@@ -249,6 +283,7 @@ class Recorder:
         H: ArrayLike,  # noqa: N803
         R: ArrayLike,  # noqa: N803
         blocks: Iterable[str] | None = None,
+        **more: Unpack[Measured],
     ) -> None:
         """Record a measurement that the filter's gate rejected; arguments as of `update`.
 
@@ -258,27 +293,50 @@ class Recorder:
             H: (m, n) on the blocks.
             R: (m, m).
             blocks: Those that H stands on.
+            more: As of `Measured`; without correction and gain.
         """
-        self._measured(0, sensor, residual, H, R, blocks, (None, None))
+        self._measured(0, sensor, residual, (H, R), blocks, more)
 
     def _measured(
         self,
         used: int,
         sensor: str,
         residual: ArrayLike,
-        h: ArrayLike,
-        r: ArrayLike,
+        by: tuple[ArrayLike, ArrayLike],
         blocks: Iterable[str] | None,
-        gained: tuple[bytes | None, bytes | None],
+        more: Measured,
     ) -> None:
         text, n = self._size(blocks)
         m = np.size(residual)
         if not m:
             self._refuse("residual is empty")
         z = self._vector("residual", residual, m)
-        by_state, noise = self._blob("H", h, (m, n)), self._blob("R", r, (m, m))
-        new = self._new(("update", _name(sensor)), text, [by_state, noise])
-        self._put("update", text, [sensor, used, z, *new, *gained])
+        h, r = self._blob("H", by[0], (m, n)), self._blob("R", by[1], (m, m))
+        blobs: tuple[Blob, ...] = z, h, r
+        if more:
+            blobs += self._more(UPDATE, more, m)
+        name = self._sensors.get(sensor)
+        if name is None:
+            name = self._sensors[sensor] = self._text(json.dumps(_name(sensor)))
+        self._updates += 1
+        self._put(UPDATE, text, blobs, name, used)
+
+    def _more(self, kind: int, more: Mapping[str, Any], m: int = 0) -> tuple[Blob, ...]:
+        """Return the further matrices of an event of a kind. m: entries of its residual."""
+        found: dict[str, Blob] = {}
+        for name, value in more.items():
+            if value is None or name == "chart":
+                continue
+            if name == "correction":
+                found[name] = self._vector(name, value, self._size(None)[1])
+            elif name == "gain":
+                found[name] = self._blob(name, value, (self._size(None)[1], m))
+            else:
+                found[name] = self._own(name, value)
+        columns = COLUMNS[KINDS[kind]][3:]
+        if strange := set(found) - set(columns):
+            raise TypeError(f"got an unexpected keyword argument {min(strange)!r}")
+        return tuple(map(found.get, columns))
 
     def augment(
         self,
@@ -287,6 +345,7 @@ class Recorder:
         G_z: ArrayLike,  # noqa: N803
         R: ArrayLike,  # noqa: N803
         blocks: Iterable[str] | None = None,
+        **more: Unpack[Begun],
     ) -> None:
         """Record a new block, behind all others: e_new = G_x e + G_z v, v ~ N(0, R).
 
@@ -296,6 +355,7 @@ class Recorder:
             G_z: (d, m); m may be 0 where nothing is added to what the other blocks tell.
             R: (m, m).
             blocks: Those that it is initialised from.
+            more: What else is to be checked, as of `Begun`.
         """
         text, n = self._size(blocks)
         by_noise = self._numbers("G_z", G_z)
@@ -306,9 +366,10 @@ class Recorder:
         d, m = by_noise.shape
         self._check_new(name, d)
         g_x, r = self._blob("G_x", G_x, (d, n)), self._blob("R", R, (m, m))
-        new = self._new("augment", text, [g_x, r, by_noise.tobytes()])
-        self._put("augment", text, [*new, json.dumps([name, d])])
-        self._add(name, d)
+        chart = self._chart(more.get("chart", ADDITIVE))
+        blobs = g_x, r, by_noise.tobytes(), *self._more(AUGMENT, more)
+        self._add(name, d, chart)
+        self._put(AUGMENT, text, blobs, self._text(json.dumps([name, d, chart])))
 
     def clone(self, source: str, name: str) -> None:
         """Record a copy of a block, behind all others.
@@ -319,8 +380,8 @@ class Recorder:
         """
         text, d = self._size((source,))
         self._check_new(name, d)
-        self._put("clone", text, [name])
-        self._add(name, d)
+        self._add(name, d, self._charts[source])
+        self._put(CLONE, text, (), self._text(json.dumps(name)))
 
     def remove(self, *names: str) -> None:
         """Record blocks that are marginalised out.
@@ -331,11 +392,10 @@ class Recorder:
         text, _ = self._size(names)
         if len(names) == len(self._dims):
             self._refuse("removes the last block of the state")
-        self._put("remove", text, [])
         for name in names:
-            del self._dims[name]
+            del self._dims[name], self._charts[name]
         self._sizes.clear()
-        self._last.clear()  # a block of this name may begin with another dimension
+        self._put(REMOVE, text, ())
 
     def reset(
         self,
@@ -350,7 +410,7 @@ class Recorder:
         """
         text, n = self._size(blocks)
         j = self._blob("J", J, (n, n))
-        self._put("reset", text, self._new("reset", text, [j]))
+        self._put(RESET, text, (j,))
 
     def snapshot(
         self,
@@ -370,9 +430,10 @@ class Recorder:
         """
         text, n = self._size(blocks)
         p = self._blob("P", P, (n, n))
-        estimate = None if mean is None else self._numbers("mean", mean).tobytes()
         true = None if error is None else self._vector("error", error, n)
-        self._put("snapshot", text, [p, estimate, true])
+        blobs = p, self._own("mean", mean), true
+        self._snapshots += 1
+        self._put(SNAPSHOT, text, blobs)
 
     def directions(
         self,
@@ -399,41 +460,41 @@ class Recorder:
             np.frombuffer(self._vector(f"basis of {name!r}", one, n), _DTYPE)
             for name, one in basis.items()
         ]
-        note = json.dumps({"names": names[0], "blind": names[1]})
-        blob = np.column_stack(columns).tobytes()
-        self._put("directions", text, [blob, note])
+        note = self._text(json.dumps({"names": names[0], "blind": names[1]}))
+        self._put(DIRECTIONS, text, (np.column_stack(columns).tobytes(),), note)
 
-    def _put(self, kind: str, blocks: str, columns: list[Column]) -> None:
-        """Record an event; columns: those of its kind, a fresh list."""
-        while columns and columns[-1] is None:
-            columns.pop()  # a NULL takes as long to bind as a number
+    def _put(
+        self, kind: int, blocks: int, blobs: Iterable[Blob], text: int = -1, used: int = 0
+    ) -> None:
+        """Record an event, which the state is already after.
+
+        blocks, text: of the batch. blobs: its matrices, as COLUMNS has them.
+        """
+        known, at = self._matrices, []
+        for blob in blobs:
+            if blob is None:
+                at.append(-1)
+                continue
+            index = known.get(blob)
+            if index is None:
+                index = known[blob] = len(known)
+                self._bytes += len(blob)
+            at.append(index)
         rows = self._rows
-        values = self._first + len(rows), self._time_s, blocks, *columns
-        rows.append((_INSERT[kind][len(columns)], values))
+        rows.append(ROW.pack(self._time_s, kind, used, blocks, text, *at, *_NONE[len(at)]))
         if len(rows) >= COMMIT_EVENTS or self._bytes >= COMMIT_BYTES:
             self.commit()
 
-    def _new(self, key: str | tuple[str, str], blocks: str, matrices: list[bytes]) -> list[Column]:
-        """Return matrices, None for those of the event before of this key on the same blocks.
+    def _text(self, spoken: str) -> int:
+        """Return the index of a text, in JSON, in the batch."""
+        return self._texts.setdefault(spoken, len(self._texts))
 
-        key: the event's kind, with the sensor if it has one.
-        """
-        before = self._last.get(key)
-        self._last[key] = blocks, matrices
-        if before is None or before[0] != blocks:
-            return [*matrices]
-        # For bytes sqlite3 would look for adapters.
-        return [
-            None if one == other else bytearray(one)
-            for one, other in zip(matrices, before[1], strict=True)
-        ]
-
-    def _size(self, blocks: Iterable[str] | None) -> tuple[str, int]:
-        """Blocks as they are stored, and how many entries they have together."""
+    def _size(self, blocks: Iterable[str] | None) -> tuple[int, int]:
+        """Index of the blocks' text, and how many entries they have together."""
         key = None if blocks is None else tuple(blocks)
         return self._sizes.get(key) or self._find(key)
 
-    def _find(self, key: tuple[str, ...] | None) -> tuple[str, int]:
+    def _find(self, key: tuple[str, ...] | None) -> tuple[int, int]:
         self._check_open()
         names = tuple(self._dims) if key is None else key
         for name in names:
@@ -442,7 +503,8 @@ class Recorder:
                 self._refuse(f"block {name!r} is not in the state; it has {known}")
         if not names or len(set(names)) < len(names):
             self._refuse("expected blocks, none of them twice; record the prior first")
-        found = self._sizes[key] = json.dumps(names), sum(self._dims[name] for name in names)
+        size = sum(self._dims[name] for name in names)
+        found = self._sizes[key] = self._text(json.dumps(names)), size
         return found
 
     def _check_new(self, name: str, dim: int) -> None:
@@ -451,9 +513,14 @@ class Recorder:
         if dim + sum(self._dims.values()) > MOST_ENTRIES:
             self._refuse(f"makes the state larger than {MOST_ENTRIES} entries")
 
-    def _add(self, name: str, dim: int) -> None:
-        self._dims[name] = dim
+    def _add(self, name: str, dim: int, chart: str) -> None:
+        self._dims[name], self._charts[name] = dim, chart
         self._sizes.clear()
+
+    def _chart(self, chart: str) -> str:
+        if chart not in CHARTS:
+            self._refuse(f"chart {chart!r}, expected one of {', '.join(CHARTS)}")
+        return chart
 
     def _dim(self, dim: Any) -> int:
         if int(dim) != dim or not 0 < dim <= MOST_ENTRIES:
@@ -463,12 +530,8 @@ class Recorder:
     def _blob(self, name: str, matrix: ArrayLike, shape: tuple[int, int]) -> bytes:
         """Return a matrix as it is stored; a number stands for 1 x 1. Raises InputError."""
         if type(matrix) is np.ndarray and matrix.dtype is _DTYPE and matrix.shape == shape:
-            blob = matrix.tobytes()
-        else:
-            blob = self._fitting(name, matrix, shape).tobytes()
-        if len(blob) > _LARGE:
-            self._bytes += len(blob)
-        return blob
+            return matrix.tobytes()
+        return self._fitting(name, matrix, shape).tobytes()
 
     def _fitting(self, name: str, matrix: ArrayLike, shape: tuple[int, int]) -> Array:
         found = self._numbers(name, matrix)
@@ -476,6 +539,10 @@ class Recorder:
             actual = " x ".join(map(str, found.shape)) or "a number"
             self._refuse(f"{name} is {actual}, expected {shape[0]} x {shape[1]}")
         return found
+
+    def _own(self, name: str, values: ArrayLike | None) -> Blob:
+        """Return numbers of any count as they are stored."""
+        return None if values is None else self._numbers(name, values).tobytes()
 
     def _vector(self, name: str, vector: ArrayLike, size: int) -> bytes:
         """Return a vector as it is stored; it may be a column or a row."""
@@ -506,11 +573,11 @@ class Recorder:
     def _end(self, reason: str) -> None:
         """Record nothing from now on; what is not committed is undone."""
         self._ended = reason
-        self._rows.clear()
-        self._sizes.clear()
+        self._rows = []
+        self._begin()
         self._file.close()
 
-    def _sensors(
+    def _described(
         self, gates: Mapping[str, float], components: Mapping[str, Sequence[str]]
     ) -> list[tuple[str, float | None, str | None]]:
         """Return rows of the table of sensors."""
@@ -554,22 +621,10 @@ class Recorder:
         self._file.execute("COMMIT")
 
     def _follow(self) -> None:
-        """Read the trace that is appended to, for its last number and its blocks."""
-        from comparisons.audit.events import Augment, Clone, Prior, Remove
-        from comparisons.audit.trace_file import Trace
-
-        trace = Trace(self._path)
-        for event in trace if trace.counts.events else ():
-            self._first = event.number + 1
-            if isinstance(event, Prior):
-                self._dims = dict(zip(event.blocks, event.dims, strict=True))
-            elif isinstance(event, Augment):
-                self._dims[event.name] = len(event.jacobian)
-            elif isinstance(event, Clone):
-                self._dims[event.name] = self._dims[event.source]
-            elif isinstance(event, Remove):
-                for name in event.blocks:
-                    del self._dims[name]
+        """Read of the trace that is appended to its last number and its blocks."""
+        self._first, state = last_state(self._path)
+        self._dims = {name: dim for name, dim, _ in state}
+        self._charts = {name: chart for name, _, chart in state}
 
 
 def _name(name: str) -> str:

@@ -3,6 +3,11 @@
 The error is truth minus estimate, in whatever coordinates the filter keeps its covariance. All
 matrices are those that the filter used; `blocks` says which blocks their columns stand for, in
 their order.
+
+Where the trace is compared with a log, an event also has its point: the filter's own numbers of its
+blocks, one after the other, about which it was linearised (for a prediction, those before it);
+`after`, the numbers that it leads to; and the numbers in the log of what was measured. None where
+not recorded.
 """
 
 from __future__ import annotations
@@ -12,16 +17,26 @@ from typing import NamedTuple
 from comparisons.arrays import Array
 
 Blocks = tuple[str, ...]
+ADDITIVE = "additive"
+CHARTS = (ADDITIVE, "se2", "so3 left", "so3 right", "se23 left", "se23 right")
+"""How a block's error stands to its numbers. additive: numbers and error are added. se2: x, y and
+heading, added too, but the heading goes round. so3, se23: an attitude, or attitude, velocity and
+position, with the error on the world's side (left) or the body's (right)."""
 
 
 class Prior(NamedTuple):
-    """The error state begins: e ~ N(0, covariance). dims: entries of each block."""
+    """The error state begins: e ~ N(0, covariance). dims: entries of each block's error.
+
+    charts: one of CHARTS by block; none where all are additive.
+    """
 
     number: int
     time_s: float | None
     blocks: Blocks
     dims: tuple[int, ...]
     covariance: Array
+    point: Array | None = None
+    charts: tuple[str, ...] = ()
 
 
 class Predict(NamedTuple):
@@ -32,13 +47,17 @@ class Predict(NamedTuple):
     blocks: Blocks
     jacobian: Array
     noise: Array
+    point: Array | None = None
+    after: Array | None = None
 
 
 class Update(NamedTuple):
     """A measurement: residual = jacobian e + v, v ~ N(0, noise).
 
     used: false where the filter's gate rejected it. correction: (n,) what the filter added to the
-    estimate of all blocks, None where it was not recorded; gain: (n, m) likewise.
+    estimate of all blocks, None where it was not recorded; gain: (n, m) likewise. numbers: (k,)
+    of what was measured, in the log, from 0. weight: below 1 for a part of a measurement, which has
+    that share of its information and R / weight as its noise.
     """
 
     number: int
@@ -51,10 +70,17 @@ class Update(NamedTuple):
     used: bool
     correction: Array | None
     gain: Array | None
+    point: Array | None = None
+    numbers: Array | None = None
+    weight: float = 1.0
 
 
 class Augment(NamedTuple):
-    """A new block: e_new = jacobian e + noise_jacobian v, v ~ N(0, noise)."""
+    """A new block: e_new = jacobian e + noise_jacobian v, v ~ N(0, noise).
+
+    after: its own numbers. numbers, weight: as of an update; a weight of 0 says that no measurement
+    tells it, but a prior, as of a surveyed landmark.
+    """
 
     number: int
     time_s: float | None
@@ -63,6 +89,11 @@ class Augment(NamedTuple):
     jacobian: Array
     noise_jacobian: Array
     noise: Array
+    point: Array | None = None
+    after: Array | None = None
+    numbers: Array | None = None
+    weight: float = 1.0
+    chart: str = ADDITIVE
 
 
 class Clone(NamedTuple):

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.audit import trace_file
-from comparisons.audit.events import Augment, Clone, Predict, Prior, Snapshot, Update
-from comparisons.audit.recorder import COMMIT_EVENTS, Recorder
-from comparisons.audit.trace_file import Trace
 from comparisons.errors import InputError
+from comparisons.trace import reader
+from comparisons.trace.batch import unpack
+from comparisons.trace.events import Augment, Clone, Predict, Prior, Snapshot, Update
+from comparisons.trace.reader import Trace
+from comparisons.trace.recorder import COMMIT_EVENTS, Recorder
 
 ROOT = Path(__file__).resolve().parents[3]
 P = np.array([[2.0, 0.5], [0.5, 1.0]])
@@ -38,31 +39,44 @@ def predictions(recorder: Recorder, count: int, start: int = 0) -> None:
         recorder.predict([[1.0, float(step)], [0.0, 1.0]], P)
 
 
-def stored(path: Path, column: str, kind: str) -> list[Any]:
+def matrices(path: Path) -> list[int]:
+    """Sizes of the matrices that the batches store."""
     with closing(sqlite3.connect(path)) as file:
-        asked = f"SELECT {column} FROM event WHERE kind = ? ORDER BY number"  # noqa: S608
-        return [value for (value,) in file.execute(asked, (kind,))]
+        data = file.execute("SELECT data FROM batch ORDER BY first").fetchall()
+    return [0 if one is None else one.size for (each,) in data for one in unpack(each).arrays]
 
 
 def numbers(path: Path) -> list[int]:
     return [event.number for event in Trace(path)]
 
 
-def test_matrices_that_are_as_before_are_not_stored_again(path: Path) -> None:
-    """Of the event before of the same kind and sensor, if it was on the same blocks."""
+def test_matrices_that_repeat_are_stored_once(path: Path) -> None:
+    """Whatever the kind, the sensor and the blocks."""
     with Recorder(path) as recorder:
         recorder.prior({"a": 1, "b": 1}, P)
         for factor in (1.0, 1.0, 2.0, 2.0, 1.0):
             recorder.predict(factor * P, P)
         for sensor, block in (("x", "a"), ("y", "a"), ("x", "a"), ("x", "b"), ("x", "a")):
             recorder.update(sensor, 1.0, 1.0, 1.0, [block])
-    is_null = [value is None for value in stored(path, "jacobian", "predict")]
-    assert is_null == [False, True, False, True, False]
-    assert [value is None for value in stored(path, "noise", "predict")] == [False] + [True] * 4
-    null = [value is None for value in stored(path, "noise", "update")]
-    assert null == [False, False, True, False, False]
+    assert matrices(path) == [4, 4, 1]
     found = [event.jacobian[0, 0] for event in Trace(path) if isinstance(event, Predict)]
     assert found == [2.0, 2.0, 4.0, 4.0, 2.0]
+
+
+def test_a_minute_of_an_inertial_filter_is_small(path: Path) -> None:
+    """60 s of 15 states at 100 Hz, of which a tenth of F changes each time."""
+    f, q, draw = np.eye(15), np.diag(np.arange(15.0)), np.random.default_rng(2)
+    with Recorder(path) as recorder:
+        recorder.prior({"a": 15}, np.eye(15))
+        for step in range(6000):
+            f[3:6, 6:9], f[3:6, 9:12], f[6:9, 6:9] = draw.standard_normal((3, 3, 3))
+            recorder.at(0.01 * step)
+            recorder.predict(f, q)
+            if step % 10 == 0:
+                z = draw.standard_normal(15)
+                recorder.update("gnss", z[:3], np.eye(3, 15), np.eye(3), correction=z)
+                recorder.snapshot(draw.standard_normal((15, 15)))
+    assert path.stat().st_size < 6e6
 
 
 def test_a_block_of_another_size_repeats_nothing(path: Path) -> None:
@@ -249,8 +263,8 @@ def test_a_hostile_trace_is_not_appended_to(path: Path) -> None:
     with Recorder(path) as recorder:
         recorder.prior({"a": 2}, P)
     with closing(sqlite3.connect(path)) as file:
-        file.execute("CREATE TRIGGER event AFTER INSERT ON event BEGIN DELETE FROM event; END")
-    with pytest.raises(InputError, match="table 'event' is not as a recorder's"):
+        file.execute("CREATE TRIGGER batch AFTER INSERT ON batch BEGIN DELETE FROM batch; END")
+    with pytest.raises(InputError, match="table 'batch' is not as a recorder's"):
         Recorder(path, append=True)
 
 
@@ -266,9 +280,6 @@ def test_a_recording_is_gone_on_with(path: Path) -> None:
         with Recorder(path, append=True, gates={"gps": 0.95}) as recorder:
             recorder.predict(P, P, ["copy"])
             recorder.snapshot(np.eye(4))
-    with closing(sqlite3.connect(path)) as file:
-        file.execute("UPDATE event SET jacobian = zeroblob(32) WHERE number = 4")
-        file.commit()
     trace = Trace(path)
     assert trace.sensors["gps"].gate == 0.95
     events = list(trace)
@@ -370,11 +381,11 @@ def test_an_interrupt_loses_no_event(path: Path) -> None:
         def __init__(self, file: sqlite3.Connection) -> None:
             self._file, self._left = file, 1
 
-        def execute(self, sql: str) -> Any:
+        def execute(self, sql: str, *values: Any) -> Any:
             if sql == "COMMIT" and self._left:
                 self._left = 0
                 raise KeyboardInterrupt
-            return self._file.execute(sql)
+            return self._file.execute(sql, *values)
 
         def __getattr__(self, name: str) -> Any:
             return getattr(self._file, name)
@@ -395,24 +406,24 @@ def test_large_snapshots_are_written_early(path: Path) -> None:
     with Recorder(path) as recorder:
         recorder.prior({"a": n}, np.eye(n))
         for _ in range(20):
-            recorder.snapshot(np.eye(n))
+            recorder.snapshot(np.random.default_rng(_).standard_normal((n, n)))
         assert Trace(path).counts.events >= 15
 
 
 CHILD = """
 import os, signal, sys
 import numpy as np
-from comparisons.audit.recorder import Recorder
+from comparisons.trace.recorder import Recorder
 
 class Killed:
     def __init__(self, file):
         self.file, self.left = file, 2
-    def execute(self, sql):
+    def execute(self, sql, *values):
         if sql == "COMMIT":
             self.left -= 1
             if self.left == 0:
                 os.kill(os.getpid(), signal.SIGKILL)
-        return self.file.execute(sql)
+        return self.file.execute(sql, *values)
     def __getattr__(self, name):
         return getattr(self.file, name)
 
@@ -422,7 +433,7 @@ if sys.argv[2] == "kill":
     recorder._file.execute("PRAGMA cache_size = 10")
     recorder._file = Killed(recorder._file)
     for step in range(5000):
-        recorder.predict(np.eye(20) * step, np.eye(20))
+        recorder.predict(np.full((20, 20), step), np.eye(20))
 recorder.predict(np.eye(20), np.eye(20))
 child = os.fork()
 if child == 0:
@@ -485,10 +496,10 @@ def test_a_hostile_journal_deletes_no_file(
     with closing(sqlite3.connect(path, isolation_level=None)) as file:
         file.execute("PRAGMA cache_size = 1")
         file.execute("BEGIN")
-        file.execute("UPDATE event SET time_s = 7")
+        file.execute("UPDATE batch SET updates = 7")
         shutil.copy(path, hostile)
         shutil.copy(f"{path}-journal", f"{hostile}-journal")
-    magic, name = trace_file._JOURNAL_MAGIC, str(victim).encode()
+    magic, name = reader._JOURNAL_MAGIC, str(victim).encode()
     with Path(f"{hostile}-journal").open("ab") as journal:
         journal.write(struct.pack(">I", 2**30 // 32768 + 1) + name)
         journal.write(struct.pack(">II", len(name), sum(name)) + magic)
@@ -496,7 +507,7 @@ def test_a_hostile_journal_deletes_no_file(
         with pytest.raises(InputError, match="names another file, which SQLite would delete"):
             Trace(hostile)
     else:
-        monkeypatch.setattr(trace_file, "_JOURNAL_MAGIC", b"")
+        monkeypatch.setattr(reader, "_JOURNAL_MAGIC", b"")
         assert len(list(Trace(hostile))) == 3001
     assert victim.exists() == guarded
 

@@ -1,0 +1,432 @@
+"""Rows of a trace as events: every row is checked before it becomes one."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from comparisons.arrays import Array, Mask
+from comparisons.errors import InputError, printable
+from comparisons.trace.batch import COLUMNS, KINDS, Batch
+from comparisons.trace.events import (
+    ADDITIVE,
+    CHARTS,
+    Augment,
+    Blocks,
+    Clone,
+    Directions,
+    Event,
+    Predict,
+    Prior,
+    Remove,
+    Reset,
+    Snapshot,
+    Update,
+)
+
+MOST_ENTRIES = 20_000
+"""Of a state."""
+_MOST_NAMED = 4096
+_IN_CACHE = 16384
+"""Numbers of matrices that are checked at once."""
+_ASYMMETRY, _NEGATIVE = 1e-6, 1e-9
+"""Beyond rounding, of a covariance scaled to a unit diagonal: differences of entries that should be
+equal, and eigenvalues below zero."""
+
+
+class Cell:
+    """A matrix, in the shape of the event that had it last; None for what is no finite numbers.
+
+    checked: whether it was looked at as a semidefinite covariance, and as a definite one.
+    """
+
+    __slots__ = ("checked", "matrix")
+
+    def __init__(self, matrix: Array | None) -> None:
+        """matrix: as it is stored."""
+        self.matrix = matrix
+        self.checked = 0
+
+
+class Row(NamedTuple):
+    """An event as it is stored, before it is checked.
+
+    blocks: names, None where they are no list of distinct texts. text: its own, as the sensor's
+    name. cells: its matrices, as COLUMNS of its kind has them; None for those that are not there.
+    """
+
+    number: int
+    kind: str
+    time_s: Any
+    blocks: Blocks | None
+    text: Any
+    used: Any
+    cells: tuple[Cell | None, ...]
+
+
+def batch_rows(batch: Batch, first: int) -> Iterable[Row]:
+    """Yield the rows of a batch. first: number of its first event."""
+    cells: list[Cell | None] = [Cell(one) for one in batch.arrays]
+    cells.append(None)  # for -1
+    names = [*map(distinct, batch.texts), None]
+    said = [*batch.texts, None]
+    columns = [(kind, len(COLUMNS[kind])) for kind in KINDS]
+    for number, (time_s, at, used, blocks, text, matrices) in enumerate(
+        zip(*batch[:6], strict=True), first
+    ):
+        kind, count = columns[at]
+        time = None if time_s != time_s else time_s
+        own = tuple([cells[one] for one in matrices[:count]])
+        yield Row(number, kind, time, names[blocks], said[text], used, own)
+
+
+class EventReader:
+    """Makes events of rows, and follows which blocks there are.
+
+    at: number of the last event, -1 before the first.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """path: named in errors."""
+        self.at = -1
+        self._path = path
+        self._dims: dict[str, int] = {}
+        self._charts: dict[str, str] = {}
+        self._size = 0
+        self._named: dict[Blocks, int] = {}
+        self._unchecked: list[tuple[int, str, bool, Array]] = []
+        self._make: dict[str, Callable[[Row], Event]] = {
+            "prior": self._prior,
+            "predict": self._predict,
+            "update": self._update,
+            "augment": self._augment,
+            "clone": self._clone,
+            "remove": self._remove,
+            "reset": self._reset,
+            "snapshot": self._snapshot,
+            "directions": self._directions,
+        }
+
+    @property
+    def state(self) -> list[list[Any]]:
+        """Name, dimension and chart of every block after the last event."""
+        return [[name, dim, self._charts[name]] for name, dim in self._dims.items()]
+
+    def events(self, rows: Iterable[Row]) -> list[Event]:
+        """Return the next events.
+
+        Raises:
+            InputError: A row cannot be an event; of several the first, with its number.
+        """
+        found: list[Event] = []
+        with np.errstate(all="ignore"):  # a number that is too large is refused by itself
+            try:
+                found.extend(map(self._event, rows))
+            finally:
+                self._check_covariances()
+        return found
+
+    def _event(self, row: Row) -> Event:
+        number, kind, time_s = row[:3]
+        if number != self.at + 1:
+            self._refuse(number, f"stands after event {self.at}, expected {self.at + 1}")
+        make = self._make.get(kind)
+        if make is None:
+            self._refuse(number, f"kind {shown(kind)}, expected one of {', '.join(self._make)}")
+        if time_s is not None and not (isinstance(time_s, float) and math.isfinite(time_s)):
+            self._refuse(number, f"time_s {shown(time_s)}, expected a number of seconds")
+        if not self._dims and kind != "prior":
+            self._refuse(number, f"is a {kind}, expected the prior first")
+        event = make(row)
+        self.at = number
+        return event
+
+    def _prior(self, row: Row) -> Prior:
+        if self._dims:
+            self._refuse(row.number, "is a second prior; a filter that begins anew has a new trace")
+        names, (dims, charts) = row.blocks or (), _pair(row.text)
+        sound = names and _counts(dims) and _all_charts(charts)
+        if not sound or not len(names) == len(dims) == len(charts):
+            self._refuse(row.number, "blocks and text are not names, and dimensions and charts")
+        self._dims = dict(zip(names, dims, strict=True))
+        self._charts = dict(zip(names, charts, strict=True))
+        self._changed(row.number)
+        p = self._covariance(row, 0, "covariance (P)", self._size)
+        plain = () if set(charts) == {ADDITIVE} else tuple(charts)
+        return Prior(row.number, row.time_s, names, tuple(dims), p, self._own(row, 1), plain)
+
+    def _predict(self, row: Row) -> Predict:
+        n = self._on(row)
+        f = self._shaped(row, 0, n, n)
+        q = self._covariance(row, 1, "noise (Q)", n)
+        points = self._own(row, 2), self._own(row, 3)
+        return Predict(row.number, row.time_s, row.blocks or (), f, q, *points)
+
+    def _update(self, row: Row) -> Update:
+        n = self._on(row)
+        if not isinstance(row.text, str):
+            self._refuse(row.number, f"sensor {shown(row.text)}, expected a name")
+        if row.used not in (0, 1):
+            self._refuse(row.number, f"used is {shown(row.used)}, expected 0 or 1")
+        residual = self._flat(row, 0)
+        m = len(residual)
+        if not m:
+            self._refuse(row.number, "residual is empty")
+        h = self._shaped(row, 1, m, n)
+        r = self._covariance(row, 2, "noise (R)", m, definite=True)
+        correction = gain = None
+        if row.cells[3] is not None:
+            correction = self._shaped(row, 3, self._size)
+        if row.cells[4] is not None:
+            gain = self._shaped(row, 4, self._size, m)
+        return Update(
+            *(row.number, row.time_s, row.text, row.blocks or (), residual, h, r, bool(row.used)),
+            *(correction, gain, self._own(row, 5), self._own(row, 6), self._weight(row, 7)),
+        )
+
+    def _augment(self, row: Row) -> Augment:
+        n = self._on(row)
+        name, d, chart = self._new(row)
+        m = math.isqrt(len(self._flat(row, 1)))
+        g_x, g_z = self._shaped(row, 0, d, n), self._shaped(row, 2, d, m)
+        r = self._covariance(row, 1, "noise (R)", m)
+        self._dims[name], self._charts[name] = d, chart
+        self._changed(row.number)
+        points = self._own(row, 3), self._own(row, 4), self._own(row, 5)
+        weight = self._weight(row, 6)
+        return Augment(
+            *(row.number, row.time_s, name, row.blocks or (), g_x, g_z, r, *points, weight, chart)
+        )
+
+    def _clone(self, row: Row) -> Clone:
+        d, blocks = self._on(row), row.blocks or ()
+        if len(blocks) != 1:
+            self._refuse(row.number, f"clones {len(blocks)} blocks, expected one")
+        name = self._unused(row.number, row.text)
+        self._dims[name], self._charts[name] = d, self._charts[blocks[0]]
+        self._changed(row.number)
+        return Clone(row.number, row.time_s, name, blocks[0])
+
+    def _remove(self, row: Row) -> Remove:
+        self._on(row)
+        blocks = row.blocks or ()
+        for name in blocks:
+            del self._dims[name], self._charts[name]
+        if not self._dims:
+            self._refuse(row.number, "removes the last block of the state")
+        self._changed(row.number)
+        return Remove(row.number, row.time_s, blocks)
+
+    def _reset(self, row: Row) -> Reset:
+        n = self._on(row)
+        return Reset(row.number, row.time_s, row.blocks or (), self._shaped(row, 0, n, n))
+
+    def _snapshot(self, row: Row) -> Snapshot:
+        n = self._on(row)
+        p, error = self._shaped(row, 0, n, n), None
+        if row.cells[2] is not None:
+            error = self._shaped(row, 2, n)
+        return Snapshot(row.number, row.time_s, row.blocks or (), p, self._own(row, 1), error)
+
+    def _directions(self, row: Row) -> Directions:
+        n = self._on(row)
+        names = blind = None
+        if isinstance(row.text, dict):
+            names, blind = distinct(row.text.get("names")), distinct(row.text.get("blind"))
+        if not names or not blind:
+            self._refuse(row.number, "text is not {names: [...], blind: [...]}, both not empty")
+        basis = self._shaped(row, 0, n, len(names))
+        return Directions(row.number, row.time_s, row.blocks or (), basis, names, blind)
+
+    def _on(self, row: Row) -> int:
+        """How many entries the blocks of an event have together."""
+        blocks = row.blocks
+        if not blocks:
+            self._refuse(row.number, "blocks are no list of distinct names")
+        found = self._named.get(blocks)
+        if found is None:
+            for name in blocks:
+                if name not in self._dims:
+                    fault = f"block {shown(name)} is not in the state at that time"
+                    self._refuse(row.number, fault)
+            if len(self._named) == _MOST_NAMED:
+                self._named.clear()
+            found = self._named[blocks] = sum(self._dims[name] for name in blocks)
+        return found
+
+    def _new(self, row: Row) -> tuple[str, int, str]:
+        """Name, dimension and chart of a block that begins."""
+        text = row.text
+        name, dim, chart = text if isinstance(text, list) and len(text) == 3 else (None,) * 3
+        if type(dim) is not int or not 0 < dim <= MOST_ENTRIES or not _all_charts([chart]):
+            fault = f"text {shown(text)}, expected a name, a dimension and a chart"
+            self._refuse(row.number, fault)
+        return self._unused(row.number, name), dim, str(chart)
+
+    def _unused(self, number: int, name: Any) -> str:
+        if not isinstance(name, str):
+            self._refuse(number, "the new block's name is not a text")
+        if name in self._dims:
+            self._refuse(number, f"new block {shown(name)} is in the state already")
+        return name
+
+    def _changed(self, number: int) -> None:
+        """Take note of another set of blocks."""
+        self._named.clear()
+        self._size = sum(self._dims.values())
+        if self._size > MOST_ENTRIES:
+            self._refuse(number, f"makes the state larger than {MOST_ENTRIES} entries")
+
+    def _weight(self, row: Row, column: int) -> float:
+        """A share of a measurement's information; all of it where none is stored."""
+        if row.cells[column] is None:
+            return 1.0
+        (weight,) = self._shaped(row, column, 1).tolist()
+        if not 0.0 <= weight <= 1.0:
+            self._refuse(row.number, f"weight is {weight:g}, expected 0 to 1")
+        return float(weight)
+
+    def _own(self, row: Row, column: int) -> Array | None:
+        """Numbers of any count (k,), if they are stored."""
+        return None if row.cells[column] is None else self._flat(row, column)
+
+    def _covariance(
+        self, row: Row, column: int, name: str, n: int, *, definite: bool = False
+    ) -> Array:
+        """A covariance (n, n), which is checked with others."""
+        found = self._shaped(row, column, n, n)
+        own, flag = row.cells[column], 1 + definite
+        if own is not None and not own.checked & flag and found.size:
+            own.checked |= flag
+            self._unchecked.append((row.number, name, definite, found))
+        return found
+
+    def _shaped(self, row: Row, column: int, *shape: int) -> Array:
+        """A matrix, the same one each time that it is stored once."""
+        own = row.cells[column]
+        if own is not None and own.matrix is not None and own.matrix.shape == shape:
+            return own.matrix
+        flat = self._flat(row, column)
+        if flat.size != math.prod(shape):
+            name = COLUMNS[row.kind][column]
+            expected = " x ".join(map(str, shape))
+            self._refuse(row.number, f"{name} has {flat.size} numbers, expected {expected}")
+        found = flat.reshape(shape)
+        assert own is not None  # noqa: S101 - or it had no numbers
+        own.matrix = found
+        return found
+
+    def _flat(self, row: Row, column: int) -> Array:
+        """The numbers (n,) of a matrix."""
+        own, name = row.cells[column], COLUMNS[row.kind][column]
+        if own is None:
+            self._refuse(row.number, f"{name} is missing")
+        if own.matrix is None:
+            fault = f"{name} is no numbers, or has one that is not finite or too large"
+            self._refuse(row.number, fault)
+        return own.matrix.reshape(-1)
+
+    def _check_covariances(self) -> None:
+        """Raise InputError for the first noise or prior that no sound filter has."""
+        alike = defaultdict(list)
+        for number, name, definite, matrix in self._unchecked:
+            alike[name, definite, len(matrix)].append((number, matrix))
+        self._unchecked = []
+        faults = []
+        for (name, definite, n), ones in alike.items():
+            stack = np.concatenate([matrix for _, matrix in ones]).reshape(-1, n, n)
+            found = _fault(stack, definite=definite)
+            if found is not None:
+                faults.append((ones[found[0]][0], f"{name} {found[1]}"))
+        if faults:
+            self._refuse(*min(faults))
+
+    def _refuse(self, number: Any, fault: str) -> NoReturn:
+        raise InputError(f"{self._path}, event {shown(number)}: {fault}")
+
+
+def _fault(stack: Array, *, definite: bool) -> tuple[int, str] | None:
+    """Index and fault of the first matrix of (k, n, n) that is no covariance.
+
+    definite: positive definite, else also semidefinite to _NEGATIVE.
+    """
+    few = max(1, _IN_CACHE // stack[0].size)
+    for start in range(0, len(stack), few):
+        some = stack[start : start + few]
+        skew = _skew(some)
+        bad = np.flatnonzero(skew | ~_sound(some, definite=definite))
+        if len(bad):
+            fault = "is not positive definite" if definite else "has a negative eigenvalue"
+            return start + int(bad[0]), "is not symmetric" if skew[bad[0]] else fault
+    return None
+
+
+def _skew(stack: Array) -> Mask:
+    """Which matrices of (k, n, n) are not symmetric."""
+    difference = np.abs(stack - stack.swapaxes(1, 2))
+    if not difference.any():
+        return np.zeros(len(stack), dtype=bool)
+    sigma = np.sqrt(np.abs(np.diagonal(stack, axis1=1, axis2=2)))
+    beyond: Array = difference - _ASYMMETRY * sigma[:, :, None] * sigma[:, None, :]
+    found: Mask = beyond.max((1, 2)) > 0.0
+    return found
+
+
+def _sound(stack: Array, *, definite: bool) -> Mask:
+    """Which symmetric matrices of (k, n, n) are positive definite, or semidefinite."""
+    symmetric = 0.5 * (stack + stack.swapaxes(1, 2))
+    if definite:
+        return _factored(symmetric)
+    variance = np.diagonal(stack, axis1=1, axis2=2)
+    sound: Mask = variance.min(1) >= 0.0
+    if not variance.all():
+        # A variance of zero goes with covariances of zero; then a one may stand in its place.
+        sound &= ~((variance == 0.0)[:, :, None] & (symmetric != 0.0)).any((1, 2))
+    entries = np.arange(stack.shape[1])
+    symmetric[:, entries, entries] += np.where(variance == 0.0, 1.0, _NEGATIVE * variance)
+    sound &= _factored(symmetric)
+    return sound
+
+
+def _factored(stack: Array) -> Mask:
+    """Which matrices of (k, n, n) have a Cholesky factor."""
+    try:
+        np.linalg.cholesky(stack)
+    except np.linalg.LinAlgError:
+        if len(stack) == 1:
+            return np.array([False])
+        return np.concatenate([_factored(one[None]) for one in stack])
+    return np.ones(len(stack), dtype=bool)
+
+
+def distinct(found: Any) -> Blocks | None:
+    """A list of distinct texts; None where it is none."""
+    if not isinstance(found, list) or not all(isinstance(one, str) for one in found):
+        return None
+    return tuple(found) if len(set(found)) == len(found) else None
+
+
+def _pair(text: Any) -> tuple[Any, Any]:
+    return (text[0], text[1]) if isinstance(text, list) and len(text) == 2 else (None, None)
+
+
+def _counts(found: Any) -> bool:
+    """Whether it is a list of positive whole numbers."""
+    return isinstance(found, list) and all(
+        type(one) is int and 0 < one <= MOST_ENTRIES for one in found
+    )
+
+
+def _all_charts(found: Any) -> bool:
+    return isinstance(found, list) and all(isinstance(one, str) and one in CHARTS for one in found)
+
+
+def shown(value: Any) -> str:
+    """A value of a file, short and on one line."""
+    short = value[:40] if isinstance(value, str | bytes | list) else value
+    return printable(repr(short)[:60])

@@ -1,0 +1,30 @@
+"""Words of reports that every floor may use."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
+"""Causes that are gaps between the estimates; other causes explain one, or stand beside."""
+_NAMES = {"oracle": "optimum not verified"}
+"""Of causes whose key in a result a reader would not understand."""
+
+
+class Row(NamedTuple):
+    """One figure of the table of figures, on the terminal and on the page.
+
+    group: what the figure is of. quantity: what it measures, with the expected value if it has
+    one. value: with its unit. band: where the value should lie. inside: whether it lies there;
+    None where nothing says where it should lie.
+    """
+
+    group: str
+    quantity: str
+    value: str
+    band: str = ""
+    inside: bool | None = None
+
+
+def cause_name(key: str) -> str:
+    """Return the name of a cause as reports have it. key: of the result, as `truth`."""
+    return f"{key} gap" if key in GAPS else _NAMES.get(key, key)

@@ -1,0 +1,74 @@
+"""A recording, and its audit, load neither an estimator nor the planar harness."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.trace.recorder import Recorder
+
+MOST = 40
+"""Modules of this project."""
+_LIST = """
+import sys
+HOUSE = ("comparisons", "ekf_reference", "graphslam", "slamcheck")
+print(*(name for name in sys.modules if name.split(".")[0] in HOUSE))
+"""
+_AUDIT = """
+import runpy
+sys.argv = ["slamcheck", "audit", {trace!r}, "--out", {out!r}, "--quiet"]
+try:
+    runpy.run_module("slamcheck", run_name="__main__")
+except SystemExit as done:
+    assert done.code == 1, done.code
+"""
+
+
+def _loaded(code: str) -> list[str]:
+    """Modules of the house that a fresh process has loaded after some code."""
+    found = subprocess.run(
+        [sys.executable, "-c", f"import sys\n{code}\n{_LIST}"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return found.stdout.split()
+
+
+def _faulty(path: Path) -> None:
+    """Record a filter that forgets its noise, so that the audit seeks the fault, too."""
+    f, q, h, r, p = np.eye(2), 0.1 * np.eye(2), np.eye(1, 2), np.eye(1), np.eye(2)
+    with Recorder(path) as record:
+        record.prior({"place": 2}, p)
+        for _ in range(3):
+            record.predict(f, q)
+            record.update("range", [0.1], h, r)
+            p = p - p @ h.T @ np.linalg.inv(h @ p @ h.T + r) @ h @ p
+            record.snapshot(p)
+
+
+def test_recorder_loads_the_ground_floor_alone() -> None:
+    found = _loaded("import slamcheck\nslamcheck.Recorder")
+    assert not [name for name in found if name.split(".")[0] in ("ekf_reference", "graphslam")]
+    assert len(found) <= MOST
+
+
+def test_audit_loads_no_planar_harness(tmp_path: Path) -> None:
+    trace = tmp_path / "run.trace"
+    _faulty(trace)
+    found = _loaded(_AUDIT.format(trace=str(trace), out=str(tmp_path / "out")))
+    assert "comparisons.audit.faults" in found
+    assert "comparisons.config" not in found
+    assert len(found) <= MOST
+
+
+@pytest.mark.parametrize("module", ["comparisons.config", "comparisons.pipeline.compare"])
+def test_planar_harness_would_be_counted(module: str, tmp_path: Path) -> None:
+    trace = tmp_path / "run.trace"
+    _faulty(trace)
+    audit = _AUDIT.format(trace=str(trace), out=str(tmp_path / "out"))
+    assert len(_loaded(f"import {module}\n{audit}")) > MOST
