@@ -60,6 +60,8 @@ class LinearisationPoints:
     measurements: of landmarks, by their width. merges: of landmarks that are one, by their width.
     For G uses of positions: position: (G,) row in the problem, position_weight: (G,) share of its
     information, position_pose: (G, 3).
+    own_axes: the filter fuses measurements as points in the vehicle's axes, where they are linear,
+    not as range and bearing; F2 then does, too.
     """
 
     departed: Array
@@ -69,6 +71,7 @@ class LinearisationPoints:
     position: Index
     position_weight: Array
     position_pose: Array
+    own_axes: bool = False
 
 
 class _Model(NamedTuple):
@@ -109,7 +112,8 @@ def model_system(problem: SlamProblem, points: LinearisationPoints) -> LinearPro
     pose = np.arange(problem.pose_count)
     departed, arrived = points.departed[:-1], points.arrived[1:]
     motion = _Model(pose[:-1], pose[1:], partial(_increments, problem))
-    measurements, merges = _measurement_models(problem), _merge_models(problem)
+    measurements = _measurement_models(problem, own_axes=points.own_axes)
+    merges = _merge_models(problem)
     return LinearProblem(
         prior=LinearPrior(
             problem.prior_pose, prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]
@@ -142,7 +146,8 @@ def moved_to(
         poses: (K, 3).
         landmarks: (n, w) of each kind by width, merged ones among them.
     """
-    measurements, merges = _measurement_models(problem), _merge_models(problem)
+    measurements = _measurement_models(problem, own_axes=points.own_axes)
+    merges = _merge_models(problem)
     return replace(
         points,
         departed=poses,
@@ -159,12 +164,14 @@ def moved_to(
     )
 
 
-def _measurement_models(problem: SlamProblem) -> dict[int, _Model]:
+def _measurement_models(problem: SlamProblem, *, own_axes: bool) -> dict[int, _Model]:
     """Of each kind of landmark, by its width."""
     seen = problem.pose_landmarks
     return {
         POINT: _Model(
-            problem.measurement_pose, problem.measurement_landmark, partial(_range_bearing, problem)
+            problem.measurement_pose,
+            problem.measurement_landmark,
+            partial(_in_blocks, partial(_in_own_axes if own_axes else _range_bearing, problem)),
         ),
         POSE_LANDMARK: _Model(
             seen.pose, seen.landmark, partial(_pose_in_pose, seen.measured, seen.covariance)
@@ -191,36 +198,39 @@ def _increments(problem: SlamProblem, at: RelationPoints) -> _Rows:
     return a, c, rows[:, :, 6]
 
 
+def _in_blocks(rows: Callable[[RelationPoints], _Rows], at: RelationPoints) -> _Rows:
+    """The same as rows(at), of BLOCK measurements at a time."""
+    if len(at.row) <= BLOCK:
+        return rows(at)
+    parts = [
+        rows(RelationPoints(*(column[i : i + BLOCK] for column in vars(at).values())))
+        for i in range(0, len(at.row), BLOCK)
+    ]
+    a, c, b = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return a, c, b
+
+
 def _range_bearing(problem: SlamProblem, at: RelationPoints) -> _Rows:
-    """Measurements of points, as the filter fuses them; gtsam linearises BLOCK at a time."""
-    if len(at.row) > BLOCK:
-        parts = [
-            _range_bearing(
-                problem, RelationPoints(*(column[i : i + BLOCK] for column in vars(at).values()))
-            )
-            for i in range(0, len(at.row), BLOCK)
-        ]
-        a, c, b = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return a, c, b
+    """Measurements of points as range and bearing."""
     sigma = problem.sigma[at.row] / np.sqrt(at.weight)[:, None]
     used = replace(problem, z=problem.z[at.row], sigma=sigma)
-    if problem.own_axes:
-        return _in_own_axes(used, at)
     first = list(range(0, 2 * len(at.row), 2))
     factors = measurement_factors(first, [key + 1 for key in first], used)
     rows = _linearised_pairs(factors, at.first, at.second)
     return rows[:, :, :3] @ to_tangent(at.first[:, 2]), rows[:, :, 3:5], rows[:, :, 5]
 
 
-def _in_own_axes(used: SlamProblem, at: RelationPoints) -> _Rows:
+def _in_own_axes(problem: SlamProblem, at: RelationPoints) -> _Rows:
     """Measurements as points in the vehicle's axes, in closed form: residual z - R^T (l - p).
 
     The noise is that of range and bearing, carried over at the measurement.
     """
-    r, cos, sin = used.z[:, 0], np.cos(used.z[:, 1]), np.sin(used.z[:, 1])
+    r, bearing = problem.z[at.row].T
+    cos, sin = np.cos(bearing), np.sin(bearing)
+    sigma_range, sigma_bearing = (problem.sigma[at.row] / np.sqrt(at.weight)[:, None]).T
     root = np.empty((len(r), 2, 2))  # of the noise: its columns along and across the ray
-    root[:, 0, 0], root[:, 1, 0] = cos * used.sigma[:, 0], sin * used.sigma[:, 0]
-    root[:, 0, 1], root[:, 1, 1] = -r * sin * used.sigma[:, 1], r * cos * used.sigma[:, 1]
+    root[:, 0, 0], root[:, 1, 0] = cos * sigma_range, sin * sigma_range
+    root[:, 0, 1], root[:, 1, 1] = -r * sin * sigma_bearing, r * cos * sigma_bearing
     heading = at.first[:, 2]
     into = np.empty_like(root)  # R^T, global to forward and left
     into[:, 0, 0] = into[:, 1, 1] = np.cos(heading)

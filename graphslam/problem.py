@@ -117,8 +117,6 @@ class SlamProblem:
     2).
     position_pose: (G,) indices. position: (G, 2) of an antenna at `lever_m` (forward, left) of
     the pose, with position_covariance: (G, 2, 2).
-    own_axes: whether the filter fuses measurements as points in the vehicle's axes, not as range
-    and bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
     surveyed: (S, 2) positions of the first S landmarks, known beforehand with
     surveyed_covariance: (S, 2, 2). pose_landmarks: measurements of pose landmarks, too.
     loop_closures: motions between poses that do not follow each other.
@@ -139,7 +137,6 @@ class SlamProblem:
     lever_m: tuple[float, float] = (0.0, 0.0)
     surveyed: Array = field(default_factory=lambda: np.zeros((0, 2)))
     surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    own_axes: bool = False
     pose_landmarks: PoseLandmarkMeasurements = field(default_factory=PoseLandmarkMeasurements)
     loop_closures: LoopClosures = field(default_factory=LoopClosures)
 

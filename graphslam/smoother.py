@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -30,7 +31,7 @@ from graphslam.marginals import (
 )
 from graphslam.observability import explain_singularity
 from graphslam.optimisers import OPTIMISERS
-from graphslam.optimum import Optimality, chi_square_test, stationarity
+from graphslam.optimum import Exploration, Optimality, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
 from graphslam.robust import NOTHING_REJECTED, Rejected, reject_outliers
 from graphslam.search import MinimumSearch
@@ -71,6 +72,40 @@ class SmootherOptions:
                 raise ValueError(f"{name} is '{value}', expected one of {', '.join(known)}")
         if self.lag < 1:
             raise ValueError(f"lag is {self.lag}, expected at least 1")
+
+    def check(self, problem: SlamProblem) -> None:
+        """Check that a problem allows these choices.
+
+        Args:
+            problem: What is to be solved.
+
+        Raises:
+            ValueError: A closure reaches beyond the fixed lag; or, but in a batch, only later poses
+                fix an earlier one; or robust is gnc beside what it cannot weigh.
+        """
+        closed = problem.loop_closures
+        reach = int(np.abs(closed.first - closed.second).max(initial=0))
+        if self.method == "fixed-lag" and reach > self.lag:
+            raise ValueError(
+                f"lag is {self.lag}, expected at least {reach}, the span of the loop closures"
+            )
+        reached = np.union1d(problem.steps + 1, closed.last)
+        alone = np.setdiff1d(np.arange(1, problem.pose_count), reached)
+        if self.method != "batch" and len(alone):
+            raise ValueError(
+                f"method is {self.method}, expected batch: nothing connects pose {alone[0]} with "
+                "those before it"
+            )
+        if self.robust != "gnc":
+            return
+        if problem.lever_m != (0.0, 0.0) and len(problem.position):
+            raise ValueError(
+                "robust is gnc, which does not support positions of an antenna away from the pose"
+            )
+        if len(closed.first) and closed.kernel == "none":
+            raise ValueError(
+                "robust is gnc, which does not support loop closures, expected huber or cauchy"
+            )
 
 
 @dataclass(frozen=True)
@@ -211,57 +246,54 @@ def smooth(
 
     Raises:
         SingularProblemError: Every attempt fails for want of information.
-        ValueError: A closure reaches beyond the fixed lag; or, but in a batch, only later poses fix
-            an earlier one; or robust is gnc beside what it cannot weigh.
+        ValueError: The problem does not allow the options (SmootherOptions.check).
     """
     options = options or SmootherOptions()
-    reach = int(np.abs(problem.loop_closures.first - problem.loop_closures.second).max(initial=0))
-    if options.method == "fixed-lag" and reach > options.lag:
-        raise ValueError(
-            f"lag is {options.lag}, expected at least {reach}, the span of the loop closures"
-        )
-    rejected, closed = NOTHING_REJECTED, problem.loop_closures
-    reached = np.union1d(problem.steps + 1, closed.last)
-    alone = np.setdiff1d(np.arange(1, problem.pose_count), reached)
-    if options.method != "batch" and len(alone):
-        raise ValueError(
-            f"method is {options.method}, expected batch: nothing connects pose {alone[0]} with "
-            "those before it"
-        )
-    if options.robust == "gnc" and problem.lever_m != (0.0, 0.0) and len(problem.position):
-        raise ValueError(
-            "robust is gnc, which does not support positions of an antenna away from the pose"
-        )
-    if options.robust == "gnc" and len(closed.first) and closed.kernel == "none":
-        raise ValueError(
-            "robust is gnc, which does not support loop closures, expected huber or cauchy"
-        )
-    if options.robust == "gnc":
-        progress("smoother, outlier detection")
-        graph = build_graph(problem)
-        problem, rejected = reject_outliers(problem, graph, track(problem, graph)[0])
-    graph = build_graph(problem, options.kernel)
-    search = MinimumSearch(problem, graph, options.optimiser, progress)
+    options.check(problem)
+    prepared = _prepare(problem, options, progress)
+    search = MinimumSearch(prepared.problem, prepared.graph, options.optimiser, progress)
     for name, guess in guesses.items():
         search.attempt(name, "sequential", search.values(*guess))
     search.attempt_relaxed()
     progress(f"smoother, {options.method}")
-    try:
-        followed = _follow(problem, graph, options, search)
-    except RuntimeError:  # gtsam's, of many lines
-        raise SingularProblemError(
-            f"{options.method} reached a singular system; raise the smallest sigmas of the log, or "
-            "use the batch smoother"
-        ) from None
+    followed = _follow(prepared, options, search)
     if not search.attempts or not search.agreed:
-        search.attempt("tracked", "sequential", *track(problem, graph))
-    exploration = search.explore()
+        search.attempt("tracked", "sequential", *track(prepared.problem, prepared.graph))
+    result = _result(prepared, options, search, search.explore())
+    return result if followed is None else _along(result, followed)
+
+
+class _Prepared(NamedTuple):
+    """What is solved: the problem without the outliers that were found, and its graph."""
+
+    problem: SlamProblem
+    rejected: Rejected
+    graph: gtsam.NonlinearFactorGraph
+
+
+def _prepare(
+    problem: SlamProblem, options: SmootherOptions, progress: Callable[[str], None]
+) -> _Prepared:
+    """Leave outliers out where that is asked for, and build the graph."""
+    rejected = NOTHING_REJECTED
+    if options.robust == "gnc":
+        progress("smoother, outlier detection")
+        graph = build_graph(problem)
+        problem, rejected = reject_outliers(problem, graph, track(problem, graph)[0])
+    return _Prepared(problem, rejected, build_graph(problem, options.kernel))
+
+
+def _result(
+    prepared: _Prepared, options: SmootherOptions, search: MinimumSearch, exploration: Exploration
+) -> SmootherResult:
+    """Return the lowest minimum with its evidence; SingularProblemError where there is none."""
+    problem, rejected, graph = prepared
     best = search.best
     if not np.isfinite(best.error):
         why = explain_singularity(graph, best.values)
         raise SingularProblemError(why or "the measurements do not fix every pose and landmark")
     poses, landmarks = from_values(best.values, problem)
-    result = SmootherResult(
+    return SmootherResult(
         options=options,
         problem=problem,
         poses=poses,
@@ -282,15 +314,6 @@ def smooth(
         values=best.values,
         graph=graph,
     )
-    if followed is None:
-        return result
-    return replace(
-        result,
-        poses=followed.poses,
-        landmarks=followed.landmarks,
-        optimality=replace(result.optimality, distance_sigma=_distance(result, followed)),
-        lagged=followed.lagged,
-    )
 
 
 @dataclass(frozen=True)
@@ -304,26 +327,40 @@ class _Followed:
 
 
 def _follow(
-    problem: SlamProblem,
-    graph: gtsam.NonlinearFactorGraph,
-    options: SmootherOptions,
-    search: MinimumSearch,
+    prepared: _Prepared, options: SmootherOptions, search: MinimumSearch
 ) -> _Followed | None:
     """Run the incremental method that is asked for and begin an attempt where it ended."""
-    if options.method == "isam2":
-        end = run_isam2(problem, graph)
-        search.attempt("isam2", "sequential", end.values, end.updates)
-        return _Followed(
-            *from_values(end.values, problem), pose_landmarks_from(end.values, problem), None
-        )
-    if options.method == "fixed-lag":
-        lagged = run_fixed_lag(problem, graph, options.lag)
-        start = search.values(lagged.poses, lagged.landmarks)
-        for key, place in enumerate(lagged.pose_landmarks, start=POSE_LANDMARK_KEY):
-            start.update(key, gtsam.Pose2(*place))
-        search.attempt("fixed-lag", "sequential", start, lagged.updates)
-        return _Followed(lagged.poses, lagged.landmarks, lagged.pose_landmarks, lagged)
+    problem, _, graph = prepared
+    try:
+        if options.method == "isam2":
+            end = run_isam2(problem, graph)
+            search.attempt("isam2", "sequential", end.values, end.updates)
+            pose_landmarks = pose_landmarks_from(end.values, problem)
+            return _Followed(*from_values(end.values, problem), pose_landmarks, None)
+        if options.method == "fixed-lag":
+            lagged = run_fixed_lag(problem, graph, options.lag)
+            start = search.values(lagged.poses, lagged.landmarks)
+            for key, place in enumerate(lagged.pose_landmarks, start=POSE_LANDMARK_KEY):
+                start.update(key, gtsam.Pose2(*place))
+            search.attempt("fixed-lag", "sequential", start, lagged.updates)
+            return _Followed(lagged.poses, lagged.landmarks, lagged.pose_landmarks, lagged)
+    except RuntimeError:  # gtsam's, of many lines
+        raise SingularProblemError(
+            f"{options.method} reached a singular system; raise the smallest sigmas of the log, or "
+            "use the batch smoother"
+        ) from None
     return None
+
+
+def _along(result: SmootherResult, followed: _Followed) -> SmootherResult:
+    """Return what an incremental method said, with its distance from the optimum."""
+    return replace(
+        result,
+        poses=followed.poses,
+        landmarks=followed.landmarks,
+        optimality=replace(result.optimality, distance_sigma=_distance(result, followed)),
+        lagged=followed.lagged,
+    )
 
 
 def _degrees_of_freedom(problem: SlamProblem, kernel: str) -> int:

@@ -41,9 +41,7 @@ class PositionRows(NamedTuple):
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of measurements to landmarks."""
     count = len(run.estimate.landmark)
-    problem = assemble(
-        log, run.timeline, run.landmark_index, count, _positions(run), own_axes=run.own_axes
-    )
+    problem = assemble(log, run.timeline, run.landmark_index, count, _positions(run))
     return replace(problem, pose_landmarks=run.pose_landmarks)
 
 
@@ -53,8 +51,6 @@ def assemble(
     landmark_index: Index,
     landmark_count: int,
     fixes: PositionRows,
-    *,
-    own_axes: bool = False,
 ) -> SlamProblem:
     """Return the log as arrays. landmark_index: (M,) of the measurements, negative where unused."""
     used = np.flatnonzero(landmark_index >= 0)
@@ -77,7 +73,6 @@ def assemble(
         lever_m=fixes.antenna_m,
         surveyed=surveyed_place,
         surveyed_covariance=surveyed_covariance,
-        own_axes=own_axes,
         loop_closures=_loop_closures(log, timeline),
     )
 
@@ -144,6 +139,7 @@ def _points(problem: SlamProblem, run: EkfRun) -> LinearisationPoints:
         position=fix_row[trace.positions.number],
         position_weight=trace.positions.weight,
         position_pose=_as_headings(run, trace.positions.pose, trace.positions.step),
+        own_axes=run.own_axes,
     )
 
 
