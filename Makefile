@@ -11,7 +11,7 @@ NUMERIC := tests/golden tests/ekf_reference/core tests/ekf_reference/filters \
 	tests/ekf_reference/association tests/graphslam/test_search.py tests/graphslam/test_smoother.py \
 	tests/graphslam/test_spurious.py tests/comparisons/test_check_page.py
 
-.PHONY: run test test-all tests test-golden same test-flavours test-pythons test-newest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
+.PHONY: run test test-all test-golden same test-flavours test-pythons test-newest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -20,12 +20,12 @@ run: $(VENV)/installed
 test: lint
 	$(PYTEST) $(QUICK)
 
-# All but the shelves that no change asks for (tests/shelves.py); types are checked beside the tests.
+# All but the shelves that no change asks for (tests/shelves.py). Types are checked beside the tests,
+# which end where these are wrong.
 test-all: style
-	$(MAKE) -j 2 types tests
-
-tests: $(VENV)/installed-dev
-	$(PYTEST) -m "not golden and not nightly" --durations=30
+	@$(BIN)/mypy & types=$$!; \
+	$(PYTEST) -m "not golden and not nightly" --durations=30 & tests=$$!; \
+	wait $$types || { kill $$tests; wait $$tests; exit 1; }; wait $$tests
 
 # Every golden run: verdicts, causes and counts as kept, figures within what processors round.
 test-golden: $(VENV)/installed-dev

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -40,3 +41,8 @@ def slamcheck(*arguments: str, cwd: Path, columns: int = 100) -> Done:
     assert isinstance(code, int), code
     pass_on(said.getvalue())
     return Done(code, printed.getvalue(), said.getvalue())
+
+
+def flat(text: str) -> str:
+    """What rich has put into a box of several lines, as one."""
+    return " ".join(re.sub("[\u2500-\u257f]", " ", text).split())

@@ -21,7 +21,7 @@ from comparisons.pipeline.solve import solve
 from comparisons.report.models import SolutionResult
 from comparisons.report.sections import association_check_result
 from comparisons.report.solution import build_solution_result
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import simulated
 
 LANDMARK_INDEX = np.repeat(np.arange(3), 10)

@@ -38,7 +38,7 @@ from comparisons.report.model import current
 from comparisons.report.models import AccuracyResult, AgreementResult, EkfResult, Result
 from comparisons.report.result import build_result, metrics
 from comparisons.settings import run_config
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import compared, simulated
 
 

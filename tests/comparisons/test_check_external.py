@@ -31,7 +31,7 @@ from comparisons.pipeline.check import check, check_external
 from comparisons.pipeline.references import filter_named
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.report.check import CheckResult
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 
 
 @pytest.fixture(scope="module")

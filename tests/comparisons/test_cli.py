@@ -21,7 +21,7 @@ from comparisons.cli.app import PANELS
 from comparisons.estimates.folder import read_estimate
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.models import Result
-from tests.commands import slamcheck
+from tests.commands import flat, slamcheck
 from tests.helpers import simulated
 
 
@@ -41,11 +41,6 @@ def python(
             **environment,
         },
     )
-
-
-def flat(text: str) -> str:
-    """What rich has put into a box of several lines, as one."""
-    return " ".join(re.sub("[\u2500-\u257f]", " ", text).split())
 
 
 @pytest.mark.slow
@@ -499,9 +494,9 @@ def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Pat
     done = python(without, tmp_path, "odometry", "no-such-log", "--cloud", "pcd")
     assert done.returncode == 2
     assert done.stderr == "slamcheck: --cloud needs Open3D: pip install 'slamcheck[scans]'\n"
-    done = slamcheck("odometry", "no-such-log", "--cloud", "", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "'--cloud': '' is not one of 'pcd', 'ply'" in flat(done.stderr)
+    other = slamcheck("odometry", "no-such-log", "--cloud", "", cwd=tmp_path)
+    assert other.returncode == 2
+    assert "'--cloud': '' is not one of 'pcd', 'ply'" in flat(other.stderr)
 
 
 def test_without_gtsam_one_line_says_where_it_is_to_be_had(tmp_path: Path) -> None:

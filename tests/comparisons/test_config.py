@@ -38,7 +38,7 @@ from comparisons.options import (
     Flag,
 )
 from comparisons.settings import configure, run_config
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 
 
 def fields(job: type[JobConfig]) -> dict[str, object]:

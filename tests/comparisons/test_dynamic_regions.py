@@ -33,7 +33,7 @@ from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.report.dense_map import MapResult
 from ekf_reference.dense.dynamic import Differencing, DynamicLayer
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import compared
 
 LOOKING = DenseMapsConfig(layers=(), detect_motion=True)

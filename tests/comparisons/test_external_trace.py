@@ -28,7 +28,7 @@ from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import Array, compared
 
 Arrays = dict[str, Array]

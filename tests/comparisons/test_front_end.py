@@ -32,7 +32,7 @@ from comparisons.report.models import Result
 from comparisons.report.odometry import FrontEndResult
 from comparisons.report.result import build_result
 from graphslam.g2o import read_g2o
-from tests.comparisons.test_cli import flat, slamcheck
+from tests.commands import flat, slamcheck
 from tests.helpers import compared
 
 

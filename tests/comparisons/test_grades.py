@@ -43,7 +43,7 @@ from comparisons.pipeline.check import (
 )
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 
 
 @pytest.fixture(scope="module")

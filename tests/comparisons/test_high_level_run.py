@@ -30,7 +30,7 @@ from comparisons.report.result import build_result
 from comparisons.settings import configure, run_config, run_options
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.scan_landmarks.high_level import SearchOptions
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import Array, compared, first_seconds
 
 SEEDS = (1, 3)

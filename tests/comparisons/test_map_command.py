@@ -27,7 +27,7 @@ from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions_at_map import RegionsAtMap
-from tests.comparisons.test_cli import flat, slamcheck
+from tests.commands import flat, slamcheck
 from tests.fuzz.test_hostile_files import outcome, run_main
 
 

@@ -34,7 +34,7 @@ from comparisons.pipeline import second_association
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
 from comparisons.settings import run_config
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import compared, first_seconds, simulated
 
 AGREE = Verdict(outcome="agree", causes=(), remarks=())

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from comparisons.logs.log_folder import write_log_folder
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import simulated
 from tests.scenarios import scenario
 

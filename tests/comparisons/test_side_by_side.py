@@ -22,7 +22,7 @@ from comparisons.report.side_by_side import (
     side_by_side,
     write_table,
 )
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import compared, simulated
 
 ROWS: list[Row] = [

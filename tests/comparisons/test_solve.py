@@ -35,7 +35,7 @@ from comparisons.report.models import Result, SolutionResult
 from comparisons.report.result import build_result
 from comparisons.report.solution import build_solution_result, solution_folder
 from graphslam.g2o import read_g2o
-from tests.comparisons.test_cli import flat, slamcheck
+from tests.commands import flat, slamcheck
 from tests.comparisons.test_known_landmarks import with_survey
 from tests.helpers import compared, first_seconds, simulated
 

@@ -15,7 +15,7 @@ from comparisons.estimates.trajectory_files import (
     read_trajectory_file,
     write_trajectory,
 )
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import random_covariance
 
 

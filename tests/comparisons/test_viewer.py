@@ -18,7 +18,7 @@ from comparisons.report import viewer
 from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
-from tests.comparisons.test_cli import flat
+from tests.commands import flat
 from tests.helpers import compared, first_seconds, simulated
 
 CODE = "from comparisons.cli.app import main; main()"

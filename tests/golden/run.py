@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import sys
 import tempfile
@@ -11,7 +9,6 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -25,11 +22,10 @@ from comparisons.baseline import (
     read_baseline,
     write_baseline,
 )
-from comparisons.cli.app import main as slamcheck
 from comparisons.report.check import CheckResult
 from comparisons.report.models import Result
+from tests.commands import slamcheck
 from tests.golden.cases import CASES, make_logs, with_before, words
-from tests.graphslam.skips import pass_on
 
 KEPT = Path(__file__).parent / "kept"
 MODELS: dict[str, type[Result | CheckResult]] = {"result.json": Result, "check.json": CheckResult}
@@ -52,8 +48,9 @@ def run_case(name: str, work: Path) -> Baseline:
         make_logs(work)
     for one in with_before([name]):
         if one == name or not (work / one).exists():
-            code = _run(words(one, work))
-    return baseline_of(work / name, code)
+            done = slamcheck(*words(one, work), cwd=work)
+            assert done.returncode in (0, 1, 3), f"{one} ended with {done}"
+    return baseline_of(work / name, done.returncode)
 
 
 def baseline_of(folder: Path, code: int) -> Baseline:
@@ -126,24 +123,6 @@ def _numbers(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
             yield from _numbers(inner, name)
     elif isinstance(value, int | float):
         yield name, value
-
-
-def _run(argv: list[str]) -> int:
-    """Return the exit code of a command. Raises AssertionError where it ended in an error."""
-    said = io.StringIO()
-    with (
-        patch.object(sys, "argv", ["slamcheck", *argv]),
-        contextlib.redirect_stdout(io.StringIO()),
-        contextlib.redirect_stderr(said),
-    ):
-        try:
-            slamcheck()
-            code = 0
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-    pass_on(said.getvalue())
-    assert code in (0, 1, 3), f"{argv} ended with {code}: {said.getvalue()}"
-    return code
 
 
 def main(names: list[str]) -> None:

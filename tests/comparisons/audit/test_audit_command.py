@@ -9,9 +9,9 @@ import pytest
 
 import slamcheck
 from comparisons.report.audit import AuditResult, audit_panels, build_audit_result
+from tests.commands import slamcheck as command
 from tests.comparisons.audit.test_audit import once, stays
 from tests.comparisons.audit.toy_filter import Toy
-from tests.comparisons.test_cli import slamcheck as command
 
 
 def traces(folder: Path) -> tuple[Path, Path]:

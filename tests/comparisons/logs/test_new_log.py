@@ -20,7 +20,7 @@ from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.readers import read_log
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 
 VELOCITY = "omega,t,v\n0.1,0.0,1.0\n0.1,0.5,1.0\n0.1,1.0,1.0\n"
 TREES = "label,range,bearing,time,note\ntree_7,5,0.5,0.2,a\n,4,0.1,0.2,b\ntree_2,3,-0.5,0.7,c\n"

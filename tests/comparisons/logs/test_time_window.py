@@ -15,7 +15,7 @@ from comparisons.logs.log import Log, LoopClosures, Positions, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.read import load_log
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 from tests.helpers import compared, simulated
 
 

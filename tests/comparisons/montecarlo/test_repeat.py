@@ -14,8 +14,8 @@ from comparisons.experiments.montecarlo.config import FilterName, MonteCarloConf
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.montecarlo.study import read_study
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
+from tests.commands import slamcheck as cli
 from tests.comparisons.montecarlo.test_command import ROOT, contents, slamcheck
-from tests.comparisons.test_cli import slamcheck as cli
 
 CIRCLE = (ROOT / "comparisons/experiments/scenarios/circle.toml").read_text()
 

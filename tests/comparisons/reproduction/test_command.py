@@ -27,7 +27,7 @@ from comparisons.experiments.reproduction.interface import (
 )
 from comparisons.experiments.reproduction.models import ReproductionResult
 from comparisons.experiments.reproduction.runner import reproduce
-from tests.comparisons.test_cli import slamcheck
+from tests.commands import slamcheck
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
 
