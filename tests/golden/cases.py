@@ -54,12 +54,15 @@ map-dynamic: map dynamic-places --dynamic --layer points
 traced: run simulated-loop --seed 4 --trace
 check: check simulated-loop --seed 4 --estimate {work}/traced/ekf
 check-path: check simulated-loop --seed 4 --estimate {work}/traced/ekf/trajectory.tum
-montecarlo: montecarlo circle --runs 25 --filters ekf,riekf
+montecarlo: montecarlo circle --runs 25 --filters ekf,riekf --workers 1
 """
 CASES: dict[str, str] = dict(line.split(": ", 1) for line in _TABLE.splitlines())
 """Command lines by name. {work}: the folder in which the folders of all cases are."""
-LONG = frozenset({"scan-slam-maps", "solve", "map-scans"})
-"""Cases of more than ten seconds, at night only."""
+LONG = frozenset(
+    {"scan-slam-maps", "solve", "map-scans", "dynamic-lanes", "car-park-both", "scan-slam-own"}
+    | {"high-level-dense"}
+)
+"""Long cases, by make test-golden only; all others together take a minute."""
 
 
 def words(name: str, work: Path) -> list[str]:
