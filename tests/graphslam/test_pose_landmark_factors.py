@@ -7,7 +7,8 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from graphslam.graph_builder import POINT, POSE_LANDMARK, right_perturbation
+from graphslam.graph_builder import right_perturbation
+from graphslam.layout import POINT, POSE_LANDMARK
 from graphslam.linear_problem import solve
 from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
@@ -60,7 +61,8 @@ def linearised(problem: SlamProblem, poses: Array, landmarks: Array, frames: Arr
         position_weight=np.zeros(0),
         position_pose=np.zeros((0, 3)),
     )
-    return solve(model_system(problem, points), poses, landmarks, frames)
+    places = {POINT: landmarks, POSE_LANDMARK: frames}
+    return solve(model_system(problem, points), poses, places)
 
 
 def headings(result: SmootherResult) -> Index:

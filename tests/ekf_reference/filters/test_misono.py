@@ -189,7 +189,7 @@ class PredictedOnce(DirectionCosineEkf):
     """
 
     def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
-        model, found = self.models[seen.width], []
+        model, found = self.models[seen.kind], []
         for row in rows:
             local = self.state.map_of(landmark_indices[[row]])
             z, by_pose, by_landmark = model.predict(local.pose, local.landmark)
