@@ -9,6 +9,7 @@ import numpy as np
 
 from ekf_reference.core import machine
 from ekf_reference.core.blocks import block_diagonal
+from ekf_reference.core.chart import ADDITIVE, Chart
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import KINDS, POINT, LandmarkKind, NewLandmarks
 from ekf_reference.core.layout import Layout
@@ -100,13 +101,15 @@ class KalmanState:
     or read-only views that change with the next write.
     """
 
-    def __init__(self, pose: Array, covariance: Array) -> None:
+    def __init__(self, pose: Array, covariance: Array, chart: Chart = ADDITIVE) -> None:
         """Start with a pose alone.
 
         Args:
             pose: (p,), heading unwrapped; copied.
             covariance: (p, p), symmetric positive definite; copied.
+            chart: Of the pose.
         """
+        self._chart = chart
         self._layout = Layout.of_pose(len(pose))
         self._mean = np.array(pose, dtype=float)
         self._covariance = np.array(covariance, dtype=float)
@@ -274,8 +277,12 @@ class KalmanState:
         Source: Guivant 2002, eqs. 5 to 7; Misono 2007, eqs. 1, 6 and 11; Nieto 2005, eqs. 2.14 and
         2.32 to 2.36.
         """
+        self._mean[: len(pose)] = pose
+        self._carry(jacobian_pose, noise)
+
+    def _carry(self, jacobian_pose: Array, noise: Array | float) -> None:
+        """Carry the covariance over to where the pose is now."""
         v, n, p = self._layout.pose_size, self._layout.size, self._covariance
-        self._mean[:v] = pose
         vehicle = jacobian_pose @ p[:v, :v] @ jacobian_pose.T + noise
         p[:v, :v] = 0.5 * (vehicle + vehicle.T)
         if n > v:
@@ -306,7 +313,7 @@ class KalmanState:
         and, for entries that are not measured, 3.11.
         Errata: 2.39 is printed S = H P H + R and 2.47 W = P H S^-1; the transposes belong there.
         """
-        n = self._layout.size
+        v, n = self._layout.pose_size, self._layout.size
         p = self._covariance[:n, :n]
         gain_left = p[:, columns] @ jacobian.T  # P H^T, (n, m)
         innovation_covariance = jacobian @ gain_left[columns] + noise  # S, 2.39
@@ -317,8 +324,12 @@ class KalmanState:
         except np.linalg.LinAlgError as e:
             raise FilterDivergedError("the innovation covariance is not positive definite") from e
         u, whitened = inverse_root @ gain_left.T, inverse_root @ innovation
-        self._mean[:n] += u.T @ whitened  # 2.45
+        pose, step = self.pose, u.T @ whitened
+        self._mean[:n] += step  # 2.45
         p -= u.T @ u  # 2.46
+        if (reset := self._chart.reset(pose, step[:v])) is not None:
+            self._mean[:v] = self._chart.plus(pose, step[:v])
+            self._carry(reset, 0.0)
         return Correction(inverse_root, u, whitened, innovation_covariance)
 
     def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
@@ -368,7 +379,8 @@ class KalmanState:
         Returns:
             A state of its own; landmark indices are the same.
         """
-        chosen = KalmanState(self._mean[columns], self._covariance[columns[:, None], columns])
+        covariance = self._covariance[columns[:, None], columns]
+        chosen = KalmanState(self._mean[columns], covariance, self._chart)
         chosen._layout = self._layout.part(columns)
         return chosen
 
