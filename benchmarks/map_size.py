@@ -13,6 +13,8 @@ from __future__ import annotations
 import argparse
 import os
 
+from ekf_reference.core.landmark_types import NewLandmarks
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
@@ -59,7 +61,7 @@ def build(kind: str, landmarks: Array) -> Ekf:
     through[:, 0, 0] = through[:, 1, 1] = 1.0
     through[:, 0, 2], through[:, 1, 2] = -landmarks[:, 1], landmarks[:, 0]
     noise = np.tile(0.09 * np.eye(2), (m, 1, 1))
-    ekf.state.augment(landmarks, through, np.tile(np.eye(2), (m, 1, 1)), noise)
+    ekf.state.augment(NewLandmarks(landmarks, through, np.tile(np.eye(2), (m, 1, 1))), noise)
     if isinstance(ekf.state, CompressedState):
         _ = ekf.state.mean  # a global update, so that the far landmarks become passive
         ekf.state.local_map(RANGE_M + 10.0)

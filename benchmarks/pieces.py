@@ -11,6 +11,8 @@ from __future__ import annotations
 import argparse
 import os
 
+from ekf_reference.core.landmark_types import NewLandmarks
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
@@ -45,7 +47,7 @@ def note_neglected() -> Callable[[], object]:
     through = np.zeros((30, 2, 3))
     through[:, 0, 0] = through[:, 1, 1] = 1.0
     eye, noise = np.tile(np.eye(2), (30, 1, 1)), np.tile(0.09 * np.eye(2), (30, 1, 1))
-    ekf.state.augment(place, through, eye, noise)
+    ekf.state.augment(NewLandmarks(place, through, eye), noise)
     base = np.array([rng.choice(30, 3, replace=False) for _ in range(40)])
     point, region = place[base].mean(axis=1), np.arange(40)
     view, layer = FilterView.of(ekf), NeglectedCorrelation(LocalRegions(base=base))

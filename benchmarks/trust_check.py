@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from trust_row import Row, print_table  # type: ignore[import-not-found]
 
 from comparisons.adapters import filter_variants
@@ -51,11 +50,8 @@ from comparisons.pipeline.check import ExternalCheck, check_external
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
-from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurements import (
-    NOT_MEASURED,
     REJECTED,
-    MeasuredAttributes,
     Measurements,
 )
 from ekf_reference.core.state import Correction, KalmanState
@@ -160,22 +156,12 @@ class WideUnscented(filter_variants.UnscentedEkf):
 class EarlyInitialising(Ekf):
     """New landmarks are initialised before the measurements of the others are fused."""
 
-    def observe(
-        self,
-        z: Array,
-        sigma: Array,
-        identity: NDArray[np.int64],
-        time_s: float = 0.0,
-        attributes: MeasuredAttributes = NOT_MEASURED,
-    ) -> Index:
-        """As `Ekf.observe`, in another order."""
-        own = self.models[POINT].measured(z, sigma)
-        seen = Measurements(*own, identity, time_s=time_s, attributes=attributes)
-        landmark_indices = self.associate(seen)
+    def use(self, seen: Measurements, landmark_indices: Index) -> None:
+        """As `Ekf.use`, in another order."""
         known = landmark_indices < self.state.landmark_count
-        self.augment(seen, landmark_indices)
-        self.update(seen, np.where(known, landmark_indices, REJECTED))
-        return landmark_indices
+        super().use(seen, np.where(known, REJECTED, landmark_indices))
+        self.take_numbers(seen.kind.name, -len(seen))
+        super().use(seen, np.where(known, landmark_indices, REJECTED))
 
 
 class Cases:

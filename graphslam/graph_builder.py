@@ -6,15 +6,10 @@ import gtsam
 import numpy as np
 
 from graphslam.arrays import Array, Index
+from graphslam.layout import POINT, POSE_LANDMARK
 from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
 
-POSE_KEY = gtsam.symbol("x", 0)
-LANDMARK_KEY = gtsam.symbol("l", 0)
-POSE_LANDMARK_KEY = gtsam.symbol("t", 0)
-POINT, POSE_LANDMARK = 2, 3
-"""Kinds of landmarks, by their width: x, y, and x, y, heading."""
-LANDMARK_KEYS = {POINT: LANDMARK_KEY, POSE_LANDMARK: POSE_LANDMARK_KEY}
-"""The first key of each kind."""
+POSE_KEY, LANDMARK_KEY, POSE_LANDMARK_KEY = gtsam.symbol("x", 0), POINT.key, POSE_LANDMARK.key
 KERNELS = ("none", "huber", "cauchy")
 
 

@@ -19,6 +19,7 @@ from graphslam.graph_builder import (
     unwrap,
 )
 from graphslam.initialisation import extension
+from graphslam.layout import Layout
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.problem import SlamProblem
 
@@ -181,7 +182,8 @@ def _checkpoint(
     poses, landmarks = from_values(values, part)
     landmark_index = np.flatnonzero(np.isfinite(landmarks[:, 0]))
     kept = [POSE_KEY + end - 1, *(LANDMARK_KEY + landmark_index).tolist()]
-    local = joint_marginal(prefix.linearize(values), kept, 3 + 2 * len(landmark_index))
+    size = Layout(1, len(landmark_index)).size
+    local = joint_marginal(prefix.linearize(values), kept, size)
     mean = np.concatenate((poses[-1], landmarks[landmark_index].ravel()))
     return Checkpoint(
         end - 1, landmark_index, Marginal(mean, to_global(local.covariance, poses[-1, 2]))
@@ -247,8 +249,8 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
     frames = [smoother.calculateEstimatePose2(key) for key in turned]
     pose_landmarks = np.array([(at.x(), at.y(), at.theta()) for at in frames]).reshape(-1, 3)
     linear = factors.linearize(smoother.getLinearizationPoint())
-    kept, size = [POSE_KEY + count - 1, *seen, *turned], 3 + 2 * len(seen) + pose_landmarks.size
-    local = joint_marginal(linear, kept, size)
+    kept = [POSE_KEY + count - 1, *seen, *turned]
+    local = joint_marginal(linear, kept, Layout(1, len(seen), len(turned)).size)
     landmark_indices = np.array(seen, dtype=np.int64) - LANDMARK_KEY
     mean = np.concatenate((poses[-1], places[landmark_indices].ravel(), pose_landmarks.ravel()))
     return LagEnd(

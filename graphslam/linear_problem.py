@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphslam.arrays import Array, Index, Marginal
-from graphslam.graph_builder import LANDMARK_KEYS, POINT, POSE_KEY
+from graphslam.graph_builder import POSE_KEY
+from graphslam.layout import POINT, LandmarkKind
 from graphslam.marginals import joint_marginal
 
 
@@ -33,7 +34,7 @@ class LinearRelations:
     """Between two states: a (x - first_point) + c (y - second_point) = b + noise, M of them.
 
     x is a pose of p entries, or a landmark where two landmarks are one. y is the next pose, or a
-    landmark of w entries; w is the landmark's kind: 2 for points, 3 for pose landmarks.
+    landmark of w entries.
 
     first, second: (M,) indices of x and y. first_point: (M, p) and second_point: (M, w), where
     the relation was linearised. a: (M, w, p). c: (M, w, w). b: (M, w).
@@ -74,13 +75,13 @@ class LinearProblem:
     """All relations of one log.
 
     motion: from each pose to the next. measurements: of landmarks from poses, by the landmarks'
-    width. merges: of two landmarks that are one, by their width.
+    kind. merges: of two landmarks that are one, by their kind.
     """
 
     prior: LinearPrior
     motion: LinearRelations
-    measurements: Mapping[int, LinearRelations]
-    merges: Mapping[int, LinearRelations]
+    measurements: Mapping[LandmarkKind, LinearRelations]
+    merges: Mapping[LandmarkKind, LinearRelations]
     positions: LinearPositions
     survey: LinearSurvey
 
@@ -92,7 +93,9 @@ class _States(NamedTuple):
     reference: Array
 
 
-def solve(problem: LinearProblem, poses: Array, *landmarks: Array) -> Marginal:
+def solve(
+    problem: LinearProblem, poses: Array, landmarks: Mapping[LandmarkKind, Array]
+) -> Marginal:
     """Return the joint marginal of the last pose and all landmarks.
 
     Args:
@@ -106,27 +109,27 @@ def solve(problem: LinearProblem, poses: Array, *landmarks: Array) -> Marginal:
     """
     prior, fixes, survey = problem.prior, problem.positions, problem.survey
     chain = _States(POSE_KEY, poses)
-    kinds = {}
-    for reference in landmarks:
-        width = reference.shape[1]
-        kinds[width] = _States(LANDMARK_KEYS[width], _filled(reference, problem))
+    kinds = {
+        kind: _States(kind.key, _filled(reference, kind, problem))
+        for kind, reference in landmarks.items()
+    }
     graph = gtsam.GaussianFactorGraph()
     b = prior.a @ (prior.point - poses[0])
     graph.push_back(gtsam.JacobianFactor(POSE_KEY, prior.a, b, _unit(len(b))))
     _add_relations(graph, problem.motion, chain, chain)
-    for width, seen in problem.measurements.items():
-        _add_relations(graph, seen, chain, kinds[width])
-    for width, merged in problem.merges.items():
-        _add_relations(graph, merged, kinds[width], kinds[width])
+    for kind, seen in problem.measurements.items():
+        _add_relations(graph, seen, chain, kinds[kind])
+    for kind, merged in problem.merges.items():
+        _add_relations(graph, merged, kinds[kind], kinds[kind])
     b = fixes.b + times(fixes.a, fixes.pose - poses[fixes.node])
     _add_unary(graph, POSE_KEY + fixes.node, fixes.a, b)
     surveyed = np.arange(len(survey.point))
     b = times(survey.a, survey.point - kinds[POINT].reference[surveyed])
     _add_unary(graph, kinds[POINT].key + surveyed, survey.a, b)
     keys, start = [POSE_KEY + len(poses) - 1], [poses[-1]]
-    for reference in landmarks:
+    for kind, reference in landmarks.items():
         kept = np.flatnonzero(~np.isnan(reference[:, 0]))
-        keys += (kinds[reference.shape[1]].key + kept).tolist()
+        keys += (kind.key + kept).tolist()
         start.append(reference[kept].ravel())
     mean = np.concatenate(start)
     error = joint_marginal(graph, keys, len(mean))
@@ -157,14 +160,13 @@ def _unit(size: int) -> gtsam.noiseModel.Unit:
     return gtsam.noiseModel.Unit.Create(size)
 
 
-def _filled(reference: Array, problem: LinearProblem) -> Array:
+def _filled(reference: Array, kind: LandmarkKind, problem: LinearProblem) -> Array:
     """Landmarks (n, w), those that were removed at a place where one of their relations is."""
-    places, width = reference.copy(), reference.shape[1]
-    known = []
-    if width == POINT:
+    places, known = reference.copy(), []
+    if kind == POINT:
         known.append((np.arange(len(problem.survey.point)), problem.survey.point))
-    if width in problem.measurements:
-        seen = problem.measurements[width]
+    if kind in problem.measurements:
+        seen = problem.measurements[kind]
         known.append((seen.second, seen.second_point))
     for landmark, point in known:
         gone = np.isnan(places[landmark, 0])

@@ -8,8 +8,9 @@ import gtsam
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from graphslam.arrays import Array, Marginal
+from graphslam.arrays import Array, Index, Marginal
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, to_tangent
+from graphslam.layout import POINT, Layout
 
 PARTS_BEYOND = 2000
 """Numbers to be kept beyond which a graph is eliminated in parts; see elimination."""
@@ -62,7 +63,8 @@ def last_pose_and_landmarks(
         *range(LANDMARK_KEY, LANDMARK_KEY + landmark_count),
         *range(POSE_LANDMARK_KEY, POSE_LANDMARK_KEY + pose_landmark_count),
     ]
-    return joint_marginal(graph, kept, 3 + 2 * landmark_count + 3 * pose_landmark_count)
+    size = Layout(1, landmark_count, pose_landmark_count).size
+    return joint_marginal(graph, kept, size)
 
 
 def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int) -> Marginal:
@@ -125,28 +127,28 @@ def to_global(covariance: Array, heading_rad: float, oriented_rad: Array | None 
     Returns:
         (n, n) of the additive global error.
     """
-    last = np.zeros(0) if oriented_rad is None else oriented_rad
-    return turned(covariance, (0, np.array([heading_rad])), (len(covariance) - 3 * len(last), last))
+    frames = np.concatenate(([heading_rad], [] if oriented_rad is None else oriented_rad))
+    points = (len(covariance) - Layout(len(frames)).size) // POINT.width
+    return turned(covariance, Layout(1, points, len(frames) - 1).frame, frames)
 
 
-def turned(covariance: Array, *groups: tuple[int, Array]) -> Array:
+def turned(covariance: Array, frame: Index, heading_rad: Array) -> Array:
     """Return a joint covariance of local errors as that of global ones.
 
     P_global = blkdiag(R, I, ...) P_local blkdiag(R, I, ...)^T, R a pose's rotation.
 
     Args:
         covariance: (n, n).
-        groups: Entry where poses or pose landmarks begin that follow each other, and their headings
-            (m,) [rad].
+        frame: (m,) first entries of all poses and pose landmarks.
+        heading_rad: (m,) of these.
 
     Returns:
         (n, n).
     """
     turn = np.eye(len(covariance))
-    for start, headings in groups:
-        for i, block in enumerate(to_tangent(headings)):
-            own = slice(start + 3 * i, start + 3 * i + 3)
-            turn[own, own] = block.T
+    for first, block in zip(frame.tolist(), to_tangent(heading_rad), strict=True):
+        own = slice(first, first + len(block))
+        turn[own, own] = block.T
     result: Array = turn @ covariance @ turn.T
     return result
 

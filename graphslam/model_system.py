@@ -12,13 +12,12 @@ import numpy as np
 
 from graphslam.arrays import Array, Index, wrap_angle
 from graphslam.graph_builder import (
-    POINT,
-    POSE_LANDMARK,
     increment_factors,
     measurement_factors,
     prior_factor,
     to_tangent,
 )
+from graphslam.layout import POINT, POSE_LANDMARK, LandmarkKind
 from graphslam.linear_problem import (
     LinearPositions,
     LinearPrior,
@@ -57,7 +56,7 @@ class LinearisationPoints:
 
     departed: (K, 3) pose when motion left it; for the last, the filter's final pose.
     arrived: (K, 3) pose predicted on arrival; for the first, the prior.
-    measurements: of landmarks, by their width. merges: of landmarks that are one, by their width.
+    measurements: of landmarks, by their kind. merges: of landmarks that are one, by their kind.
     For G uses of positions: position: (G,) row in the problem, position_weight: (G,) share of its
     information, position_pose: (G, 3).
     own_axes: the filter fuses measurements as points in the vehicle's axes, where they are linear,
@@ -66,8 +65,8 @@ class LinearisationPoints:
 
     departed: Array
     arrived: Array
-    measurements: Mapping[int, RelationPoints]
-    merges: Mapping[int, RelationPoints]
+    measurements: Mapping[LandmarkKind, RelationPoints]
+    merges: Mapping[LandmarkKind, RelationPoints]
     position: Index
     position_weight: Array
     position_pose: Array
@@ -119,8 +118,10 @@ def model_system(problem: SlamProblem, points: LinearisationPoints) -> LinearPro
             problem.prior_pose, prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]
         ),
         motion=motion.at(RelationPoints(pose[:-1], np.ones(len(departed)), departed, arrived)),
-        measurements={w: measurements[w].at(used) for w, used in points.measurements.items()},
-        merges={w: merges[w].at(used) for w, used in points.merges.items()},
+        measurements={
+            kind: measurements[kind].at(used) for kind, used in points.measurements.items()
+        },
+        merges={k: merges[k].at(used) for k, used in points.merges.items()},
         positions=_positions(problem, points),
         survey=LinearSurvey(
             problem.surveyed,
@@ -136,7 +137,7 @@ def moved_to(
     points: LinearisationPoints,
     problem: SlamProblem,
     poses: Array,
-    landmarks: Mapping[int, Array],
+    landmarks: Mapping[LandmarkKind, Array],
 ) -> LinearisationPoints:
     """Return the same uses of measurements, linearised at one estimate.
 
@@ -144,7 +145,7 @@ def moved_to(
         points: where the filter linearised them.
         problem: of which they are.
         poses: (K, 3).
-        landmarks: (n, w) of each kind by width, merged ones among them.
+        landmarks: (n, w) of each kind, merged ones among them.
     """
     measurements = _measurement_models(problem, own_axes=points.own_axes)
     merges = _merge_models(problem)
@@ -153,19 +154,19 @@ def moved_to(
         departed=poses,
         arrived=poses,
         measurements={
-            w: measurements[w].moved(used, poses, landmarks[w])
-            for w, used in points.measurements.items()
+            kind: measurements[kind].moved(used, poses, landmarks[kind])
+            for kind, used in points.measurements.items()
         },
         merges={
-            w: merges[w].moved(used, landmarks[w], landmarks[w])
-            for w, used in points.merges.items()
+            kind: merges[kind].moved(used, landmarks[kind], landmarks[kind])
+            for kind, used in points.merges.items()
         },
         position_pose=poses[problem.position_pose[points.position]],
     )
 
 
-def _measurement_models(problem: SlamProblem, *, own_axes: bool) -> dict[int, _Model]:
-    """Of each kind of landmark, by its width."""
+def _measurement_models(problem: SlamProblem, *, own_axes: bool) -> dict[LandmarkKind, _Model]:
+    """Of each kind of landmark."""
     seen = problem.pose_landmarks
     return {
         POINT: _Model(
@@ -179,8 +180,8 @@ def _measurement_models(problem: SlamProblem, *, own_axes: bool) -> dict[int, _M
     }
 
 
-def _merge_models(problem: SlamProblem) -> dict[int, _Model]:
-    """Of each kind of landmark that can be merged, by its width."""
+def _merge_models(problem: SlamProblem) -> dict[LandmarkKind, _Model]:
+    """Of each kind of landmark that can be merged."""
     same = problem.pose_landmarks.merges
     return {
         POSE_LANDMARK: _Model(
@@ -216,7 +217,7 @@ def _range_bearing(problem: SlamProblem, at: RelationPoints) -> _Rows:
     used = replace(problem, z=problem.z[at.row], sigma=sigma)
     first = list(range(0, 2 * len(at.row), 2))
     factors = measurement_factors(first, [key + 1 for key in first], used)
-    rows = _linearised_pairs(factors, at.first, at.second)
+    rows = _linearised_pairs(factors, at.first, at.second, POINT)
     return rows[:, :, :3] @ to_tangent(at.first[:, 2]), rows[:, :, 3:5], rows[:, :, 5]
 
 
@@ -289,17 +290,20 @@ def _positions(problem: SlamProblem, points: LinearisationPoints) -> LinearPosit
 
 
 def _linearised_pairs(
-    factors: Sequence[gtsam.NonlinearFactor], first: Array, second: Array
+    factors: Sequence[gtsam.NonlinearFactor],
+    first: Array,
+    second: Array,
+    kind: LandmarkKind = POSE_LANDMARK,
 ) -> Array:
     """(N, w, 3 + w + 1) whitened rows of factors i between keys 2 i and 2 i + 1, as _linearised.
 
-    first: (N, 3) poses. second: (N, w) poses, or points where w is 2.
+    first: (N, 3) poses. second: (N, w) poses, or landmarks of the kind.
     """
-    values, width = gtsam.Values(), second.shape[1]
+    values = gtsam.Values()
     for i, (pose, other) in enumerate(zip(first.tolist(), second, strict=True)):
         values.insert(2 * i, gtsam.Pose2(*pose))
-        values.insert(2 * i + 1, other if width == POINT else gtsam.Pose2(*other.tolist()))
-    return _linearised(factors, values, width, 3 + width)
+        values.insert(2 * i + 1, other if kind == POINT else gtsam.Pose2(*other.tolist()))
+    return _linearised(factors, values, kind.width, 3 + kind.width)
 
 
 def _linearised(

@@ -9,6 +9,7 @@ from scipy.sparse.linalg import splu
 
 from graphslam.arrays import Array
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY
+from graphslam.layout import POINT, POSE_LANDMARK
 
 _FREE = 1e-10
 """A direction is free when what the measurements say of it is this small against its columns."""
@@ -27,7 +28,8 @@ def explain_singularity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values)
     never = [key for key in keys if key not in touched]
     if never:
         return f"no measurement constrains {_listed(never)}"
-    width = np.array([2 if gtsam.symbolChr(key) == _POINT else 3 for key in keys])
+    points = np.array([gtsam.symbolChr(key) == _POINT for key in keys])
+    width = np.where(points, POINT.width, POSE_LANDMARK.width)
     first = np.concatenate(([0], np.cumsum(width)))
     row, column, value = graph.linearize(values).sparseJacobian_()
     size = int(first[-1])

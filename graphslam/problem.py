@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphslam.arrays import Array, Index
+from graphslam.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ class SlamProblem:
     @property
     def state_dimension(self) -> int:
         """Scalar unknowns."""
-        return 3 * (self.pose_count + self.pose_landmarks.count) + 2 * self.landmark_count
+        return Layout(self.pose_count, self.landmark_count, self.pose_landmarks.count).size
 
     def prefix(self, pose_count: int) -> SlamProblem:
         """Return the problem up to an early pose.

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graphslam.arrays import Array, Index
+from graphslam.layout import LandmarkKind
 from graphslam.linear_problem import (
     LinearPositions,
     LinearPrior,
@@ -95,8 +96,8 @@ def recorded_system(
     prior: RecordedPrior,
     steps: RecordedSteps,
     until: Index,
-    measurements: Mapping[int, RecordedRelations],
-    merges: Mapping[int, RecordedRelations],
+    measurements: Mapping[LandmarkKind, RecordedRelations],
+    merges: Mapping[LandmarkKind, RecordedRelations],
     positions: RecordedPositions,
 ) -> LinearProblem:
     """Return F1: what the filter's own recorded matrices say.
@@ -105,8 +106,8 @@ def recorded_system(
         prior: where the filter began.
         steps: its predictions.
         until: (K,) steps made when each pose is reached, ascending from 0.
-        measurements: of landmarks from poses, by the landmarks' width.
-        merges: of two landmarks that are one, by their width.
+        measurements: of landmarks from poses, by the landmarks' kind.
+        merges: of two landmarks that are one, by their kind.
         positions: absolute fixes.
 
     Raises:
@@ -127,8 +128,8 @@ def recorded_system(
     return LinearProblem(
         prior=LinearPrior(prior.pose, whiten(prior.covariance[None], np.eye(p)[None])[0][0]),
         motion=motion.whitened(),
-        measurements={width: seen.whitened() for width, seen in measurements.items()},
-        merges={width: merged.whitened() for width, merged in merges.items()},
+        measurements={kind: seen.whitened() for kind, seen in measurements.items()},
+        merges={kind: merged.whitened() for kind, merged in merges.items()},
         positions=LinearPositions(
             positions.node,
             positions.pose,

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graphslam.arrays import Array, Index, wrap_angle
+from graphslam.layout import Layout
 
 
 class Expected(NamedTuple):
@@ -98,8 +99,8 @@ class RunningEstimate:
 
 def _columns(landmark_indices: Index) -> Index:
     """Entries (3 + 2 n,) of the pose and of landmarks (n,) in mean and covariance."""
-    own = (3 + 2 * landmark_indices[:, None] + (0, 1)).ravel()
-    return np.concatenate(([0, 1, 2], own))
+    first = Layout(1, int(landmark_indices.max(initial=-1)) + 1).point[landmark_indices]
+    return np.concatenate(([0, 1, 2], (first[:, None] + (0, 1)).ravel()))
 
 
 def _stacked(different: Index, landmark_indices: Index, jacobian: Array) -> Array:
@@ -107,9 +108,9 @@ def _stacked(different: Index, landmark_indices: Index, jacobian: Array) -> Arra
 
     different: the latter, ascending. jacobian: (m, 2, 5).
     """
-    count = len(landmark_indices)
-    which, place = np.arange(count), 3 + 2 * np.searchsorted(different, landmark_indices)
-    result = np.zeros((count, 2, 3 + 2 * len(different)))
+    count, layout = len(landmark_indices), Layout(1, len(different))
+    which, place = np.arange(count), layout.point[np.searchsorted(different, landmark_indices)]
+    result = np.zeros((count, 2, layout.size))
     result[:, :, :3] = jacobian[:, :, :3]
     result[which, :, place], result[which, :, place + 1] = jacobian[:, :, 3], jacobian[:, :, 4]
     return result.reshape(2 * count, -1)

@@ -21,6 +21,7 @@ from graphslam.graph_builder import (
 )
 from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
 from graphslam.initialisation import extension, track
+from graphslam.layout import Layout
 from graphslam.marginals import (
     SingularProblemError,
     joint_marginal,
@@ -180,15 +181,12 @@ class SmootherResult:
         Returns:
             (n, n) at the optimum, of the additive global error; n = 3 P + 2 L + 3 Q.
         """
+        layout = Layout(len(poses), len(landmarks), len(pose_landmarks))
         frames = [POSE_KEY + k for k in poses], [POSE_LANDMARK_KEY + j for j in pose_landmarks]
         keys = frames[0] + [LANDMARK_KEY + j for j in landmarks] + frames[1]
-        second = 3 * len(poses) + 2 * len(landmarks)
-        size = second + 3 * len(pose_landmarks)
-        local = joint_marginal(self.graph.linearize(self.values), keys, size).covariance
-        headings = [
-            np.array([self.values.atPose2(key).theta() for key in group]) for group in frames
-        ]
-        return turned(local, (0, headings[0]), (second, headings[1]))
+        local = joint_marginal(self.graph.linearize(self.values), keys, layout.size).covariance
+        headings = np.array([self.values.atPose2(key).theta() for key in frames[0] + frames[1]])
+        return turned(local, layout.frame, headings)
 
     def marginal(self) -> Marginal:
         """Return the last pose and all landmarks jointly.
@@ -374,8 +372,8 @@ def _degrees_of_freedom(problem: SlamProblem, kernel: str) -> int:
 def _distance(optimum: SmootherResult, followed: _Followed) -> float:
     """Largest difference of the last pose and the landmarks from the optimum, in its sigma."""
     mean, covariance = optimum.marginal()
-    pose_landmarks = followed.pose_landmarks.ravel()
-    apart = np.concatenate((followed.poses[-1], followed.landmarks.ravel(), pose_landmarks)) - mean
-    turns = np.concatenate(([2], np.arange(len(mean) - len(pose_landmarks) + 2, len(mean), 3)))
+    points, pose_landmarks = followed.landmarks, followed.pose_landmarks
+    apart = np.concatenate((followed.poses[-1], points.ravel(), pose_landmarks.ravel())) - mean
+    turns = Layout(1, len(points), len(pose_landmarks)).frame + 2
     apart[turns] = np.angle(np.exp(1j * apart[turns]))
     return float(np.max(np.abs(apart) / np.sqrt(np.diag(covariance))))

@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from graphslam.arrays import Array, Index
-from graphslam.graph_builder import LANDMARK_KEYS, POSE_KEY
+from graphslam.graph_builder import POSE_KEY
 from graphslam.linear_problem import LinearProblem, LinearRelations
 from graphslam.marginals import SingularProblemError
 
@@ -36,14 +37,14 @@ class LargestGain(NamedTuple):
 
     In the part of the log that gained most, in the part of that which gained most, and so on.
 
-    epoch: of the pose that has the relation. landmark_index, width: of the landmark; -1 for a
-    motion step.
+    epoch: of the pose that has the relation. landmark_index, kind: of the landmark, its kind by
+    name; -1 and empty for a motion step.
     """
 
     information: float
     epoch: int
     landmark_index: int
-    width: int
+    kind: str
 
 
 class StartInformation(NamedTuple):
@@ -102,14 +103,14 @@ class _Start(NamedTuple):
 class _Ordered(NamedTuple):
     """Relations in the order of time, and the prior of w, if there is one, before them.
 
-    epoch, landmark_index, width: (M,) as of LargestGain. first, last: relation where each key is
+    epoch, landmark_index, kind: (M,) as of LargestGain. first, last: relation where each key is
     used first and last.
     """
 
     factors: list[gtsam.JacobianFactor]
     epoch: Index
     landmark_index: Index
-    width: Index
+    kind: NDArray[np.str_]
     first: dict[int, int]
     last: dict[int, int]
 
@@ -127,20 +128,20 @@ def _ordered_relations(problem: LinearProblem, start: _Start, merge_epoch: Index
     motion = problem.motion
     none = np.full(len(motion.first), -1)
     factors = list(_from_poses(motion, POSE_KEY, start))
-    columns = [(motion.second, none, none)]
-    for w, seen in problem.measurements.items():
-        factors += _from_poses(seen, LANDMARK_KEYS[w], start)
-        columns.append((seen.first, seen.second, np.full(len(seen.first), w)))
+    columns = [(motion.second, none, np.full(len(none), ""))]
+    for kind, seen in problem.measurements.items():
+        factors += _from_poses(seen, kind.key, start)
+        columns.append((seen.first, seen.second, np.full(len(seen.first), kind.name)))
     made = 0
-    for w, merged in problem.merges.items():
-        factors += _between(merged, LANDMARK_KEYS[w])
+    for kind, merged in problem.merges.items():
+        factors += _between(merged, kind.key)
         at = merge_epoch[made : made + len(merged.first)]
-        columns.append((at, merged.second, np.full(len(at), w)))
+        columns.append((at, merged.second, np.full(len(at), kind.name)))
         made += len(at)
     if size := start.rest.shape[1]:
         factors.append(gtsam.JacobianFactor(POSE_KEY, np.eye(size), np.zeros(size), _unit(size)))
-        columns.append((np.array([-1]), np.array([-1]), np.array([-1])))
-    epoch, landmark_index, width = (np.concatenate(c) for c in zip(*columns, strict=True))
+        columns.append((np.array([-1]), np.array([-1]), np.array([""])))
+    epoch, landmark_index, kinds = (np.concatenate(c) for c in zip(*columns, strict=True))
     order = np.argsort(epoch, kind="stable")
     factors = [factors[i] for i in order.tolist()]
     first, last = dict[int, int](), dict[int, int]()
@@ -148,7 +149,7 @@ def _ordered_relations(problem: LinearProblem, start: _Start, merge_epoch: Index
         for key in factor.keys():  # noqa: SIM118
             first.setdefault(key, i)
             last[key] = i
-    return _Ordered(factors, epoch[order], landmark_index[order], width[order], first, last)
+    return _Ordered(factors, epoch[order], landmark_index[order], kinds[order], first, last)
 
 
 def _from_poses(
@@ -241,7 +242,7 @@ class _Growth:
                 front = after
             gain, front, begin, end = max(found, key=lambda one: one[0])
         r = self._relations
-        at = int(r.epoch[begin]), int(r.landmark_index[begin]), int(r.width[begin])
+        at = int(r.epoch[begin]), int(r.landmark_index[begin]), str(r.kind[begin])
         return LargestGain(gain, *at)
 
     def _marginal(self, front: _Front, begin: int, end: int) -> _Front:

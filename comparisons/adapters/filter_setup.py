@@ -13,7 +13,7 @@ from comparisons.adapters.pose_landmark_measurements import (
     PoseLandmarkSource,
 )
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.landmark_types import POINT, LandmarkKind
 
 if TYPE_CHECKING:
     from ekf_reference.association.dynamic_rejection import DynamicGuard
@@ -30,7 +30,7 @@ class FilterSetup:
     order. source: of measurements of pose landmarks; one that is a FilterObserver observes,
     too, after the others. guard: knows where things move, so that the filter ignores these. layer:
     knows what is around landmarks, for attributes of that kind. kinds: of landmarks that maps are
-    anchored to, by width. offers: what extensions offer to
+    anchored to. offers: what extensions offer to
     those after them, and to their own checks.
     """
 
@@ -39,7 +39,7 @@ class FilterSetup:
     source: PoseLandmarkSource = field(default_factory=NoPoseLandmarkSource)
     guard: DynamicGuard | None = None
     layer: LayerValues | None = None
-    kinds: tuple[int, ...] = (POINT,)
+    kinds: tuple[LandmarkKind, ...] = (POINT,)
     offers: list[object] = field(default_factory=list)
 
     def find(self, kind: type[T]) -> T | None:

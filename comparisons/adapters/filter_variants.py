@@ -100,16 +100,16 @@ class IteratedEkf(Ekf):
             landmark_indices[rows],
             seen.z[rows],
             seen.noise[rows],
-            self.models[seen.width],
+            self.models[seen.kind],
         )
         r = block_diagonal(noise)
 
         def linearise() -> Linearised:
-            local = self.state.map_of(landmark_index, seen.width)
+            local = self.state.map_of(landmark_index, seen.kind)
             p, prior = local.covariance, np.concatenate((local.pose, local.landmark.ravel()))
             sigma, at, v = np.sqrt(np.diag(p)), prior, len(local.pose)
             for _ in range(self.most_iterations):
-                expected, *parts = model.predict(at[:v], at[v:].reshape(-1, seen.width))
+                expected, *parts = model.predict(at[:v], at[v:].reshape(-1, seen.kind.width))
                 jacobian = stack(*parts)
                 innovation = model.innovation(z, expected).ravel() - jacobian @ (prior - at)
                 s = jacobian @ p @ jacobian.T + r
@@ -118,7 +118,7 @@ class IteratedEkf(Ekf):
                     break
             return Linearised(local, jacobian, innovation)
 
-        self.fuse(linearise, noise, self._count[seen.width] + rows, landmark_index)
+        self.fuse(linearise, noise, self._count[seen.kind.name] + rows, landmark_index)
 
 
 class FirstEstimatesEkf(Ekf):
@@ -133,7 +133,7 @@ class FirstEstimatesEkf(Ekf):
         """As of Ekf."""
         super().__init__(*parts)
         self._predicted = self.state.pose
-        self._first = np.zeros((0, POINT))
+        self._first = np.zeros((0, POINT.width))
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         """Move, with F between predicted poses."""
@@ -146,28 +146,28 @@ class FirstEstimatesEkf(Ekf):
         self._predicted = step.pose
 
     def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
-        model = self.models[seen.width]
+        model = self.models[seen.kind]
         point = model.invert(self.state.pose, seen.z[rows]).landmark
         self._first = np.vstack((self._first, point))
         _, by_pose, by_landmark = model.predict(self._predicted, point)
         by_z = np.asarray(np.linalg.inv(by_landmark), dtype=float)
         new = NewLandmarks(point, -by_z @ by_pose, by_z)
-        number = self._count[seen.width] + rows
-        self._append(number, landmark_indices[rows], new, seen.noise[rows], 1.0)
+        number = self._count[seen.kind.name] + rows
+        self._append(seen.kind, number, landmark_indices[rows], new, seen.noise[rows])
 
     def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         if not len(rows):
             return
-        landmark_index, model = landmark_indices[rows], self.models[seen.width]
+        landmark_index, model = landmark_indices[rows], self.models[seen.kind]
 
         def linearise() -> Linearised:
-            local = self.state.map_of(landmark_index, seen.width)
+            local = self.state.map_of(landmark_index, seen.kind)
             expected = model.predict(local.pose, local.landmark).z
             _, *parts = model.predict(self._predicted, self._first[landmark_index])
             innovation = model.innovation(seen.z[rows], expected).ravel()
             return Linearised(local, stack(*parts), innovation)
 
-        self.fuse(linearise, seen.noise[rows], self._count[seen.width] + rows, landmark_index)
+        self.fuse(linearise, seen.noise[rows], self._count[seen.kind.name] + rows, landmark_index)
 
 
 class InvariantState(KalmanState):
@@ -277,16 +277,16 @@ class UnscentedEkf(Ekf):
             return
         if not len(rows):
             return
-        landmark_index, z, model = landmark_indices[rows], seen.z[rows], self.models[seen.width]
-        local = self.state.map_of(landmark_index, seen.width)
+        landmark_index, z, model = landmark_indices[rows], seen.z[rows], self.models[seen.kind]
+        local = self.state.map_of(landmark_index, seen.kind)
         v = len(local.pose)
 
         def measured(points: Array) -> Array:
-            seen_at = (model.predict(x[:v], x[v:].reshape(-1, seen.width)).z for x in points)
+            seen_at = (model.predict(x[:v], x[v:].reshape(-1, seen.kind.width)).z for x in points)
             return np.array([one.ravel() for one in seen_at])
 
         def apart(y: Array, middle: Array) -> Array:
-            pairs = y.reshape(-1, seen.width), middle.reshape(-1, seen.width)
+            pairs = y.reshape(-1, seen.kind.width), middle.reshape(-1, seen.kind.width)
             return model.innovation(pairs[0], np.tile(pairs[1], (len(y), 1))).reshape(y.shape)
 
         prior = np.concatenate((local.pose, local.landmark.ravel()))
@@ -296,7 +296,7 @@ class UnscentedEkf(Ekf):
         self.state.update(local.columns, y.slope, innovation, noise)
 
     def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
-        pose, model, p = self.state.pose, self.models[seen.width], self.state.pose_covariance
+        pose, model, p = self.state.pose, self.models[seen.kind], self.state.pose_covariance
         found = []
         for row in rows:
 
@@ -311,9 +311,10 @@ class UnscentedEkf(Ekf):
         slope = np.array([y.slope for y in found])
         by_z, rest = slope[:, :, len(p) :], np.array([y.rest for y in found])
         noise = by_z @ seen.noise[rows] @ by_z.transpose(0, 2, 1) + rest
-        own = np.broadcast_to(np.eye(seen.width), rest.shape)
+        own = np.broadcast_to(np.eye(seen.kind.width), rest.shape)
         new = NewLandmarks(np.array([y.mean for y in found]), slope[:, :, : len(p)], own)
-        self._append(self._count[seen.width] + rows, landmark_indices[rows], new, noise, 1.0)
+        number = self._count[seen.kind.name] + rows
+        self._append(seen.kind, number, landmark_indices[rows], new, noise)
 
 
 class WideUnscentedEkf(UnscentedEkf):

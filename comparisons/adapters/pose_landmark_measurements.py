@@ -12,6 +12,7 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.state import LocalMap
 from graphslam.graph_builder import right_perturbation
 from graphslam.problem import Merges, PoseLandmarkMeasurements
@@ -32,7 +33,7 @@ class PoseLandmarkRecorder:
         self, ekf: Ekf, epoch: int, z: Array, covariance: Array, landmark_index: Index
     ) -> Index:
         """Fuse measurements (m, 3) with covariances (m, 3, 3); see Ekf.observe_known."""
-        found = ekf.observe_known(z, covariance, landmark_index)
+        found = ekf.observe_known(z, covariance, landmark_index, POSE)
         self._seen += [
             (epoch, int(s), at, r) for s, at, r in zip(found, z, covariance, strict=True)
         ]

@@ -10,7 +10,7 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
-from graphslam.graph_builder import POINT, POSE_LANDMARK
+from graphslam.layout import KINDS, POINT, POSE_LANDMARK, LandmarkKind
 from graphslam.linear_problem import LinearProblem
 from graphslam.model_system import RelationPoints
 from graphslam.recorded_system import (
@@ -39,10 +39,11 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
         RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
         until,
         {
-            width: _joined(
-                _measured(used, until), _initialised(trace.initialisations[width], until)
+            KINDS[kind.name]: _joined(
+                _measured(used, until),
+                _initialised(trace.initialisations[kind], KINDS[kind.name], until),
             )
-            for width, used in trace.measurements.items()
+            for kind, used in trace.measurements.items()
         },
         {POSE_LANDMARK: replace(_measured(trace.merges, until), first=trace.merges.origin)},
         RecordedPositions(
@@ -57,18 +58,18 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
 
 def measurement_points(
     trace: TraceArrays, as_headings: Callable[[Array, Index], Array]
-) -> dict[int, RelationPoints]:
-    """Return where measurements were linearised, by the landmarks' width; rows are the trace's.
+) -> dict[LandmarkKind, RelationPoints]:
+    """Return where measurements were linearised, by the landmarks' kind; rows are the trace's.
 
     A landmark initialised with a boundless prior is augmented without its measurement's
     information, and is left out. as_headings: recorded poses (M, p) at steps (M,) as x, y, heading.
     """
     points = {}
-    for width, used in trace.measurements.items():
-        initialised = trace.initialisations[width]
+    for kind, used in trace.measurements.items():
+        initialised = trace.initialisations[kind]
         both = used, initialised.rows(np.flatnonzero(initialised.weight > 0.0))
         pose, step = (np.concatenate([getattr(r, name) for r in both]) for name in ("pose", "step"))
-        points[width] = RelationPoints(
+        points[KINDS[kind.name]] = RelationPoints(
             np.concatenate([r.number for r in both]),
             np.concatenate([r.weight for r in both]),
             as_headings(pose, step),
@@ -77,8 +78,8 @@ def measurement_points(
     return points
 
 
-def merge_points(trace: TraceArrays) -> dict[int, RelationPoints]:
-    """Return where merges were linearised, by the landmarks' width."""
+def merge_points(trace: TraceArrays) -> dict[LandmarkKind, RelationPoints]:
+    """Return where merges were linearised, by the landmarks' kind."""
     merges = trace.merges
     points = RelationPoints(merges.number, merges.weight, merges.pose, merges.landmark)
     return {POSE_LANDMARK: points}
@@ -106,7 +107,7 @@ def _measured(r: MeasurementRecords, until: Index) -> RecordedRelations:
     )
 
 
-def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
+def _initialised(r: MeasurementRecords, kind: LandmarkKind, until: Index) -> RecordedRelations:
     """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero.
 
     Raises InputError for a measurement whose sigmas the filter's covariance cannot hold together.
@@ -114,7 +115,8 @@ def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
     r = r.rows(np.argsort(r.weight <= 0.0, kind="stable"))
     covariance = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
     measured = r.weight > 0.0
-    _check_spread(r.landmark_index[measured], covariance[measured])
+    if kind == POINT:
+        _check_spread(r.landmark_index[measured], covariance[measured])
     return RecordedRelations(
         first=np.searchsorted(until, r.step),
         second=r.landmark_index,
@@ -129,8 +131,6 @@ def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
 
 def _check_spread(landmark_index: Index, covariance: Array) -> None:
     """Raise InputError where a point was initialised with sigmas of too large a ratio."""
-    if covariance.shape[-1] != POINT:
-        return
     squared = np.linalg.eigvalsh(covariance)
     bad = np.flatnonzero(~(squared[:, 1] <= _MOST_UNLIKE**2 * squared[:, 0]))
     if len(bad):

@@ -18,8 +18,10 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
+from ekf_reference.core.landmark_types import POSE
+from ekf_reference.core.layout import Layout
 from graphslam.arrays import Marginal
-from graphslam.graph_builder import POINT, POSE_LANDMARK
+from graphslam.layout import POINT, POSE_LANDMARK, LandmarkKind
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.model_system import LinearisationPoints, model_system, moved_to
 from graphslam.problem import LoopClosures, SlamProblem
@@ -120,7 +122,7 @@ def model_system_at(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> Lin
 
     optimum: with all pose landmarks by index, those that were merged with others, too.
     """
-    places = {POINT: optimum.landmark, POSE_LANDMARK: optimum.pose_landmarks}
+    places = _places(optimum.landmark, optimum.pose_landmarks)
     there = moved_to(_points(problem, run), problem, optimum.pose, places)
     return model_system(problem, there)
 
@@ -148,7 +150,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     final, estimate = run.final, run.estimate
     size = estimate.landmark.size + estimate.pose_landmarks.size
     own = np.vstack((run.trace.departed, final.own))[run.timeline.steps_until()]
-    found = solve(linear, own, estimate.landmark, run.pose_landmark_places)
+    found = solve(linear, own, _places(estimate.landmark, run.pose_landmark_places))
     p = len(final.own)
     read = np.zeros((3 + size, p + size))
     read[:3, :p], read[3:, p:] = final.jacobian, np.eye(size)
@@ -159,7 +161,8 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
 
 def solve_model(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F2's estimate of the last pose and all landmarks."""
-    return solve(linear, run.departed, run.estimate.landmark, run.pose_landmark_places)
+    places = _places(run.estimate.landmark, run.pose_landmark_places)
+    return solve(linear, run.departed, places)
 
 
 def run_smoother(
@@ -199,8 +202,9 @@ def smoothed_estimate(
     """
     pose_landmarks = result.pose_landmarks()
     kept = np.setdiff1d(np.arange(len(pose_landmarks)), result.problem.pose_landmarks.merges.second)
-    covariance, points = result.marginal().covariance, 3 + result.landmarks.size
-    rows = np.concatenate((np.arange(points), points + (3 * kept[:, None] + (0, 1, 2)).ravel()))
+    layout = Layout.packed(3, len(result.landmarks), len(pose_landmarks))
+    covariance, points = result.marginal().covariance, layout.columns(layout.present())
+    rows = np.concatenate((points, layout.columns(kept, POSE)[3:]))
     return Estimate(
         time_s=time_s,
         pose=result.poses,
@@ -215,6 +219,11 @@ def smoothed_estimate(
         pose_landmark_id=kept,
         pose_landmarks=pose_landmarks[kept],
     )
+
+
+def _places(points: Array, pose_landmarks: Array) -> dict[LandmarkKind, Array]:
+    """Of each kind of landmarks."""
+    return {POINT: points, POSE_LANDMARK: pose_landmarks}
 
 
 def _as_headings(run: EkfRun, pose: Array, step: Index) -> Array:

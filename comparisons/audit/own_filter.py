@@ -28,7 +28,7 @@ from comparisons.trace.events import (
     Update,
 )
 from comparisons.trace.recorder import Recorder
-from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.core.trace import MeasurementRecords
 
 EVENTS = "audit.trace"
@@ -111,9 +111,9 @@ class _Events:
             basis = np.column_stack(tuple(_directions(p).values()))
             blind = (*SENSORS.values(), MERGES)
             yield Directions(*self._next(), (VEHICLE,), basis, tuple(_directions(p)), blind)
-        fused = {w: _fused(one) for w, one in trace.measurements.items()}
+        fused = {kind: _fused(one) for kind, one in trace.measurements.items()}
         fixes, merges = _fused(trace.positions), _by_step(trace.merges.step)
-        initialised = {w: _by_step(one.step) for w, one in trace.initialisations.items()}
+        initialised = {kind: _by_step(one.step) for kind, one in trace.initialisations.items()}
         gone = _by_step(trace.removals.step)
         for step in range(len(trace.f) + 1):
             if step:
@@ -121,39 +121,40 @@ class _Events:
                 self._time_s = float(time_s[epoch])
                 f, q = trace.f[step - 1], trace.q[step - 1]
                 yield Predict(*self._next(), (VEHICLE,), f, q)
-            for width in SENSORS:
-                new, seen = initialised[width].get(step, []), fused[width].get(step, [])
-                yield from self._landmarks(width, new, seen)
-                if width == POINT:
+            for kind in SENSORS:
+                new, seen = initialised[kind].get(step, []), fused[kind].get(step, [])
+                yield from self._landmarks(kind, new, seen)
+                if kind == POINT:
                     for begin, end in fixes.get(step, []):
                         yield self._position(begin, end)
             for row in merges.get(step, []):
                 yield self._merge(row)
             for row in gone.get(step, []):
-                kind, i = trace.removals.width[row], trace.removals.landmark_index[row]
-                yield Remove(*self._next(), (self._name(int(kind), int(i)),))
+                i = int(trace.removals.landmark_index[row])
+                yield Remove(*self._next(), (self._name(trace.removals.kind[row], i),))
         yield self._snapshot()
 
     def _next(self) -> tuple[int, float | None]:
         self._number += 1
         return self._number, self._time_s
 
-    def _name(self, width: int, landmark_index: int) -> str:
-        if width == POINT:
+    def _name(self, kind: LandmarkKind, landmark_index: int) -> str:
+        if kind == POINT:
             return f"landmark {self._run.estimate.landmark_id[landmark_index]}"
         return f"scan landmark {landmark_index}"
 
     def _landmarks(
-        self, width: int, initialised: list[int], fused: list[tuple[int, int]]
+        self, kind: LandmarkKind, initialised: list[int], fused: list[tuple[int, int]]
     ) -> Iterator[Event]:
         """Yield what is initialised and measured at one step."""
-        new, seen = self._run.trace.initialisations[width], self._run.trace.measurements[width]
+        new, seen = self._run.trace.initialisations[kind], self._run.trace.measurements[kind]
+        width = kind.width
         for row in initialised:
-            name = self._name(width, int(new.landmark_index[row]))
+            name = self._name(kind, int(new.landmark_index[row]))
             jacobians = new.jacobian_pose[row], new.jacobian_other[row]
             yield Augment(*self._next(), name, (VEHICLE,), *jacobians, new.noise[row])
         for begin, end in fused:
-            names = [self._name(width, i) for i in seen.landmark_index[begin:end].tolist()]
+            names = [self._name(kind, i) for i in seen.landmark_index[begin:end].tolist()]
             blocks = tuple(dict.fromkeys((VEHICLE, *names)))
             p, m = seen.jacobian_pose.shape[2], width * (end - begin)
             h = np.zeros((m, p + width * (len(blocks) - 1)))
@@ -162,7 +163,7 @@ class _Events:
                 at = p + width * (blocks.index(name) - 1)
                 h[width * i : width * (i + 1), at : at + width] = seen.jacobian_other[begin + i]
             residual, noise = seen.innovation[begin:end].ravel(), _diagonal(seen.noise[begin:end])
-            yield self._update(SENSORS[width], blocks, residual, h, noise)
+            yield self._update(SENSORS[kind], blocks, residual, h, noise)
 
     def _position(self, begin: int, end: int) -> Update:
         r = self._run.trace.positions

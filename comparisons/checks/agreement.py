@@ -9,11 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 
 from comparisons.arrays import Array
+from comparisons.estimates.estimate import Estimate
 from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.landmark_types import KINDS, POINT, POSE, LandmarkKind
+from ekf_reference.core.layout import Layout
 
 ROUNDING = 1e-6
 """Largest algebra and model gap, in sigma and in covariance, that rounding explains, unless a wide
@@ -32,20 +34,25 @@ sigma), nor above the inverse share."""
 
 @dataclass(frozen=True)
 class Gaussian:
-    """mean: (n,), pose first, heading unwrapped, then landmarks. covariance: (n, n).
-
-    pose_landmarks: so many landmarks, the last ones, have x, y, heading; the others x, y.
-    """
+    """mean: (n,), headings unwrapped. covariance: (n, n). layout: where pose and landmarks lie."""
 
     mean: Array
     covariance: Array
-    pose_landmarks: int = 0
+    layout: Layout
 
-    @property
-    def headings(self) -> NDArray[np.intp]:
-        """Entries of the mean that are headings."""
-        first = len(self.mean) - 3 * self.pose_landmarks
-        return np.concatenate(([2], np.arange(first + 2, len(self.mean), 3)))
+    @classmethod
+    def of(cls, estimate: Estimate) -> Gaussian:
+        """Return that of an estimate's last pose and all landmarks."""
+        return cls(estimate.joint_mean, estimate.joint_covariance, estimate.layout)
+
+    @classmethod
+    def of_pose(cls, pose: Array, covariance: Array) -> Gaussian:
+        """Return that of a pose (3,) alone."""
+        return cls(pose, covariance, Layout.of_pose(len(pose)))
+
+    def blocks(self, kind: LandmarkKind) -> list[slice]:
+        """Return the entries of each landmark of a kind."""
+        return [slice(i, i + kind.width) for i in self.layout.first[kind].tolist()]
 
 
 @dataclass(frozen=True)
@@ -163,12 +170,10 @@ def block_agrees(block: BlockAgreement) -> bool:
 def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:
     """Compare E, F1, F2 and S. Raises LinAlgError when S's covariance is not positive definite."""
     sigma = np.sqrt(np.diag(smoother.covariance))
-    difference, points = _difference(ekf, smoother), len(sigma) - 3 * smoother.pose_landmarks
-    landmarks = tuple(
-        _block(ekf, smoother, difference, slice(i, i + 2)) for i in range(3, points, 2)
-    )
-    pose_landmarks = tuple(
-        _block(ekf, smoother, difference, slice(i, i + 3)) for i in range(points, len(sigma), 3)
+    difference = _difference(ekf, smoother)
+    landmarks, pose_landmarks = (
+        tuple(_block(ekf, smoother, difference, part) for part in smoother.blocks(kind))
+        for kind in (POINT, POSE)
     )
     distances = [block.difference_m for block in (*landmarks, *pose_landmarks)]
     return Agreement(
@@ -265,10 +270,10 @@ def _positive(covariance: Array) -> bool:
 
 def _difference(first: Gaussian, second: Gaussian) -> Array:
     """Of the means, headings wrapped. Raises ValueError where they mean different things."""
-    if first.pose_landmarks != second.pose_landmarks:
-        raise ValueError(
-            f"{first.pose_landmarks} pose landmarks compared with {second.pose_landmarks}"
-        )
-    difference, turns = first.mean - second.mean, second.headings
+    for kind in KINDS:
+        one, other = (len(g.blocks(kind)) for g in (first, second))
+        if one != other:
+            raise ValueError(f"{one} {kind.name} landmarks compared with {other}")
+    difference, turns = first.mean - second.mean, second.layout.angles
     difference[turns] = wrap_angle(difference[turns])
     return difference

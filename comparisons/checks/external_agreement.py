@@ -402,8 +402,8 @@ def _landmark_blocks(
 ) -> Iterator[Block]:
     if given.landmark is None:
         return
-    for i, j in zip(*(one.tolist() for one in rows), strict=True):
-        own = smoothed.joint_covariance[3 + 2 * j : 5 + 2 * j, 3 + 2 * j : 5 + 2 * j]
+    every = smoothed.landmark_covariances(rows[1])
+    for i, j, own in zip(*(one.tolist() for one in rows), every, strict=True):
         cover = None if given.landmark_covariance is None else given.landmark_covariance[i]
         yield _block(given.landmark[i] - smoothed.landmark[j], own, cover)
 

@@ -16,6 +16,7 @@ from comparisons.checks.agreement import ROUNDING
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
 from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.layout import Layout
 
 Grade = Literal["equal", "like", "plausible", "wrong"]
 GRADES: tuple[Grade, ...] = ("wrong", "plausible", "like", "equal")
@@ -55,9 +56,8 @@ class Reference:
 
     def landmark_covariances(self, landmarks: Index) -> Array:
         """Return (m, 2, 2) of some landmarks (m,)."""
-        rows = 3 + 2 * landmarks[:, None] + np.arange(2)
-        found: Array = self.joint_covariance[rows[:, :, None], rows[:, None]]
-        return found
+        own = Layout.packed(3, len(self.landmark)).blocks(self.joint_covariance)
+        return own[landmarks]
 
 
 class Part(NamedTuple):
@@ -207,7 +207,7 @@ def pose_difference(first: Array, second: Array) -> Array:
 
 def joint_rows(landmarks: Index) -> Index:
     """Return the entries of the last pose and some landmarks (m,) in a joint covariance."""
-    return np.concatenate((np.arange(3), (3 + 2 * landmarks[:, None] + np.arange(2)).ravel()))
+    return Layout.packed(3, int(landmarks.max(initial=-1)) + 1).columns(landmarks)
 
 
 def joint_pair(

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.layout import Layout
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -80,17 +82,18 @@ class Estimate:
         """(n,) the last pose and all landmarks, n = 3 + 2 L + 3 Q."""
         return np.concatenate((self.pose[-1], self.landmark.ravel(), self.pose_landmarks.ravel()))
 
+    @property
+    def layout(self) -> Layout:
+        """Where the last pose and all landmarks lie in `joint_mean` and `joint_covariance`."""
+        return Layout.packed(3, len(self.landmark), len(self.pose_landmarks))
+
     def pose_landmark_covariances(self) -> Array:
         """Return the covariance of each pose landmark alone.
 
         Returns:
             (Q, 3, 3) of x, y, heading [m, m, rad], additive global error.
         """
-        first = len(self.joint_covariance) - 3 * len(self.pose_landmarks)
-        which = np.arange(len(self.pose_landmarks))
-        own = self.joint_covariance[first:, first:].reshape(len(which), 3, len(which), 3)
-        blocks: Array = own[which, :, which, :]
-        return blocks
+        return self.layout.blocks(self.joint_covariance, POSE)
 
     def landmark_covariances(self) -> Array:
         """Return the covariance of each point landmark alone.
@@ -98,13 +101,9 @@ class Estimate:
         Returns:
             (L, 2, 2) [m^2], additive global error; the diagonal blocks of `joint_covariance`.
         """
-        points = 3 + 2 * len(self.landmark)
-        return landmark_blocks(self.joint_covariance[:points, :points])
+        return self.layout.blocks(self.joint_covariance)
 
 
 def landmark_blocks(joint: Array) -> Array:
     """(L, 2, 2) of each landmark alone, of a covariance (3 + 2 L, 3 + 2 L) behind a pose's."""
-    count = (len(joint) - 3) // 2
-    which = np.arange(count)
-    blocks: Array = joint[3:, 3:].reshape(count, 2, count, 2)[which, :, which, :]
-    return blocks
+    return Layout.packed(3, (len(joint) - 3) // POINT.width).blocks(joint)

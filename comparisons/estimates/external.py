@@ -26,6 +26,7 @@ from comparisons.estimates.folder import (
 from comparisons.estimates.trace_file import TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
 from comparisons.logs.validation import LARGEST
+from ekf_reference.core.layout import Layout
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
 Estimator = Literal["ekf", "smoother", "other"]
@@ -103,7 +104,7 @@ class ExternalEstimate:
         if (self.landmark is None) != (self.landmark_id is None):
             raise InputError("estimate: give landmark and landmark_id both, or neither")
         count = 0 if self.landmark is None else len(self.landmark)
-        state = 3 + 2 * count
+        state = Layout.packed(3, count).size
         shapes = {
             "pose": (len(time_s), 3),
             "pose_covariance": (len(time_s), 3, 3),
@@ -265,8 +266,8 @@ class _Covariances(NamedTuple):
 
 def _read_covariances(path: Path, poses: int, landmarks: int) -> _Covariances:
     """Whichever a folder's `covariances.npz` has; the landmarks' own from the joint one."""
-    points = 3 + 2 * landmarks
-    size = points + 3 * len(read_scan_landmarks(path / SCAN_LANDMARKS)[0])
+    points = Layout.packed(3, landmarks).size
+    size = Layout.packed(3, landmarks, len(read_scan_landmarks(path / SCAN_LANDMARKS)[0])).size
     shapes = {
         "pose": (poses, 3, 3),
         "landmarks": (landmarks, 2, 2),

@@ -17,6 +17,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import Table, read_toml
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
+from ekf_reference.core.layout import Layout
 
 SCAN_LANDMARKS = "scan_landmarks.csv"
 FILES = ("trajectory.tum", "landmarks.csv", SCAN_LANDMARKS, "covariances.npz", "estimate.toml")
@@ -94,7 +95,7 @@ def read_estimate(folder: Path) -> Estimate:
     pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
     ids, landmark = read_landmarks(folder / "landmarks.csv")
     pose_landmark_id, pose_landmarks = read_scan_landmarks(folder / SCAN_LANDMARKS)
-    size = 3 + 2 * len(ids) + 3 * len(pose_landmark_id)
+    size = Layout.packed(3, len(ids), len(pose_landmark_id)).size
     if pose.shape != (len(poses), 3, 3) or joint.shape != (size, size):
         raise InputError(
             f"{archive_path}: shapes {pose.shape} and {joint.shape}, expected "

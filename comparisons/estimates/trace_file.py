@@ -148,7 +148,7 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
     _check_contents(path, found, rounding)
     _unwrap(found)
     landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
-    none_of_poses = stack_records([], POSE, POSE)
+    none_of_poses = stack_records([], POSE.width, POSE)
     return TraceFile(
         path,
         found["step_time_s"],

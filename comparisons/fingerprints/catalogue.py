@@ -28,7 +28,12 @@ from comparisons.logs.odometry import (
 )
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
-from ekf_reference.core.landmark_types import NewLandmarks, PredictedMeasurements
+from ekf_reference.core.landmark_types import (
+    POINT,
+    LandmarkKind,
+    NewLandmarks,
+    PredictedMeasurements,
+)
 from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.models.motion import MotionStep
 from ekf_reference.models.range_bearing import RangeBearing
@@ -105,11 +110,11 @@ class ExpectedWrapped(RangeBearing):
 class IndependentAtAugmentation(KalmanState):
     """New landmarks know neither the vehicle nor the map nor each other."""
 
-    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         """Append, then forget."""
         old = self.covariance.copy()
-        super().augment(point, jacobian_pose, jacobian_z, noise)
-        n, (count, width) = len(old), point.shape
+        super().augment(new, noise, kind)
+        n, (count, width) = len(old), new.landmark.shape
         p = self._covariance[: self._layout.size, : self._layout.size]
         p[n:, n:] *= np.kron(np.eye(count), np.ones((width, width)))
         p[:n, n:] = 0.0

@@ -43,6 +43,7 @@ from comparisons.pipeline.gaps import Gaps, compute_gaps
 from comparisons.pipeline.prepare import Clock, Prepared, no_progress
 from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.layout import Layout
 from ekf_reference.core.measurements import REJECTED
 from ekf_reference.core.trace import TraceArrays
 from graphslam.smoother import SmootherOptions
@@ -156,11 +157,7 @@ def _diagnosis(
     algebra = model = gaps.rounding
     covariance = stored_rounding(ekf.joint_covariance) > 0.0
     if rounding or covariance:
-        algebra = algebra.plus(
-            allowed_of_estimate(
-                Gaussian(ekf.joint_mean, ekf.joint_covariance), sigma, covariance=covariance
-            )
-        )
+        algebra = algebra.plus(allowed_of_estimate(Gaussian.of(ekf), sigma, covariance=covariance))
     if not rounding:
         return Diagnosis(
             differences=gaps.model_differences,
@@ -171,7 +168,7 @@ def _diagnosis(
 
     def again(trace: TraceArrays) -> Gaussian:
         other = replace(run, trace=trace)
-        return Gaussian(*solve_recorded(recorded_system_of(other), other))
+        return Gaussian(*solve_recorded(recorded_system_of(other), other), ekf.layout)
 
     def model_again(trace: TraceArrays) -> Gaussian:
         until = run.timeline.steps_until()
@@ -180,7 +177,7 @@ def _diagnosis(
         departed[left] = trace.departed[until[left]]
         arrived[until > 0] = trace.arrived[until[until > 0] - 1]
         other = replace(run, trace=trace, departed=departed, arrived=arrived)
-        return Gaussian(*solve_model(model_system_of(gaps.problem, other), other))
+        return Gaussian(*solve_model(model_system_of(gaps.problem, other), other), ekf.layout)
 
     from_trace = allowed_gap(again, run.trace, sigma)
     algebra = algebra.plus(from_trace)
@@ -212,7 +209,7 @@ def _last(given: ExternalEstimate) -> Estimate:
     """What was handed in of the end; a covariance that was not is NaN, and used nowhere."""
     if given.landmark is None or given.landmark_id is None:
         raise ValueError("an estimate without landmarks")
-    size, joint = 3 + 2 * len(given.landmark), given.joint_covariance
+    size, joint = Layout.packed(3, len(given.landmark)).size, given.joint_covariance
     return Estimate(
         time_s=given.time_s[-1:],
         pose=given.pose[-1:],

@@ -131,8 +131,7 @@ def compute_gaps(
                 work.result()  # its error comes first, wherever it is found
             raise
         recorded, model, first, second = frozen or _finished(work, clock)
-    frames = len(run.estimate.pose_landmarks)
-    f1 = Gaussian(*first, frames)
+    f1 = Gaussian(*first, run.estimate.layout)
     return Gaps(
         run=run,
         problem=problem,
@@ -141,10 +140,10 @@ def compute_gaps(
         result=result,
         smoothed=smoothed,
         agreement=compare(
-            _gaussian(run.estimate) if covariance_known else f1,
+            Gaussian.of(run.estimate) if covariance_known else f1,
             f1,
-            Gaussian(*second, frames),
-            _gaussian(smoothed),
+            Gaussian(*second, run.estimate.layout),
+            Gaussian.of(smoothed),
         ),
     )
 
@@ -174,10 +173,6 @@ def _finished(work: Beside[Frozen], clock: Clock) -> Frozen:
         found = work.result()
     clock.add_cpu("frozen", work.cpu_s)
     return found
-
-
-def _gaussian(estimate: Estimate) -> Gaussian:
-    return Gaussian(estimate.joint_mean, estimate.joint_covariance, len(estimate.pose_landmarks))
 
 
 @dataclass(frozen=True, kw_only=True)

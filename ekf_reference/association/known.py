@@ -83,7 +83,7 @@ def reject_beyond(
     Returns:
         (m,) landmark indices, REJECTED where one is not used; new landmarks pass.
     """
-    first = state.layout.first[seen.width]
+    first = state.layout.first[seen.kind]
     landmark_indices = landmark_indices.copy()
     mapped = np.flatnonzero((landmark_indices >= 0) & (landmark_indices < len(first)))
     gone = first[landmark_indices[mapped]] == ABSENT

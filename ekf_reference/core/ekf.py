@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from ekf_reference.core.blocks import block_diagonal, diagonal_blocks, stack
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT, POSE, MeasurementModel, NewLandmarks
+from ekf_reference.core.landmark_types import (
+    POINT,
+    POSE,
+    LandmarkKind,
+    MeasurementModel,
+    NewLandmarks,
+)
 from ekf_reference.core.measurement_update import Linearised, UpdateSplitter
 from ekf_reference.core.measurements import (
     NOT_MEASURED,
@@ -84,7 +90,7 @@ class PoseReading(NamedTuple):
 class Ekf:
     """Predict, associate, update, augment. Public attributes are its parts; all can be replaced.
 
-    models: how landmarks are measured, by their width. fixes: how absolute positions are fused.
+    models: how landmarks of each kind are measured. fixes: how absolute positions are fused.
     splitter: splits updates whose correction of the pose is too large. boundless_variance: of a new
     landmark before it is updated with its first measurement (Nieto 2005, eq. 2.56), None to
     initialise it from that measurement directly (eqs. 2.48 to 2.55).
@@ -110,13 +116,16 @@ class Ekf:
             trace: Receives every linearisation; by default nothing is recorded.
         """
         self.motion, self.association = motion, association
-        self.models: dict[int, MeasurementModel] = {POINT: RangeBearing(), POSE: RelativePose()}
+        self.models: dict[LandmarkKind, MeasurementModel] = {
+            POINT: RangeBearing(),
+            POSE: RelativePose(),
+        }
         self.fixes, self.splitter = PositionFixes(), UpdateSplitter()
         self.boundless_variance: float | None = None
         self.stabilisation: StepNoise = stabilisation or Stabilisation()
         self.trace: Trace = trace or Trace()
         self.state: KalmanState = KalmanState(prior_pose, prior_covariance)
-        self._count: Counter[str | int] = Counter()
+        self._count: Counter[str] = Counter()
         self._beyond = Streak()
         self.trace.prior(prior_pose, prior_covariance)
 
@@ -138,9 +147,23 @@ class Ekf:
         Source: Nieto 2005, section 2.3.
         """
         self.predict(*control)
+        return self.cycle(seen)
+
+    def cycle(self, seen: Measurements) -> Index:
+        """Do a cycle without a step: associate, update, augment.
+
+        Args:
+            seen: The measurements of this instant, all of point landmarks.
+
+        Returns:
+            (m,) landmark indices as `step` returns them.
+
+        Raises:
+            ValueError: The measurements are of pose landmarks, which no rule associates.
+            FilterDivergedError: The innovation covariance is not positive definite.
+        """
         landmark_indices = self.associate(seen)
-        self.update(seen, landmark_indices)
-        self.augment(seen, landmark_indices)
+        self.use(seen, landmark_indices)
         return landmark_indices
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
@@ -175,50 +198,36 @@ class Ekf:
 
         Source: Nieto 2005, section 2.4.
         """
-        if seen.width != POINT:
-            raise ValueError(f"measurements of {seen.width} entries, expected {POINT}: of points")
+        if seen.kind != POINT:
+            raise ValueError(f"measurements of {seen.kind.name} landmarks, expected points")
         if not len(seen):
             return NO_LANDMARKS
-        return self.association.assign(self.state, self.models[seen.width], seen)
+        return self.association.assign(self.state, self.models[seen.kind], seen)
 
-    def update(self, seen: Measurements, landmark_indices: Index) -> None:
-        """Fuse the measurements of landmarks that are in the state, all of them as one.
+    def use(self, seen: Measurements, landmark_indices: Index) -> None:
+        """Update and augment with measurements whose landmarks are known.
 
-        Args:
-            seen: The measurements of this instant.
-            landmark_indices: (m,) landmark indices as `associate` returns them; those of new
-                landmarks are passed over.
-
-        Raises:
-            FilterDivergedError: The innovation covariance is not positive definite.
-
-        Source: Nieto 2005, eqs. 2.37 to 2.47.
-        """
-        mapped = len(self.state.layout.first[seen.width])
-        self._fuse(
-            seen,
-            landmark_indices,
-            np.flatnonzero((landmark_indices >= 0) & (landmark_indices < mapped)),
-        )
-
-    def augment(self, seen: Measurements, landmark_indices: Index) -> None:
-        """Initialise the landmarks that are not in the state yet.
-
-        Must follow `update` at every instant: it also counts the measurements for the trace. A
-        second measurement of a new landmark is fused.
+        Those of landmarks that are in the state are fused, all of them as one. Then the others are
+        initialised; a second measurement of a new landmark is fused.
 
         Args:
             seen: The measurements of this instant.
             landmark_indices: (m,) landmark indices as `associate` returns them.
 
-        Source: Nieto 2005, eqs. 2.48 to 2.56.
+        Raises:
+            FilterDivergedError: The innovation covariance is not positive definite.
+
+        Source: Nieto 2005, eqs. 2.37 to 2.56.
         """
-        new = np.flatnonzero(landmark_indices >= len(self.state.layout.first[seen.width]))
+        mapped = len(self.state.layout.first[seen.kind])
+        known = (landmark_indices >= 0) & (landmark_indices < mapped)
+        self._fuse(seen, landmark_indices, np.flatnonzero(known))
+        new = np.flatnonzero(landmark_indices >= mapped)
         if len(new):
             first = np.sort(new[np.unique(landmark_indices[new], return_index=True)[1]])
             self._initialise(seen, landmark_indices, first)
             self._fuse(seen, landmark_indices, np.setdiff1d(new, first))
-        self.take_numbers(seen.width, len(landmark_indices))
+        self.take_numbers(seen.kind.name, len(landmark_indices))
 
     def observe(
         self,
@@ -241,19 +250,18 @@ class Ekf:
             (m,) landmark indices, negative where a measurement was not used.
         """
         own = self.models[POINT].measured(z, sigma)
-        seen = Measurements(*own, identity, time_s=time_s, attributes=attributes)
-        landmark_indices = self.associate(seen)
-        self.update(seen, landmark_indices)
-        self.augment(seen, landmark_indices)
-        return landmark_indices
+        return self.cycle(Measurements(*own, identity, time_s=time_s, attributes=attributes))
 
-    def observe_known(self, z: Array, noise: Array, landmark_index: Index) -> Index:
+    def observe_known(
+        self, z: Array, noise: Array, landmark_index: Index, kind: LandmarkKind = POINT
+    ) -> Index:
         """Update and augment with measurements whose landmarks are known.
 
         Args:
-            z: (m, w); w = 2 for points, 3 for pose landmarks.
+            z: (m, w).
             noise: (m, w, w), R.
             landmark_index: (m,) landmark index among those of this kind, or NEW for a new landmark.
+            kind: Of the landmarks.
 
         Returns:
             (m,) landmark indices, NEW replaced by the index that the landmark was given.
@@ -261,8 +269,8 @@ class Ekf:
         Raises:
             ValueError: A landmark is not in the state.
         """
-        seen = Measurements(z, noise, landmark_index)
-        mapped = len(self.state.layout.first[seen.width])
+        seen = Measurements(z, noise, landmark_index, kind=kind)
+        mapped = len(self.state.layout.first[seen.kind])
         if ((landmark_index < NEW) | (landmark_index >= mapped)).any():
             raise ValueError(
                 f"landmark indices {landmark_index.tolist()}, expected {NEW} or less than {mapped}"
@@ -270,8 +278,7 @@ class Ekf:
         landmark_indices = np.where(
             landmark_index == NEW, mapped + np.cumsum(landmark_index == NEW) - 1, landmark_index
         )
-        self.update(seen, landmark_indices)
-        self.augment(seen, landmark_indices)
+        self.use(seen, landmark_indices)
         return landmark_indices
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
@@ -336,6 +343,7 @@ class Ekf:
                 frame, landmark = landmark[0], landmark[1:]
             p = len(frame)
             record = MeasurementRecord(
+                kind=at.local.kind if len(landmark) else None,
                 number=number,
                 landmark_index=landmark_index,
                 pose=frame,
@@ -351,11 +359,11 @@ class Ekf:
             )
             self.trace.measurement(record)
 
-    def take_numbers(self, kind: str | int, count: int = 1) -> Index:
+    def take_numbers(self, kind: str, count: int = 1) -> Index:
         """Return the next numbers of a kind of measurements, for `fuse`.
 
         Args:
-            kind: The width of the landmarks, or a name of one's own.
+            kind: The name of the landmarks' kind, or one of one's own.
             count: How many.
 
         Returns:
@@ -374,23 +382,23 @@ class Ekf:
         Source: Guivant 2002, section 4.2.
         """
         if m := len(point):
-            new = _independent(point, len(self.state.pose))
+            new = NewLandmarks.independent(point, len(self.state.pose))
             landmark_indices = self.state.landmark_count + np.arange(m)
-            self._append(np.full(m, -1), landmark_indices, new, covariance, weight=0.0)
+            self._append(POINT, np.full(m, -1), landmark_indices, new, covariance, weight=0.0)
 
-    def remove(self, landmark_index: Index, width: int = POINT) -> None:
+    def remove(self, landmark_index: Index, kind: LandmarkKind = POINT) -> None:
         """Marginalise landmarks out of the state; the estimate of everything else stays.
 
         Args:
             landmark_index: (m,) landmark indices, which are not given again.
-            width: Of the kind: POINT or POSE.
+            kind: Of the landmarks.
 
         Raises:
             ValueError: A landmark was removed already.
         """
-        entries = self.state.layout.columns(landmark_index, width)[len(self.state.pose) :]
-        self.state.remove(landmark_index, width)
-        self.trace.removal(RemovalRecord(landmark_index, width, entries))
+        entries = self.state.layout.columns(landmark_index, kind)[len(self.state.pose) :]
+        self.state.remove(landmark_index, kind)
+        self.trace.removal(RemovalRecord(landmark_index, kind, entries))
 
     def read_pose(self) -> PoseReading:
         """Return the pose now, with the Jacobian by the pose in the state."""
@@ -403,38 +411,39 @@ class Ekf:
     def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         if not len(rows):
             return
-        landmark_index, z, model = landmark_indices[rows], seen.z[rows], self.models[seen.width]
+        landmark_index, z, model = landmark_indices[rows], seen.z[rows], self.models[seen.kind]
 
         def linearise() -> Linearised:
-            local = self.state.map_of(landmark_index, seen.width)
+            local = self.state.map_of(landmark_index, seen.kind)
             expected, *jacobians = model.predict(local.pose, local.landmark)
             return Linearised(local, stack(*jacobians), model.innovation(z, expected).ravel())
 
-        self.fuse(linearise, seen.noise[rows], self._count[seen.width] + rows, landmark_index)
+        self.fuse(linearise, seen.noise[rows], self._count[seen.kind.name] + rows, landmark_index)
 
     def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
-        landmark_index, number = landmark_indices[rows], self._count[seen.width] + rows
-        new = self.models[seen.width].invert(self.state.pose, seen.z[rows])
+        landmark_index, number = landmark_indices[rows], self._count[seen.kind.name] + rows
+        new = self.models[seen.kind].invert(self.state.pose, seen.z[rows])
         if self.boundless_variance is None:
-            self._append(number, landmark_index, new, seen.noise[rows], 1.0)
+            self._append(seen.kind, number, landmark_index, new, seen.noise[rows])
         else:  # 2.56: know nothing, then fuse
-            new = _independent(new.landmark, len(self.state.pose))
-            self._append(number, landmark_index, new, self.boundless_variance * new.jacobian_z, 0.0)
+            new = NewLandmarks.independent(new.landmark, len(self.state.pose))
+            boundless = self.boundless_variance * new.jacobian_z
+            self._append(seen.kind, number, landmark_index, new, boundless, weight=0.0)
             self._fuse(seen, landmark_indices, rows)
 
     def _append(
-        self, number: Index, landmark_index: Index, new: NewLandmarks, noise: Array, weight: float
+        self,
+        kind: LandmarkKind,
+        number: Index,
+        landmark_index: Index,
+        new: NewLandmarks,
+        noise: Array,
+        *,
+        weight: float = 1.0,
     ) -> None:
         zeros = np.zeros(new.landmark.shape), np.zeros(new.landmark.shape), np.zeros(noise.shape)
         record = MeasurementRecord(
-            number, landmark_index, self.state.pose, *new, noise, *zeros, weight
+            kind, number, landmark_index, self.state.pose, *new, noise, *zeros, weight
         )
-        self.state.augment(*new, noise)
+        self.state.augment(new, noise, kind)
         self.trace.initialisation(record)
-
-
-def _independent(landmark: Array, p: int) -> NewLandmarks:
-    """Landmarks (m, w) that have nothing to do with the pose (p,); their noise is their own."""
-    count, width = landmark.shape
-    own = np.broadcast_to(np.eye(width), (count, width, width))
-    return NewLandmarks(landmark, np.zeros((count, width, p)), own)

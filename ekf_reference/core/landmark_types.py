@@ -1,19 +1,31 @@
 """Kinds of landmarks: how many entries each has, and how it is measured.
 
-A landmark is a point (x, y) or a pose (x, y, heading). Its width names its kind everywhere: in the
-state's layout, among the filter's models, and in the trace. Nothing else depends on the kind.
+A landmark is a point (x, y) or a pose (x, y, heading). Its kind names it everywhere: in the state's
+layout, among the filter's models, which predict and invert its measurements, and in the trace.
+Nothing else depends on the kind.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from ekf_reference.core.geometry import Array, wrap_angle
 
-POINT, POSE = WIDTHS = (2, 3)
-"""Entries of a landmark that is a point, x, y, and of one that is a pose, x, y, heading."""
+
+@dataclass(frozen=True)
+class LandmarkKind:
+    """A kind of landmarks. width: entries of each. angles: which of these are angles, unwrapped."""
+
+    name: str
+    width: int
+    angles: tuple[int, ...] = ()
+
+
+POINT, POSE = KINDS = (LandmarkKind("point", 2), LandmarkKind("pose", 3, (2,)))
+"""A point x, y, and a pose x, y, heading."""
 
 
 class PredictedMeasurements(NamedTuple):
@@ -30,6 +42,21 @@ class NewLandmarks(NamedTuple):
     landmark: Array
     jacobian_pose: Array
     jacobian_z: Array
+
+    @classmethod
+    def independent(cls, landmark: Array, p: int) -> NewLandmarks:
+        """Return landmarks that have nothing to do with the pose; their noise is their own.
+
+        Args:
+            landmark: (m, w).
+            p: Entries of the pose.
+
+        Returns:
+            The same, with Jacobians zero and one.
+        """
+        count, width = landmark.shape
+        own = np.broadcast_to(np.eye(width), (count, width, width))
+        return cls(landmark, np.zeros((count, width, p)), own)
 
 
 class MeasurementModel(Protocol):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import MeasurementModel
+from ekf_reference.core.landmark_types import POINT, LandmarkKind, MeasurementModel
 from ekf_reference.core.state import KalmanState
 
 REJECTED = -1
@@ -55,14 +55,15 @@ class Measurements:
 
     z: (m, w), of points range [m] and bearing [rad], of poses x, y [m] and heading [rad] in the
     vehicle's frame. noise: (m, w, w), R. identity: (m,) labels, negative where the sensor gave
-    none. time_s: when. attributes: what else was measured. closed: landmark indices they cannot be
-    of.
+    none. kind: of the landmarks. time_s: when. attributes: what else was measured. closed: landmark
+    indices they cannot be of.
     """
 
     z: Array
     noise: Array
     identity: NDArray[np.int64]
     _: KW_ONLY
+    kind: LandmarkKind = POINT
     time_s: float = 0.0
     attributes: MeasuredAttributes = NOT_MEASURED
     closed: tuple[int, ...] = ()
@@ -70,11 +71,6 @@ class Measurements:
     def __len__(self) -> int:
         """Return the number of measurements."""
         return len(self.z)
-
-    @property
-    def width(self) -> int:
-        """Entries of a measurement, which are those of the landmarks."""
-        return int(self.z.shape[1])
 
     def take(self, rows: Index) -> Measurements:
         """Return some rows.

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from ekf_reference.core import machine
 from ekf_reference.core.blocks import block_diagonal
+from ekf_reference.core.chart import ADDITIVE, Chart
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT, WIDTHS
+from ekf_reference.core.landmark_types import KINDS, POINT, LandmarkKind, NewLandmarks
 from ekf_reference.core.layout import Layout
-
-STRIP = 128
-"""Rows that a suboptimal global update changes together."""
-WHOLE = 2048
-"""States up to which a global update has all of its product in memory at once."""
-STRIP_COST = 1.6
-"""Processor time of an entry changed in strips over that of one of the whole matrix: 1.0 to 1.6 as
-measured on 250 to 2,000 landmarks (benchmarks/global_update.py)."""
 
 
 class Correction(NamedTuple):
@@ -38,7 +32,7 @@ class FilterDivergedError(ArithmeticError):
     """The covariance lost positive definiteness or a number stopped being finite."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LocalMap:
     """The pose and some landmarks of one kind, such as those that may be seen from here.
 
@@ -47,6 +41,7 @@ class LocalMap:
     """
 
     pose: Array
+    kind: LandmarkKind
     landmark_index: Index
     landmark: Array
     covariance: Array
@@ -80,11 +75,14 @@ class LocalMap:
         Returns:
             The smaller map with its own joint covariance.
         """
-        p, width = len(self.pose), self.landmark.shape[1]
-        entry = np.concatenate((np.arange(p), (p + width * rows[:, None] + range(width)).ravel()))
-        covariance, columns = self.covariance[entry[:, None], entry], self.columns[entry]
-        return LocalMap(
-            self.pose, self.landmark_index[rows], self.landmark[rows], covariance, columns
+        layout = Layout.of_pose(len(self.pose)).appended(len(self.landmark), self.kind)
+        entry = layout.columns(rows, self.kind)
+        return replace(
+            self,
+            landmark_index=self.landmark_index[rows],
+            landmark=self.landmark[rows],
+            covariance=self.covariance[entry[:, None], entry],
+            columns=self.columns[entry],
         )
 
 
@@ -103,13 +101,15 @@ class KalmanState:
     or read-only views that change with the next write.
     """
 
-    def __init__(self, pose: Array, covariance: Array) -> None:
+    def __init__(self, pose: Array, covariance: Array, chart: Chart = ADDITIVE) -> None:
         """Start with a pose alone.
 
         Args:
             pose: (p,), heading unwrapped; copied.
             covariance: (p, p), symmetric positive definite; copied.
+            chart: Of the pose.
         """
+        self._chart = chart
         self._layout = Layout.of_pose(len(pose))
         self._mean = np.array(pose, dtype=float)
         self._covariance = np.array(covariance, dtype=float)
@@ -149,19 +149,19 @@ class KalmanState:
         """Number of points that were ever in the state: the next one's landmark index."""
         return len(self.layout.first[POINT])
 
-    def places(self, width: int) -> Array:
+    def places(self, kind: LandmarkKind) -> Array:
         """Return all landmarks of a kind.
 
         Args:
-            width: w, POINT or POSE.
+            kind: Of the landmarks.
 
         Returns:
             (L, w) by landmark index, a copy; NaN where one was removed.
 
         Source: Nieto 2005, eqs. 5.5 and 6.4.
         """
-        first = self._layout.first[width]
-        place: Array = self._mean[first[:, None] + np.arange(width)]
+        first = self._layout.first[kind]
+        place: Array = self._mean[first[:, None] + np.arange(kind.width)]
         place[first < 0] = np.nan
         return place
 
@@ -187,32 +187,32 @@ class KalmanState:
             (c,) entries, ascending.
         """
         p = self._layout.pose_size
-        near = [self._layout.columns(self._near(reach_m, w), w)[p:] for w in WIDTHS]
+        near = [self._layout.columns(self._near(reach_m, k), k)[p:] for k in KINDS]
         return np.sort(np.concatenate((np.arange(p), *near)))
 
-    def within(self, reach_m: float, width: int = POINT) -> Index:
+    def within(self, reach_m: float, kind: LandmarkKind = POINT) -> Index:
         """Return the landmarks of a kind within a circle around the vehicle.
 
         Args:
             reach_m: Its radius [m].
-            width: POINT or POSE.
+            kind: Of the landmarks.
 
         Returns:
             (m,) landmark indices, ascending.
         """
-        offset = self.places(width)[:, :2] - self.pose[:2]
+        offset = self.places(kind)[:, :2] - self.pose[:2]
         return np.flatnonzero(np.hypot(*offset.T) <= reach_m)
 
-    def _near(self, reach_m: float, width: int) -> Index:
-        offset = self.places(width)[:, :2] - self.pose[:2]
+    def _near(self, reach_m: float, kind: LandmarkKind) -> Index:
+        offset = self.places(kind)[:, :2] - self.pose[:2]
         return np.flatnonzero(np.abs(offset).max(axis=1) <= reach_m)
 
-    def map_of(self, landmark_index: Index, width: int = POINT) -> LocalMap:
+    def map_of(self, landmark_index: Index, kind: LandmarkKind = POINT) -> LocalMap:
         """Return the pose and some landmarks with their joint covariance.
 
         Args:
             landmark_index: (m,) landmark indices.
-            width: POINT or POSE.
+            kind: Of the landmarks.
 
         Returns:
             Copies, in the order asked for.
@@ -220,20 +220,27 @@ class KalmanState:
         Raises:
             ValueError: A landmark was removed.
         """
-        columns = self._layout.columns(landmark_index, width)
-        landmark = self.mean_at(columns[self._layout.pose_size :]).reshape(-1, width)
-        return LocalMap(self.pose, landmark_index, landmark, self.covariance_of(columns), columns)
+        columns = self._layout.columns(landmark_index, kind)
+        landmark = self.mean_at(columns[self._layout.pose_size :]).reshape(-1, kind.width)
+        return LocalMap(
+            pose=self.pose,
+            kind=kind,
+            landmark_index=landmark_index,
+            landmark=landmark,
+            covariance=self.covariance_of(columns),
+            columns=columns,
+        )
 
-    def snapshot(self, width: int = POINT) -> MapSnapshot:
+    def snapshot(self, kind: LandmarkKind = POINT) -> MapSnapshot:
         """Return all landmarks of a kind, and which of them are current.
 
         Args:
-            width: POINT or POSE.
+            kind: Of the landmarks.
 
         Returns:
             Places, and the indices of current ones: here all that are in the state.
         """
-        return MapSnapshot(self.places(width), self._layout.present(width))
+        return MapSnapshot(self.places(kind), self._layout.present(kind))
 
     def mean_at(self, columns: Index) -> Array:
         """Return some entries of the mean.
@@ -270,8 +277,12 @@ class KalmanState:
         Source: Guivant 2002, eqs. 5 to 7; Misono 2007, eqs. 1, 6 and 11; Nieto 2005, eqs. 2.14 and
         2.32 to 2.36.
         """
+        self._mean[: len(pose)] = pose
+        self._carry(jacobian_pose, noise)
+
+    def _carry(self, jacobian_pose: Array, noise: Array | float) -> None:
+        """Carry the covariance over to where the pose is now."""
         v, n, p = self._layout.pose_size, self._layout.size, self._covariance
-        self._mean[:v] = pose
         vehicle = jacobian_pose @ p[:v, :v] @ jacobian_pose.T + noise
         p[:v, :v] = 0.5 * (vehicle + vehicle.T)
         if n > v:
@@ -302,7 +313,7 @@ class KalmanState:
         and, for entries that are not measured, 3.11.
         Errata: 2.39 is printed S = H P H + R and 2.47 W = P H S^-1; the transposes belong there.
         """
-        n = self._layout.size
+        v, n = self._layout.pose_size, self._layout.size
         p = self._covariance[:n, :n]
         gain_left = p[:, columns] @ jacobian.T  # P H^T, (n, m)
         innovation_covariance = jacobian @ gain_left[columns] + noise  # S, 2.39
@@ -313,46 +324,47 @@ class KalmanState:
         except np.linalg.LinAlgError as e:
             raise FilterDivergedError("the innovation covariance is not positive definite") from e
         u, whitened = inverse_root @ gain_left.T, inverse_root @ innovation
-        self._mean[:n] += u.T @ whitened  # 2.45
+        pose, step = self.pose, u.T @ whitened
+        self._mean[:n] += step  # 2.45
         p -= u.T @ u  # 2.46
+        if (reset := self._chart.reset(pose, step[:v])) is not None:
+            self._mean[:v] = self._chart.plus(pose, step[:v])
+            self._carry(reset, 0.0)
         return Correction(inverse_root, u, whitened, innovation_covariance)
 
-    def augment(
-        self, landmark: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array
-    ) -> None:
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         """Append m landmarks of a kind, correlated with everything through the vehicle.
 
         Args:
-            landmark: (m, w).
-            jacobian_pose: (m, w, p), G_x by the pose.
-            jacobian_z: (m, w, w), G_z by the measurement.
+            new: They, with G_x by the pose and G_z by the measurement.
             noise: (m, w, w), R.
+            kind: Of the landmarks.
 
         Source: Nieto 2005, eqs. 2.48 to 2.53.
         """
         v, n = self._layout.pose_size, self._layout.size
-        new = slice(n, n + landmark.size)
-        self._reserve(new.stop)
-        p, stacked = self._covariance, jacobian_pose.reshape(-1, v)
+        last = slice(n, n + new.landmark.size)
+        self._reserve(last.stop)
+        p, stacked = self._covariance, new.jacobian_pose.reshape(-1, v)
         cross = stacked @ p[:v, :n]
-        p[new, :n], p[:n, new] = cross, cross.T
-        own_noise = jacobian_z @ noise @ jacobian_z.transpose(0, 2, 1)
+        p[last, :n], p[:n, last] = cross, cross.T
+        own_noise = new.jacobian_z @ noise @ new.jacobian_z.transpose(0, 2, 1)
         own = cross[:, :v] @ stacked.T + block_diagonal(own_noise)
-        p[new, new] = 0.5 * (own + own.T)
-        self._mean[new] = landmark.ravel()
-        self._layout = self._layout.appended(*landmark.shape)
+        p[last, last] = 0.5 * (own + own.T)
+        self._mean[last] = new.landmark.ravel()
+        self._layout = self._layout.appended(len(new.landmark), kind)
 
-    def remove(self, landmark_index: Index, width: int = POINT) -> None:
+    def remove(self, landmark_index: Index, kind: LandmarkKind = POINT) -> None:
         """Marginalise landmarks out; their indices are not given again.
 
         Args:
             landmark_index: (m,) landmark indices.
-            width: POINT or POSE.
+            kind: Of the landmarks.
 
         Raises:
             ValueError: A landmark was removed already.
         """
-        gone = self._layout.columns(landmark_index, width)[self._layout.pose_size :]
+        gone = self._layout.columns(landmark_index, kind)[self._layout.pose_size :]
         kept = np.setdiff1d(np.arange(self._layout.size), gone)
         self._layout, n = self._layout.part(kept), len(kept)
         self._mean[:n] = self._mean[kept]
@@ -367,7 +379,8 @@ class KalmanState:
         Returns:
             A state of its own; landmark indices are the same.
         """
-        chosen = KalmanState(self._mean[columns], self._covariance[columns[:, None], columns])
+        covariance = self._covariance[columns[:, None], columns]
+        chosen = KalmanState(self._mean[columns], covariance, self._chart)
         chosen._layout = self._layout.part(columns)
         return chosen
 
@@ -393,7 +406,7 @@ class KalmanState:
         everywhere = np.concatenate((start, np.arange(n, total)))
         if n > a:
             cross = phi @ p[start, :n]  # P_ab = phi P_ab(0), all columns
-            if len(spared) or n > WHOLE:
+            if len(spared) or n > machine.WHOLE:
                 changed = np.setdiff1d(np.arange(n), np.concatenate((start, spared)))
                 subtract(p, root, changed, spared)
             else:
@@ -445,8 +458,8 @@ def subtract(p: Array, root: Array, changed: Index, spared: Index) -> None:
     Source: Guivant 2002, eqs. 20, 21 and 23.
     """
     n, across = len(root), root[spared]
-    for first in range(0, len(changed), STRIP):
-        rows = changed[first : first + STRIP]
+    for first in range(0, len(changed), machine.STRIP):
+        rows = changed[first : first + machine.STRIP]
         i, own = rows[0], root[rows]
         p[rows, i:n] -= own @ root[i:].T
         p[i:n, rows] = p[rows, i:n].T

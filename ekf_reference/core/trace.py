@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ekf_reference.core import machine
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT, POSE, WIDTHS
+from ekf_reference.core.landmark_types import KINDS, POINT, POSE, LandmarkKind
 
 VEHICLE = -1
 """The origin of what is measured from the vehicle."""
@@ -34,22 +35,21 @@ class MeasurementRecord(NamedTuple):
 
     A measurement says innovation = H_v (x - pose) + H_l (l - landmark) + v, an initialisation
     l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise). jacobian_pose is H_v or G_x,
-    jacobian_other H_l or G_z. The width w of the landmarks gives the kind: 2 points, 3
-    poses, and 0 none, as by an absolute position.
+    jacobian_other H_l or G_z.
 
-    number: (m,) in the order of arrival of the measurements of this kind, from 0; parts of an
-    update share it. -1 for a landmark put into the map without one. landmark_index: (m,). landmark:
-    (m, w).
-    jacobian_pose: (m, r, p). jacobian_other: (m, r, w). noise: (m, r, r), R / weight. innovation:
-    (m, r). whitened: (m, r), its part of L^-1 innovation, S = L L^T of all that were fused
-    together, in their order. spread: (m, r, r), its own block of S = H P H^T + R / weight. The last
-    three are zero for initialisations. weight: the share of the measurement's information: one,
-    less for parts of an update, zero for a landmark that is surveyed or initialised with a
-    boundless prior, whose noise is that prior's covariance. origin: VEHICLE, or for
-    a merge of two landmarks that are one the first's landmark index; `pose` is then that landmark's
-    place.
+    kind: of the landmarks, of width w; None and w = 0 for an absolute position. number: (m,) in the
+    order of arrival of the measurements of this kind, from 0; parts of an update share it. -1 for a
+    landmark put into the map without one. landmark_index: (m,). landmark: (m, w). jacobian_pose:
+    (m, r, p). jacobian_other: (m, r, w). noise: (m, r, r), R / weight. innovation: (m, r).
+    whitened: (m, r), its part of L^-1 innovation, S = L L^T of all that were fused together, in
+    their order. spread: (m, r, r), its own block of S = H P H^T + R / weight. The last three are
+    zero for initialisations. weight: the share of the measurement's information: one, less for
+    parts of an update, zero for a landmark that is surveyed or initialised with a boundless prior,
+    whose noise is that prior's covariance. origin: VEHICLE, or for a merge of two landmarks that
+    are one the first's landmark index; `pose` is then that landmark's place.
     """
 
+    kind: LandmarkKind | None
     number: Index
     landmark_index: Index
     pose: Array
@@ -68,7 +68,7 @@ class RemovalRecord(NamedTuple):
     """Landmarks (m,) of a kind that were marginalised out. entries: (w m,) of the state before."""
 
     landmark_index: Index
-    width: int
+    kind: LandmarkKind
     entries: Index
 
 
@@ -147,10 +147,10 @@ class MeasurementRecords:
 
 @dataclass(frozen=True)
 class RemovalRecords:
-    """D landmarks marginalised out. step: (D,) steps made before. width, landmark_index: (D,)."""
+    """D landmarks marginalised out. step: (D,) steps made before. kind, landmark_index: (D,)."""
 
     step: Index
-    width: Index
+    kind: tuple[LandmarkKind, ...]
     landmark_index: Index
 
 
@@ -158,7 +158,7 @@ class RemovalRecords:
 class TraceArrays:
     """A finished trace of N steps, its records stacked.
 
-    measurements, initialisations: of landmarks, by their width. positions: absolute ones. merges:
+    measurements, initialisations: of landmarks, by their kind. positions: absolute ones. merges:
     of pose landmarks from others that they are one with. removals: of all kinds.
     """
 
@@ -168,8 +168,8 @@ class TraceArrays:
     arrived: Array
     f: Array
     q: Array
-    measurements: Mapping[int, MeasurementRecords]
-    initialisations: Mapping[int, MeasurementRecords]
+    measurements: Mapping[LandmarkKind, MeasurementRecords]
+    initialisations: Mapping[LandmarkKind, MeasurementRecords]
     positions: MeasurementRecords
     merges: MeasurementRecords
     removals: RemovalRecords
@@ -177,8 +177,8 @@ class TraceArrays:
 
 Kept = list[tuple[int, MeasurementRecord]]
 """Records, with the steps made before each."""
-STACKED = 4096
-"""So many records are stacked together, which takes a third of the memory."""
+_Key = tuple[str, LandmarkKind | None]
+"""What was recorded, of which kind of landmarks."""
 
 
 class RecordedTrace(Trace):
@@ -190,8 +190,8 @@ class RecordedTrace(Trace):
         self._made, self._steps = 0, list[StepRecord]()
         self._stacked_steps: list[StepRecord] = []
         self._removals: list[tuple[int, RemovalRecord]] = []
-        self._records: defaultdict[tuple[str, int], Kept] = defaultdict(list)
-        self._stacked: defaultdict[tuple[str, int], list[MeasurementRecords]] = defaultdict(list)
+        self._records: defaultdict[_Key, Kept] = defaultdict(list)
+        self._stacked: defaultdict[_Key, list[MeasurementRecords]] = defaultdict(list)
 
     def prior(self, pose: Array, covariance: Array) -> None:
         """Keep the prior."""
@@ -201,7 +201,7 @@ class RecordedTrace(Trace):
         """Keep one step."""
         self._made += 1
         self._steps.append(step)
-        if len(self._steps) >= STACKED:
+        if len(self._steps) >= machine.STACKED:
             self._stacked_steps.append(self._stack_steps())
             self._steps = []
 
@@ -230,24 +230,24 @@ class RecordedTrace(Trace):
             arrived=arrived,
             f=f,
             q=q,
-            measurements={w: self._joined("measurement", w) for w in WIDTHS},
-            initialisations={w: self._joined("initialisation", w) for w in WIDTHS},
-            positions=self._joined("measurement", 0),
+            measurements={kind: self._joined("measurement", kind) for kind in KINDS},
+            initialisations={kind: self._joined("initialisation", kind) for kind in KINDS},
+            positions=self._joined("measurement", None),
             merges=self._joined("merge", POSE),
             removals=removal_records(self._removals),
         )
 
     def _keep(self, what: str, record: MeasurementRecord) -> None:
-        key = what, record.landmark.shape[1]
+        key = what, record.kind
         self._records[key].append((self._made, record))
-        if len(self._records[key]) >= STACKED:
+        if len(self._records[key]) >= machine.STACKED:
             self._stacked[key].append(self._stack(*key))
             self._records[key] = []
 
-    def _stack(self, what: str, width: int) -> MeasurementRecords:
-        """Return what is not stacked yet; an absolute position has a point's entries."""
-        p = POSE if what == "merge" else len(self._prior[0])
-        return stack_records(self._records[what, width], p, width, width or POINT)
+    def _stack(self, what: str, kind: LandmarkKind | None) -> MeasurementRecords:
+        """Return what is not stacked yet."""
+        p = POSE.width if what == "merge" else len(self._prior[0])
+        return stack_records(self._records[what, kind], p, kind)
 
     def _stack_steps(self) -> StepRecord:
         """Return the steps that are not stacked yet: (N, p) poses, (N, p, p) matrices."""
@@ -256,35 +256,35 @@ class RecordedTrace(Trace):
         columns = zip(*self._steps, strict=True) if self._steps else ((), (), (), ())
         return StepRecord(*(np.array(c).reshape(s) for c, s in zip(columns, shapes, strict=True)))
 
-    def _joined(self, what: str, width: int) -> MeasurementRecords:
-        parts = [vars(part) for part in (*self._stacked[what, width], self._stack(what, width))]
+    def _joined(self, what: str, kind: LandmarkKind | None) -> MeasurementRecords:
+        parts = [vars(part) for part in (*self._stacked[what, kind], self._stack(what, kind))]
         return MeasurementRecords(
             **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         )
 
 
-def stack_records(records: Kept, p: int, width: int, size: int = 0) -> MeasurementRecords:
+def stack_records(records: Kept, p: int, kind: LandmarkKind | None) -> MeasurementRecords:
     """Return one row per measurement; what a record says once holds for all of its rows.
 
     Args:
         records: Each with the steps made before it.
         p: Entries of a pose.
-        width: Entries of a landmark; 0 for absolute positions.
-        size: Entries of a measurement; by default a landmark's.
+        kind: Of the landmarks; None for absolute positions, which have a point's entries.
 
     Returns:
         The records as arrays, in order.
     """
-    r = size or width
+    width, r = (kind.width, kind.width) if kind else (0, POINT.width)
     shapes = {"pose": (p,), "landmark": (width,), "jacobian_pose": (r, p), "noise": (r, r)}
     shapes |= {"jacobian_other": (r, width), "innovation": (r,), "whitened": (r,), "weight": ()}
     shapes |= {"spread": (r, r), "step": (), "number": (), "landmark_index": (), "origin": ()}
     found: dict[str, list[Any]] = {name: [np.zeros((0, *shape))] for name, shape in shapes.items()}
     for step, one in records:
-        for name, value in {"step": step, **one._asdict()}.items():
-            once = np.ndim(value) == len(shapes[name])
+        values = {"step": step, **one._asdict()}
+        for name, shape in shapes.items():
+            once = np.ndim(values[name]) == len(shape)
             found[name].append(
-                np.full((len(one.landmark_index), *shapes[name]), value) if once else value
+                np.full((len(one.landmark_index), *shape), values[name]) if once else values[name]
             )
     joined = {name: np.concatenate(values) for name, values in found.items()}
     whole = {
@@ -304,8 +304,9 @@ def removal_records(removals: Sequence[tuple[int, RemovalRecord]]) -> RemovalRec
         The removals as arrays, in order.
     """
     rows = [
-        (step, gone.width, landmark_index)
+        (step, gone.kind, landmark_index)
         for step, gone in removals
         for landmark_index in gone.landmark_index.tolist()
     ]
-    return RemovalRecords(*np.array(rows, dtype=np.intp).reshape(-1, 3).T)
+    step, kind, landmark_index = zip(*rows, strict=True) if rows else ((), (), ())
+    return RemovalRecords(np.array(step, dtype=np.intp), kind, np.array(landmark_index, np.intp))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.landmark_types import POINT
 from ekf_reference.dense.triangles import turned
 from ekf_reference.dense.view import FilterView
 
@@ -76,7 +77,7 @@ def read_local_poses(view: FilterView, axis: Index) -> tuple[Array, Array]:
     axis: places in the map of L1 and L2, which must be among the view's `landmark_index`.
     """
     first, second = view.landmark[axis[:, 0]], view.landmark[axis[:, 1]]
-    place = 3 + 2 * np.searchsorted(view.landmark_index, axis)
+    place = view.layout.first[POINT][np.searchsorted(view.landmark_index, axis)]
     columns = np.empty((len(axis), 7), dtype=np.intp)
     columns[:, :3] = np.arange(3)
     columns[:, 3::2], columns[:, 4::2] = place, place + 1

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.layout import Layout
 from ekf_reference.dense.layers.gaussians import largest_sigma
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import global_jacobians, to_local, turned
@@ -48,11 +50,12 @@ def neglected_covariance(view: FilterView, carriers: Carriers, point: Array) -> 
         if len(view.landmark_index)
         else np.zeros(k, bool)
     )
-    columns = np.empty((k, 3 + 2 * m), dtype=np.intp)
+    size = Layout.packed(3, m).size
+    columns = np.empty((k, size), dtype=np.intp)
     columns[:, :3] = np.arange(3)
-    columns[:, 3::2] = 3 + 2 * place
+    columns[:, 3::2] = view.layout.first[POINT][place] if len(view.landmark_index) else 3
     columns[:, 4::2] = columns[:, 3::2] + 1
-    by_state = np.empty((k, 2, 3 + 2 * m))
+    by_state = np.empty((k, 2, size))
     by_state[:, :, :2] = np.eye(2)
     by_state[:, :, 2] = turned(point - view.pose[:2])
     by_state[:, :, 3:] = -share

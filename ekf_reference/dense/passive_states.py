@@ -95,11 +95,12 @@ class PassiveStates(Trace):
 
     def measurement(self, used: MeasurementRecord) -> None:
         """Fused measurements, whatever they are of."""
-        layout, width = self._ekf.state.layout, used.landmark.shape[1]
-        columns = layout.columns(used.landmark_index, width) if width else np.arange(3)
-        if used.origin != VEHICLE:
+        layout, columns = self._ekf.state.layout, np.arange(3)
+        if used.kind is not None and used.origin == VEHICLE:
+            columns = layout.columns(used.landmark_index, used.kind)
+        elif used.kind is not None:
             both = np.append(used.origin, used.landmark_index)
-            columns = layout.columns(both, width)[3:]
+            columns = layout.columns(both, used.kind)[3:]
         jacobian = stack(used.jacobian_pose, used.jacobian_other)
         self._receive(columns, jacobian, used.innovation.ravel(), block_diagonal(used.noise))
         self._next.measurement(used)

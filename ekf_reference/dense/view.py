@@ -9,7 +9,7 @@ import numpy as np
 
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.landmark_types import POINT, LandmarkKind
 from ekf_reference.core.layout import Layout
 
 
@@ -33,20 +33,25 @@ class FilterView:
     covariance: Array
 
     @classmethod
-    def of(cls, ekf: Ekf, kinds: tuple[int, ...] = (POINT,)) -> FilterView:
-        """The filter as it is now, whatever it keeps its pose as. kinds: of landmarks, by width."""
+    def of(cls, ekf: Ekf, kinds: tuple[LandmarkKind, ...] = (POINT,)) -> FilterView:
+        """The filter as it is now, whatever it keeps its pose as. kinds: of landmarks."""
         reading = ekf.read_pose()
-        seen = [ekf.state.snapshot(width) for width in kinds]
+        seen = [ekf.state.snapshot(kind) for kind in kinds]
         number, first = numbered(ekf.state.layout, kinds, [each.landmark_index for each in seen])
         p = len(reading.own)
         entry = np.concatenate((np.arange(p), (first[:, None] + np.arange(2)).ravel()))
         covariance = ekf.state.covariance_of(entry)
         if p != 3:
-            turn = np.eye(3 + 2 * len(number), len(covariance), k=p - 3)
+            turn = np.eye(len(covariance) + 3 - p, len(covariance), k=p - 3)
             turn[:3, :] = 0.0
             turn[:3, :p] = reading.jacobian
             covariance = turn @ covariance @ turn.T
         return cls(reading.pose, by_number([each.place for each in seen]), number, covariance)
+
+    @property
+    def layout(self) -> Layout:
+        """Where the pose and the places of `landmark_index` lie in `covariance`."""
+        return Layout.packed(3, len(self.landmark_index))
 
     def near(self, reach_m: float) -> Index:
         """(k,) landmarks with a current covariance, at most so far east-west and north-south."""
@@ -56,14 +61,13 @@ class FilterView:
 
     def joint(self, landmark_index: Index) -> Array:
         """(3 + 2 k, 3 + 2 k) covariance of the pose and landmarks (k,) among `landmark_index`."""
-        place = 3 + 2 * np.searchsorted(self.landmark_index, landmark_index)
-        columns = np.concatenate((np.arange(3), (place[:, None] + np.arange(2)).ravel()))
+        columns = self.layout.columns(np.searchsorted(self.landmark_index, landmark_index))
         part: Array = self.covariance[columns[:, None], columns]
         return part
 
 
 def numbered(
-    layout: Layout, kinds: Sequence[int], landmark_indices: Sequence[Index]
+    layout: Layout, kinds: Sequence[LandmarkKind], landmark_indices: Sequence[Index]
 ) -> tuple[Index, Index]:
     """Return numbers (m,), ascending, and first state entries (m,) of landmarks of some kinds.
 
@@ -75,7 +79,7 @@ def numbered(
         [len(kinds) * landmark_index + k for k, landmark_index in enumerate(landmark_indices)]
     )
     each = zip(kinds, landmark_indices, strict=True)
-    first = np.concatenate([layout.first[width][landmark_index] for width, landmark_index in each])
+    first = np.concatenate([layout.first[kind][landmark_index] for kind, landmark_index in each])
     order = np.argsort(number)
     return number[order], first[order]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ekf_reference.core.ekf import Stabilisation, StepNoise
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import MeasurementModel
+from ekf_reference.core.landmark_types import POINT, MeasurementModel
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam.accumulated_motion import AccumulatedMotion, moved
 from ekf_reference.fastslam.association import (
@@ -194,7 +194,7 @@ class FastSlam:
         Raises:
             ValueError: The measurements are not of points, or not finite.
         """
-        if seen.width != 2 or not np.isfinite(seen.z).all():
+        if seen.kind != POINT or not np.isfinite(seen.z).all():
             raise ValueError("measurements are not of points, or not finite")
         self._resample()
         if self.options.proposal == "motion" or not len(seen):

@@ -9,21 +9,19 @@ cancels, and psi itself would cost half the digits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ekf_reference.core import machine
 from ekf_reference.core.ekf import Ekf, StepNoise
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.landmark_types import POINT, LandmarkKind, NewLandmarks
 from ekf_reference.core.layout import ABSENT, Layout
 from ekf_reference.core.measurements import Association
-from ekf_reference.core.state import STRIP_COST, Correction, KalmanState, LocalMap, MapSnapshot
+from ekf_reference.core.state import Correction, KalmanState, LocalMap, MapSnapshot
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import MotionModel
-
-FOLDED = 8
-"""So many rows for each active state are folded together."""
 
 
 @dataclass(frozen=True)
@@ -122,22 +120,22 @@ class CompressedState(KalmanState):
         self._global_update()
         return super().covariance
 
-    def places(self, width: int) -> Array:
+    def places(self, kind: LandmarkKind) -> Array:
         """Return all landmarks (L, w), passive ones at x_b(0) + P_ba(0) theta: no global update."""
-        place, active = self.snapshot(width)
-        passive = np.setdiff1d(self._layout.present(width), active, assume_unique=True)
+        place, active = self.snapshot(kind)
+        passive = np.setdiff1d(self._layout.present(kind), active, assume_unique=True)
         if len(passive) and not self._fresh:
-            rows = self._layout.columns(passive, width)[self._layout.pose_size :]
+            rows = self._layout.columns(passive, kind)[self._layout.pose_size :]
             shift = super().covariance[np.ix_(rows, self._columns)] @ self._theta
-            place[passive] += shift.reshape(-1, width)
+            place[passive] += shift.reshape(-1, kind.width)
         return place
 
-    def snapshot(self, width: int = POINT) -> MapSnapshot:
+    def snapshot(self, kind: LandmarkKind = POINT) -> MapSnapshot:
         """Return all landmarks of a kind, passive ones as the last global update left them."""
-        known, active = super().places(width), self._local.layout.present(width)
-        place = np.full((len(self._present.first[width]), width), np.nan)
+        known, active = super().places(kind), self._local.layout.present(kind)
+        place = np.full((len(self._present.first[kind]), kind.width), np.nan)
         place[: len(known)] = known
-        place[active] = self._local.places(width)[active]
+        place[active] = self._local.places(kind)[active]
         return MapSnapshot(place, active)
 
     def covariance_of(self, columns: Index) -> Array:
@@ -150,18 +148,16 @@ class CompressedState(KalmanState):
             self.leave(reach_m)
         return self.map_of(self._local._near(reach_m, POINT))
 
-    def map_of(self, landmark_index: Index, width: int = POINT) -> LocalMap:
+    def map_of(self, landmark_index: Index, kind: LandmarkKind = POINT) -> LocalMap:
         """Return some landmarks of a kind, made active if they are not."""
-        columns = self._present.columns(landmark_index, width)
-        entries = self._local_entries(columns)  # may replace the local state
-        known, own = self._local, entries[self._local.layout.pose_size :]
-        landmark, covariance = known.mean_at(own).reshape(-1, width), known.covariance_of(entries)
-        return LocalMap(known.pose, landmark_index, landmark, covariance, columns)
+        columns = self._present.columns(landmark_index, kind)
+        self._local_entries(columns)  # may replace the local state
+        return replace(self._local.map_of(landmark_index, kind), columns=columns)
 
-    def within(self, reach_m: float, width: int = POINT) -> Index:
+    def within(self, reach_m: float, kind: LandmarkKind = POINT) -> Index:
         """Return the landmark indices at most `reach_m` away; later areas reach at least so far."""
         self._reach_m = max(self._reach_m, reach_m)
-        return super().within(reach_m, width)
+        return super().within(reach_m, kind)
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle: phi <- F phi. Beyond the area's edge the next area begins."""
@@ -187,24 +183,23 @@ class CompressedState(KalmanState):
         self._phi -= done.gain_root.T @ seen  # (I - W H) phi
         return done
 
-    def augment(
-        self, landmark: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array
-    ) -> None:
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         """Add landmarks inside the area: rows G_x phi_v."""
-        entries = self._local.layout.size + np.arange(landmark.size)
-        self._local.augment(landmark, jacobian_pose, jacobian_z, noise)
+        entries = self._local.layout.size + np.arange(new.landmark.size)
+        self._local.augment(new, noise, kind)
         if self._passive:
-            self._phi = np.vstack((self._phi, jacobian_pose.reshape(-1, 3) @ self._phi[:3]))
-        self._present = self._present.appended(*landmark.shape)
+            through = new.jacobian_pose.reshape(-1, 3) @ self._phi[:3]
+            self._phi = np.vstack((self._phi, through))
+        self._present = self._present.appended(len(new.landmark), kind)
         self._entry = np.concatenate((self._entry, entries))
         self._fresh = False
 
-    def remove(self, landmark_index: Index, width: int = POINT) -> None:
+    def remove(self, landmark_index: Index, kind: LandmarkKind = POINT) -> None:
         """Marginalise landmarks of a kind out, after a global update; the area stays."""
         self._global_update()
-        gone = np.unique(self._layout.columns(landmark_index, width)[self._layout.pose_size :])
+        gone = np.unique(self._layout.columns(landmark_index, kind)[self._layout.pose_size :])
         active = np.setdiff1d(self._columns, gone)
-        super().remove(landmark_index, width)
+        super().remove(landmark_index, kind)
         self._activate(active - np.searchsorted(gone, active), self._centre, self._extent)
 
     def leave(self, reach_m: float = 0.0, *wanted: Index) -> None:
@@ -238,7 +233,7 @@ class CompressedState(KalmanState):
         """Add rows (m, a + 1) to psi; many are folded into as few as say the same."""
         self._learnt.append(rows)
         self._learnt_rows += len(rows)
-        if self._learnt_rows > FOLDED * rows.shape[1]:
+        if self._learnt_rows > machine.FOLDED * rows.shape[1]:
             self._learnt = [self._psi_root()]
             self._learnt_rows = len(self._learnt[0])
 
@@ -271,7 +266,7 @@ class CompressedState(KalmanState):
         little[self._columns] = False
         spared = np.flatnonzero(little)
         size, active = self._layout.size, len(self._columns)
-        if STRIP_COST * ((size - active) ** 2 - len(spared) ** 2) > size**2:
+        if machine.STRIP_COST * ((size - active) ** 2 - len(spared) ** 2) > size**2:
             spared = spared[:0]  # sparing so few costs more than the exact update
         self.updates.append(GlobalUpdate(size - active, active, len(spared)))
         self.merge(self._columns, self._local, self._phi, root, root @ learnt[:, -1], spared)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_reference.core import trace as records
+from ekf_reference.core.chart import Chart
 from ekf_reference.core.ekf import Ekf, PoseReading, Stabilisation, StepNoise
 from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.landmark_types import POINT, POSE, NewLandmarks, PredictedMeasurements
@@ -223,26 +224,33 @@ class FreePairState(KalmanState):
         return super().update(columns, jacobian, innovation, noise)
 
 
-class CircleState(KalmanState):
-    """Renormalises the pair after every update, so that it stays on the unit circle.
+class UnitCircle(Chart):
+    """Keeps the pair on the unit circle.
 
     The correction along the circle is taken as a turn by so much (its arctangent is what dividing
     by the length would give), so that the filter is exactly the one on x, y, heading. What points
     off the circle is dropped from mean and covariance.
     """
 
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        """Fuse, then go back to the circle."""
-        before = self.pose
-        done = super().update(columns, jacobian, innovation, noise)
-        after, tangent = self.pose, along_circle(before)
-        turn = float(tangent[2:, 2] @ (after[2:] - before[2:]))
-        after[2:] = rotation(turn) @ before[2:]
+    def plus(self, pose: Array, step: Array) -> Array:
+        """Turn by the step's part along the circle."""
+        after = pose + step
+        turn = float(along_circle(pose)[2:, 2] @ (after[2:] - pose[2:]))
+        after[2:] = rotation(turn) @ pose[2:]
         after[2:] /= np.hypot(after[2], after[3])
-        self.predict(after, along_circle(after) @ tangent.T, np.zeros((4, 4)))
-        return done
+        return after
+
+    def minus(self, pose: Array, other: Array) -> Array:
+        """Return the shortest turn as a step along the circle."""
+        cos, sin = rotation(math.atan2(other[3], other[2])).T @ pose[2:]
+        step = pose - other
+        step[2:] = math.atan2(sin, cos) * along_circle(other)[2:, 2]
+        return step
+
+    def reset(self, pose: Array, step: Array) -> Array:
+        """Turn the error along the circle with the pair, and drop the other."""
+        jacobian: Array = along_circle(self.plus(pose, step)) @ along_circle(pose).T
+        return jacobian
 
 
 @dataclass(frozen=True)
@@ -309,7 +317,10 @@ class DirectionCosineEkf(Ekf):
         own_axes = OwnAxesObservation(options.full_jacobian)
         self.models = {POINT: own_axes, POSE: PairRelativePose(self._unwrapped)}
         self.fixes = PositionFixes(DirectionCosinePosition())
-        self.state = (CircleState if self.renormalise else FreePairState)(pose, covariance)
+        if self.renormalise:
+            self.state = KalmanState(pose, covariance, UnitCircle())
+        else:
+            self.state = FreePairState(pose, covariance)
 
     def read_pose(self) -> PoseReading:
         """Return the pose now; its heading goes on from where it was read last, unwrapped."""

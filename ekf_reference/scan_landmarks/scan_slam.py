@@ -319,7 +319,7 @@ def predicted_frames(ekf: Ekf, landmark_index: Index) -> tuple[Array, Array]:
     at = ekf.models[POSE].predict(local.pose, local.landmark)
     h = np.concatenate((at.jacobian_pose, at.jacobian_landmark), axis=2)
     p = len(local.pose)
-    joint = np.empty((len(landmark_index), p + POSE, p + POSE))
+    joint = np.empty((len(landmark_index), p + POSE.width, p + POSE.width))
     joint[:, :p, :p], joint[:, p:, p:] = local.vehicle, local.own
     joint[:, :p, p:], joint[:, p:, :p] = local.cross, local.cross.transpose(0, 2, 1)
     return at.z, h @ joint @ h.transpose(0, 2, 1)

@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from graphslam.arrays import Array, Mask
 from graphslam.graph_builder import POSE_KEY, POSE_LANDMARK_KEY, build_graph, pose_landmarks_from
 from graphslam.initialisation import extension
+from graphslam.layout import Layout
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
@@ -278,7 +279,8 @@ class _Drive:
         self._values, *_ = levenberg_marquardt(graph, self._values, 1e-4, limit=5)
         here = self._values.atPose2(POSE_KEY + self._pose)
         keys = [POSE_KEY + self._pose, *range(POSE_LANDMARK_KEY, POSE_LANDMARK_KEY + known)]
-        local = joint_marginal(graph.linearize(self._values), keys, 3 + 3 * known).covariance
+        size = Layout(1, pose_landmarks=known).size
+        local = joint_marginal(graph.linearize(self._values), keys, size).covariance
         places = pose_landmarks_from(self._values, part)
         mean = np.concatenate(([here.x(), here.y(), here.theta()], places.ravel()))
         self._running_estimate = RunningEstimate(mean, to_global(local, here.theta(), places[:, 2]))

@@ -26,7 +26,7 @@ from comparisons.report.run import run_folder
 from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind, NewLandmarks
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.helpers import compared, simulated
@@ -116,10 +116,10 @@ def apart(one: EkfRun, other: EkfRun) -> float:
 class NoRows(CompressedState):
     """Broken: new pose landmarks know nothing of passive ones."""
 
-    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
-        super().augment(point, jacobian_pose, jacobian_z, noise)
-        if point.shape[1] == POSE:
-            self._phi[-point.size :] = 0.0
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
+        super().augment(new, noise, kind)
+        if kind == POSE:
+            self._phi[-new.landmark.size :] = 0.0
 
 
 @pytest.mark.slow
@@ -140,9 +140,9 @@ def test_the_compressed_filter_equals_the_full_one() -> None:
 class AtEveryScan(CompressedState):
     """Broken: asking who is near makes a global update."""
 
-    def within(self, reach_m: float, width: int = POINT) -> Index:
+    def within(self, reach_m: float, kind: LandmarkKind = POINT) -> Index:
         self._global_update()
-        return super().within(reach_m, width)
+        return super().within(reach_m, kind)
 
 
 @pytest.mark.slow

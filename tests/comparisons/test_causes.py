@@ -19,6 +19,7 @@ from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.compare import Comparison
 from comparisons.words import GAPS
 from ekf_reference.core.landmark_types import POSE
+from graphslam.layout import POINT
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import SlamProblem
 from tests.helpers import Array, compared, simulated
@@ -53,7 +54,7 @@ def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, Linearisatio
     points = LinearisationPoints(
         departed=poses,
         arrived=poses,
-        measurements={2: RelationPoints(np.array([0]), np.ones(1), poses[:1], landmark[None])},
+        measurements={POINT: RelationPoints(np.array([0]), np.ones(1), poses[:1], landmark[None])},
         merges={},
         position=NONE,
         position_weight=np.zeros(0),

@@ -17,6 +17,7 @@ from comparisons.checks.agreement import (
 )
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
+from ekf_reference.core.layout import Layout
 from graphslam.optimum import Optimality, Stationarity, chi_square_test
 from tests.helpers import compared, random_covariance, simulated
 
@@ -28,7 +29,7 @@ def comparison() -> Comparison:
 
 def gaussian(seed: int) -> Gaussian:
     rng = np.random.default_rng(seed)
-    return Gaussian(rng.standard_normal(7), random_covariance(rng, 7))
+    return Gaussian(rng.standard_normal(7), random_covariance(rng, 7), Layout.packed(3, 2))
 
 
 def test_a_gaussian_has_no_gap_to_itself() -> None:
@@ -42,8 +43,8 @@ def test_a_gaussian_has_no_gap_to_itself() -> None:
 
 def test_gaps_land_where_they_arise() -> None:
     e = gaussian(0)
-    shifted = Gaussian(e.mean + np.eye(7)[4], e.covariance)
-    wider = Gaussian(e.mean, 2.0 * e.covariance)
+    shifted = replace(e, mean=e.mean + np.eye(7)[4])
+    wider = replace(e, covariance=2.0 * e.covariance)
     sigma = np.sqrt(np.diag(e.covariance))
     assert np.isclose(compare(e, shifted, shifted, e).algebra.sigma, 1.0 / sigma[4])
     assert compare(e, shifted, shifted, e).model.sigma == 0.0
@@ -54,7 +55,7 @@ def test_gaps_land_where_they_arise() -> None:
 
 def test_headings_are_compared_on_the_circle() -> None:
     e = gaussian(0)
-    turned = Gaussian(e.mean + 2 * np.pi * np.eye(7)[2], e.covariance)
+    turned = replace(e, mean=e.mean + 2 * np.pi * np.eye(7)[2])
     assert compare(e, turned, e, e).algebra.sigma < 1e-12
 
 
@@ -63,9 +64,9 @@ def test_asymmetry_and_indefiniteness_are_gaps() -> None:
     skew = e.covariance.copy()
     skew[0, 5] += 0.1
     sigma = np.sqrt(np.diag(e.covariance))
-    assert gap(Gaussian(e.mean, skew), e, sigma).covariance > 1e-3
-    assert gap(e, Gaussian(e.mean, -e.covariance), sigma).covariance == float("inf")
-    assert not gap(Gaussian(e.mean * np.nan, e.covariance), e, sigma).within(1.0)
+    assert gap(replace(e, covariance=skew), e, sigma).covariance > 1e-3
+    assert gap(e, replace(e, covariance=-e.covariance), sigma).covariance == float("inf")
+    assert not gap(replace(e, mean=e.mean * np.nan), e, sigma).within(1.0)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from comparisons.pipeline.prepare import no_progress
 from comparisons.pipeline.references import EKF, ROBOCENTRIC, filter_named, variants
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.landmark_types import NewLandmarks
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
 from tests.ekf_reference.numerics import central_difference
 
@@ -170,7 +171,7 @@ def test_a_robocentric_update_is_one_in_the_vehicles_frame() -> None:
     state = RobocentricState(pose, 0.01 * root[:3, :3] @ root[:3, :3].T)
     by_pose, by_z = rng.normal(size=(2, 2, 3)), np.tile(np.eye(2), (2, 1, 1))
     noise = np.tile(0.02 * np.eye(2), (2, 1, 1))
-    state.augment(np.array(((6.0, 1.0), (2.0, 5.0))), by_pose, by_z, noise)
+    state.augment(NewLandmarks(np.array(((6.0, 1.0), (2.0, 5.0))), by_pose, by_z), noise)
     before, p = state.mean.copy(), state.covariance.copy()
     h, nu, r = rng.normal(size=(2, 7)), np.array((0.3, -0.2)), 0.05 * np.eye(2)
     state.update(np.arange(7), h, nu, r)

@@ -26,7 +26,7 @@ from ekf_reference.association.attributes import AttributeEstimates
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE, NewLandmarks
 from ekf_reference.core.measurements import MeasuredAttributes, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.layer_attributes import LayerAttributes
@@ -76,7 +76,7 @@ def two_poles_in_one_gate(value: float, nearer: int) -> tuple[KalmanState, Measu
     for y in (-0.3, 0.3):
         point = np.array(((10.0, y),))
         by_pose, by_point = np.zeros((1, 2, 3)), np.eye(2)[None]
-        state.augment(point, by_pose, by_point, 1e-6 * np.eye(2)[None])
+        state.augment(NewLandmarks(point, by_pose, by_point), 1e-6 * np.eye(2)[None])
     z = np.array(((10.0, 0.01 * (nearer - 0.5)),))
     seen = MeasuredAttributes(np.array(((np.nan, value),)), np.full((1, 2), SIGMA_COLOUR**2))
     return state, Measurements(

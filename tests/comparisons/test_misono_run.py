@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.settings import run_config
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour
+from ekf_reference.core.chart import Chart
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import Trace
 from tests.ekf_reference.filters.test_misono import CovarianceLeftBehind, DividedByLength
@@ -67,8 +69,9 @@ def test_a_waypoint_run_with_positions_has_no_gap() -> None:
         assert comparison.agreement.model.within(ROUNDING) is (name == "misono-full")
 
 
-@pytest.mark.parametrize("state", [DividedByLength, CovarianceLeftBehind])
-def test_other_ways_back_to_the_circle_are_rejected(log: Log, state: type[KalmanState]) -> None:
+@pytest.mark.parametrize("chart", [DividedByLength(), CovarianceLeftBehind()])
+def test_other_ways_back_to_the_circle_are_rejected(log: Log, chart: Chart) -> None:
+    state = partial(KalmanState, chart=chart)
     comparison = compared(log, Modified(with_state(state)), filter="misono-full")
     assert not comparison.agreement.algebra.within(ROUNDING)
 

@@ -10,11 +10,12 @@ import pytest
 
 from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import POSE
+from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind, NewLandmarks
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
+from graphslam import layout as graph
 from graphslam.arrays import Marginal
 from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
@@ -57,7 +58,9 @@ class Chain:
 
     def solve(self, linear: LinearProblem) -> Marginal:
         poses = np.vstack((self.trace.departed, self.ekf.state.pose))
-        return solve(linear, poses, self.ekf.state.landmarks, self.ekf.state.places(POSE))
+        state = self.ekf.state
+        places = {graph.POINT: state.landmarks, graph.POSE_LANDMARK: state.places(POSE)}
+        return solve(linear, poses, places)
 
     def recorded(self) -> Marginal:
         """F1."""
@@ -164,10 +167,10 @@ def test_parts_of_an_update_are_replayed() -> None:
 class NoCross(KalmanState):
     """New pose landmarks know the vehicle but not the map."""
 
-    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         n = self._layout.size
-        super().augment(point, jacobian_pose, jacobian_z, noise)
-        if point.shape[1] == POSE:
+        super().augment(new, noise, kind)
+        if kind == POSE:
             self._covariance[3:n, n : self._layout.size] = 0.0
             self._covariance[n : self._layout.size, 3:n] = 0.0
 
@@ -175,12 +178,12 @@ class NoCross(KalmanState):
 class Conditioned(KalmanState):
     """Removal as if the place of what is removed were known."""
 
-    def remove(self, landmark_index: np.ndarray, width: int = 2) -> None:
-        local = self.map_of(landmark_index, width)
+    def remove(self, landmark_index: np.ndarray, kind: LandmarkKind = POINT) -> None:
+        local = self.map_of(landmark_index, kind)
         own = local.columns[3:]
         rows = np.eye(len(local.columns))[3:]
         self.update(local.columns, rows, np.zeros(len(own)), 1e-8 * np.eye(len(own)))
-        super().remove(landmark_index, width)
+        super().remove(landmark_index, kind)
 
 
 @pytest.mark.parametrize("model", [Flipped, Unwrapped])

@@ -76,7 +76,7 @@ class Frames:
             if self.by_ledger:
                 landmark_index = recorder.observe(ekf, epoch, z, r, landmark_index)
             else:
-                landmark_index = ekf.observe_known(z, r, landmark_index)
+                landmark_index = ekf.observe_known(z, r, landmark_index, POSE)
             self.landmark_index.update(zip(which, landmark_index.tolist(), strict=True))
         if epoch == FUSE_AT:
             z = self.measured(self.frames[0], self.frames[1])
@@ -97,9 +97,9 @@ def chain(choices: EkfConfig, modify: Callable[[Ekf], None]) -> tuple[EkfRun, Ag
     ids = run.estimate.landmark_id
     smoothed = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
     assert np.array_equal(smoothed.pose_landmark_id, run.estimate.pose_landmark_id)
-    count = len(smoothed.pose_landmarks)
-    ends = [Gaussian(e.joint_mean, e.joint_covariance, count) for e in (run.estimate, smoothed)]
-    return run, compare(ends[0], Gaussian(*recorded, count), Gaussian(*own, count), ends[1])
+    ends = [Gaussian.of(one) for one in (run.estimate, smoothed)]
+    f1, f2 = (Gaussian(*one, ends[0].layout) for one in (recorded, own))
+    return run, compare(ends[0], f1, f2, ends[1])
 
 
 def _compress(ekf: Ekf) -> None:

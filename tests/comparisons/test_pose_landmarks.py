@@ -15,6 +15,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import read_estimate, write_estimate
+from ekf_reference.core.layout import Layout
 from ekf_reference.core.state import KalmanState
 from tests.comparisons.test_pose_landmark_chain import Conditioned, NoCross
 from tests.ekf_reference.both_kinds import PRIOR, Script, build, drive
@@ -83,7 +84,7 @@ def test_a_file_without_its_covariance_is_told(tmp_path: Path) -> None:
 def test_landmarks_with_a_direction_are_blocks_of_three() -> None:
     rng = np.random.default_rng(1)
     covariance = random_covariance(rng, 13)
-    e = Gaussian(rng.standard_normal(13), covariance, 2)
+    e = Gaussian(rng.standard_normal(13), covariance, Layout.packed(3, 2, 2))
     turned = replace(e, mean=e.mean + 2.0 * np.pi * (np.eye(13)[9] - np.eye(13)[12]))
     same = compare(e, turned, e, turned)
     assert len(same.landmarks) == 2
@@ -105,9 +106,9 @@ def test_landmarks_with_a_direction_are_blocks_of_three() -> None:
 
 
 def test_different_kinds_are_not_compared() -> None:
-    e = Gaussian(np.zeros(9), np.eye(9))
-    with pytest.raises(ValueError, match="0 pose landmarks compared with 2"):
-        compare(e, e, e, replace(e, pose_landmarks=2))
+    e = Gaussian(np.zeros(9), np.eye(9), Layout.packed(3, 3))
+    with pytest.raises(ValueError, match="3 point landmarks compared with 0"):
+        compare(e, e, e, replace(e, layout=Layout.packed(3, 0, 2)))
 
 
 @pytest.mark.parametrize(

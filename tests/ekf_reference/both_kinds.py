@@ -147,7 +147,7 @@ class _Tour:
         places = [relative(self.made.truth, FRAMES[i]) for i in which]
         z = np.array([at + self.draw(c) for at, c in zip(places, r, strict=True)])
         landmark_index = np.array([self.made.known.get(i, NEW) for i in which], dtype=np.intp)
-        found = self.ekf.observe_known(z, r, landmark_index).tolist()
+        found = self.ekf.observe_known(z, r, landmark_index, POSE).tolist()
         self.made.known.update(zip(which, found, strict=True))
         self.made.seen += [(k, s, at, c) for s, at, c in zip(found, z, r, strict=True)]
 

@@ -27,7 +27,7 @@ def replay(trace: TraceArrays) -> Gaussian:
     covariance is formed before the end. Landmarks must not have been removed.
     """
     p, steps = len(trace.prior_pose), len(trace.departed)
-    size = p + POINT * len(np.unique(trace.initialisations[POINT].landmark_index))
+    size = p + POINT.width * len(np.unique(trace.initialisations[POINT].landmark_index))
     root = _Root(size)
     root.add(np.eye(p, size), trace.prior_pose, trace.prior_covariance)
     for k in range(steps + 1):
@@ -45,7 +45,7 @@ def replay(trace: TraceArrays) -> Gaussian:
                 root.add(*_measurement(records, int(row), size, begins=begins))
         fixes = trace.positions
         for row in np.flatnonzero(fixes.step == k):
-            jacobian = np.zeros((POINT, size))
+            jacobian = np.zeros((POINT.width, size))
             jacobian[:, :p] = fixes.jacobian_pose[row]
             value = fixes.innovation[row] + jacobian[:, :p] @ fixes.pose[row]
             root.add(jacobian, value, fixes.noise[row])
@@ -85,9 +85,9 @@ def _measurement(
     noise, value = records.noise[row], records.innovation[row]
     by_landmark = other
     if begins:  # l - G_x x = landmark - G_x pose + G_z v
-        by_pose, by_landmark, noise = -by_pose, np.eye(POINT), other @ noise @ other.T
-    columns: Index = len(pose) + POINT * records.landmark_index[row] + np.arange(POINT)
-    jacobian = np.zeros((POINT, size))
+        by_pose, by_landmark, noise = -by_pose, np.eye(POINT.width), other @ noise @ other.T
+    columns: Index = len(pose) + POINT.width * records.landmark_index[row] + np.arange(POINT.width)
+    jacobian = np.zeros((POINT.width, size))
     jacobian[:, : len(pose)], jacobian[:, columns] = by_pose, by_landmark
     return jacobian, value + by_pose @ pose + by_landmark @ landmark, noise
 

@@ -8,7 +8,8 @@ import gtsam
 import numpy as np
 
 from graphslam.arrays import Marginal
-from graphslam.graph_builder import POINT, POSE_LANDMARK, right_perturbation
+from graphslam.graph_builder import right_perturbation
+from graphslam.layout import POINT, POSE_LANDMARK
 from graphslam.linear_problem import solve
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import Merges, PoseLandmarkMeasurements, SlamProblem
@@ -60,7 +61,8 @@ def linearised(problem: SlamProblem, poses: Array, landmarks: Array, frames: Arr
         position_weight=np.zeros(0),
         position_pose=np.zeros((0, 3)),
     )
-    return solve(model_system(problem, points), poses, landmarks, frames)
+    places = {POINT: landmarks, POSE_LANDMARK: frames}
+    return solve(model_system(problem, points), poses, places)
 
 
 def headings(result: SmootherResult) -> Index:

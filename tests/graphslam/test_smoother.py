@@ -15,6 +15,7 @@ from graphslam.graph_builder import (
     to_tangent,
     to_values,
 )
+from graphslam.layout import POINT
 from graphslam.linear_problem import solve
 from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global
 from graphslam.optimum import (
@@ -204,9 +205,9 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
         np.zeros((0, 2, 2)),
     )
     linear = recorded_system(
-        RecordedPrior(x0, p0), motion, np.array((0, 1)), {2: measurements}, {}, nothing
+        RecordedPrior(x0, p0), motion, np.array((0, 1)), {POINT: measurements}, {}, nothing
     )
-    frozen = solve(linear, np.array((x0, x1)), l0[None])
+    frozen = solve(linear, np.array((x0, x1)), {POINT: l0[None]})
     assert relative_error(frozen.mean, mean) < 1e-10
     assert relative_error(frozen.covariance, covariance) < 1e-10
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 import graphslam.spurious as module
 from graphslam.arrays import Array, conditional_covariance
+from graphslam.layout import POINT, POSE_LANDMARK
 from graphslam.linear_problem import (
     LinearPositions,
     LinearPrior,
@@ -69,7 +70,7 @@ def problem(
     return LinearProblem(
         prior=LinearPrior(poses[0], 1e6 * np.eye(3)),
         motion=relations(np.arange(count - 1), np.arange(1, count), back, forward),
-        measurements={2: relations(pose, landmark, a, c)},
+        measurements={POINT: relations(pose, landmark, a, c)},
         merges={},
         positions=LinearPositions(
             np.array([3]), np.zeros((1, 3)), 1e3 * np.ones((1, 2, 3)), np.ones((1, 2))
@@ -90,10 +91,10 @@ def world(*, every: int = 1, seed: int | None = None) -> LinearProblem:
 
 def least_squares(linear: LinearProblem, direction: Array, root: Array) -> float:
     """Least cost of alpha = 1, from one dense matrix; the first pose's error is N + root w."""
-    k, n = len(linear.motion.first) + 1, int(linear.measurements[2].second.max()) + 1
+    k, n = len(linear.motion.first) + 1, int(linear.measurements[POINT].second.max()) + 1
     p = len(direction)
     rows = [np.hstack((np.eye(p), np.zeros((p, p * (k - 1) + 2 * n + 1))))]
-    blocks = ((linear.motion, 0, p, True), (linear.measurements[2], p * k, 2, False))
+    blocks = ((linear.motion, 0, p, True), (linear.measurements[POINT], p * k, 2, False))
     for r, base, width, _ in blocks:
         for i, j, a, c in zip(r.first, r.second, r.a, r.c, strict=True):
             row = np.zeros((len(c), p * k + 2 * n + 1))
@@ -124,7 +125,7 @@ def test_one_landmark_seen_twice_by_hand() -> None:
     found = information_about_start(linear, TURN, NOTHING, NO_MERGES)
     assert np.isclose(found.total, 0.2**2 / (3 * 0.1**2), rtol=1e-9)
     assert found.largest is not None
-    assert found.largest[1:] == (1, 0, 2)
+    assert found.largest[1:] == (1, 0, "point")
 
 
 @pytest.mark.parametrize("parts", [1, 3, 100])
@@ -142,9 +143,9 @@ def test_the_total_is_that_of_least_squares_however_it_is_divided(
 def until(linear: LinearProblem, k: int, count: int) -> LinearProblem:
     """The motion up to pose k, and the first measurements."""
     steps = {name: column[:k] for name, column in vars(linear.motion).items()}
-    columns = {name: column[:count] for name, column in vars(linear.measurements[2]).items()}
+    columns = {name: column[:count] for name, column in vars(linear.measurements[POINT]).items()}
     motion, seen = LinearRelations(**steps), LinearRelations(**columns)
-    return replace(linear, motion=motion, measurements={2: seen})
+    return replace(linear, motion=motion, measurements={POINT: seen})
 
 
 def test_what_was_gained_until_a_pose_is_what_the_log_until_there_holds() -> None:
@@ -165,7 +166,7 @@ def test_the_largest_gain_is_that_of_its_measurement(seed: int) -> None:
     held = [least_squares(until(linear, k, count), TURN, NOTHING) for count in counts]
     gains = np.diff(held)
     assert found.largest is not None
-    assert found.largest[1:] == (k, int(gains.argmax()), 2)
+    assert found.largest[1:] == (k, int(gains.argmax()), "point")
     assert np.isclose(found.largest.information, gains.max(), rtol=1e-8)
 
 
@@ -179,7 +180,7 @@ def test_at_the_truth_nothing_is_learnt_and_one_wrong_point_is_found() -> None:
     found = information_about_start(wrong, TURN, NOTHING, NO_MERGES)
     assert found.total > 1.0
     assert found.largest is not None
-    assert found.largest[1:] == (7, 2, 2)
+    assert found.largest[1:] == (7, 2, "point")
     assert found.gained[:7].sum() < 1e-15  # and nothing before it
     assert found.largest.information > 0.5 * found.total
 
@@ -190,7 +191,7 @@ def test_what_is_learnt_at_once_is_found_at_the_start() -> None:
     linear = problem(POSES[:3], seen, LANDMARKS, off={1: np.array([0.3, 0.0])})
     found = information_about_start(linear, TURN, NOTHING, NO_MERGES)
     assert found.largest is not None
-    assert found.largest[1:] == (0, 0, 2)
+    assert found.largest[1:] == (0, 0, "point")
     assert np.isclose(found.gained[0], 0.3**2 / (2 * 0.1**2), rtol=1e-9)
 
 
@@ -224,8 +225,11 @@ def test_landmarks_that_are_one_tell_of_each_other() -> None:
         same[:2, 2] = J @ np.array([off, 0.0])
         linear = replace(
             linear,
-            measurements={2: linear.measurements[2], 3: relations([0, 2], [0, 1], 10 * a, 10 * c)},
-            merges={3: relations([0], [1], -same[None], np.eye(3)[None])},
+            measurements={
+                POINT: linear.measurements[POINT],
+                POSE_LANDMARK: relations([0, 2], [0, 1], 10 * a, 10 * c),
+            },
+            merges={POSE_LANDMARK: relations([0], [1], -same[None], np.eye(3)[None])},
         )
         return information_about_start(linear, TURN, NOTHING, np.array([2])).total
 
@@ -235,11 +239,13 @@ def test_landmarks_that_are_one_tell_of_each_other() -> None:
 
 def test_a_state_that_nothing_fixes_is_refused() -> None:
     linear = world()
-    c = linear.measurements[2].c.copy()
+    c = linear.measurements[POINT].c.copy()
     c[:, 1] = 0.0
-    blind = replace(linear.measurements[2], c=c)
+    blind = replace(linear.measurements[POINT], c=c)
     with pytest.raises(SingularProblemError):
-        information_about_start(replace(linear, measurements={2: blind}), TURN, NOTHING, NO_MERGES)
+        information_about_start(
+            replace(linear, measurements={POINT: blind}), TURN, NOTHING, NO_MERGES
+        )
 
 
 def test_the_conditional_covariance_is_the_limit_for_a_singular_one() -> None:

@@ -7,16 +7,17 @@ import numpy as np
 from comparisons.adapters.defects.defect import Defect, with_state
 from comparisons.arrays import Array
 from ekf_reference.core.geometry import Index
+from ekf_reference.core.landmark_types import POINT, LandmarkKind, NewLandmarks
 from ekf_reference.core.state import Correction, KalmanState
 
 
 class NoCrossAtAugmentation(KalmanState):
     """New landmarks know the vehicle but not the map."""
 
-    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         """Append, then forget."""
         n = self._layout.size
-        super().augment(point, jacobian_pose, jacobian_z, noise)
+        super().augment(new, noise, kind)
         self._covariance[3:n, n : self._layout.size] = 0.0
         self._covariance[n : self._layout.size, 3:n] = 0.0
 
@@ -24,10 +25,10 @@ class NoCrossAtAugmentation(KalmanState):
 class NoVehicleAtAugmentation(KalmanState):
     """New landmarks know the map but not the vehicle."""
 
-    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         """Append, then forget."""
         n = self._layout.size
-        super().augment(point, jacobian_pose, jacobian_z, noise)
+        super().augment(new, noise, kind)
         self._covariance[:3, n : self._layout.size] = 0.0
         self._covariance[n : self._layout.size, :3] = 0.0
 
@@ -105,10 +106,10 @@ class IndependentLandmarks(KalmanState):
     ) -> Correction:
         """Update, then forget what ties landmarks together."""
         done = super().update(columns, jacobian, innovation, noise)
-        for width, first in self._layout.first.items():
+        for kind, first in self._layout.first.items():
             for at in first.tolist():
-                self._covariance[at : at + width, 3:at] = 0.0
-                self._covariance[3:at, at : at + width] = 0.0
+                self._covariance[at : at + kind.width, 3:at] = 0.0
+                self._covariance[3:at, at : at + kind.width] = 0.0
         return done
 
 

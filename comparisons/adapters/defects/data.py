@@ -127,7 +127,7 @@ class SeenTwice(Ekf):
     ) -> Index:
         """Once, and again."""
         landmark_indices = super().observe(z, sigma, identity, time_s, attributes)
-        self.take_numbers(POINT, -len(landmark_indices))
+        self.take_numbers(POINT.name, -len(landmark_indices))
         super().observe(z, sigma, identity, time_s, attributes)
         return landmark_indices
 

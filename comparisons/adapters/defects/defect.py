@@ -76,7 +76,7 @@ class OtherMotion:
         return self.sound.step(pose, control, duration_s)
 
 
-def with_state(state: type[KalmanState]) -> Plant:
+def with_state(state: Callable[[Array, Array], KalmanState]) -> Plant:
     """Another keeper of mean and covariance."""
 
     def plant(ekf: Ekf) -> None:

@@ -16,6 +16,7 @@ from comparisons.checks.accuracy import match_landmarks
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.logs.log import Log
 from comparisons.statistics import Normalised, normalise
+from ekf_reference.core.blocks import block_diagonal
 from ekf_reference.core.geometry import wrap_angle
 
 _LEAST_SIGMAS = 5.0
@@ -160,10 +161,9 @@ def _map_errors(estimate: Estimate, log: Log, labelled: bool) -> MapErrors | Non
     last = estimate.pose[-1]
     if poses is not None and with_pose:
         last = poses.at(np.array([end_s]))[0]
-    state = np.concatenate((np.arange(3), (3 + 2 * ours[:, None] + (0, 1)).ravel()))
+    state = estimate.layout.columns(ours)
     doubt = np.zeros((len(state), len(state)))
-    for i, block in enumerate(table.covariance[theirs]):
-        doubt[3 + 2 * i : 5 + 2 * i, 3 + 2 * i : 5 + 2 * i] = block
+    doubt[3:, 3:] = block_diagonal(table.covariance[theirs])
     return map_errors(
         estimate.joint_mean[state],
         estimate.joint_covariance[np.ix_(state, state)],

@@ -10,7 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.landmark_types import POINT, LandmarkKind, NewLandmarks
 from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.filters.compressed import CompressedState
 
@@ -83,22 +83,20 @@ class WatchedState:
         self._compare("the update", sound, v, n)
         return done
 
-    def augment(
-        self, landmark: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array
-    ) -> None:
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         """Append landmarks, twice."""
         sound = self._copy()
         v, n = len(sound.pose), len(sound.mean)
-        sound.augment(landmark, jacobian_pose, jacobian_z, noise)
-        self._state.augment(landmark, jacobian_pose, jacobian_z, noise)
+        sound.augment(new, noise, kind)
+        self._state.augment(new, noise, kind)
         self._compare("the landmark initialisation", sound, v, n)
 
-    def remove(self, landmark_index: Index, width: int = POINT) -> None:
+    def remove(self, landmark_index: Index, kind: LandmarkKind = POINT) -> None:
         """Marginalise landmarks out, and compare with the marginal."""
-        v, gone = len(self._state.pose), self._state.layout.columns(landmark_index, width)
+        v, gone = len(self._state.pose), self._state.layout.columns(landmark_index, kind)
         kept = np.setdiff1d(np.arange(len(self._state.mean)), gone[v:])
         sound = self._state.part(kept)
-        self._state.remove(landmark_index, width)
+        self._state.remove(landmark_index, kind)
         self._compare("the removal", sound, v, len(kept))
 
     def differences(self) -> tuple[AlgebraDifference, ...]:

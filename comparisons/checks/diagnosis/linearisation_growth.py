@@ -15,7 +15,7 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from ekf_reference.core.geometry import wrap_angle
-from graphslam.graph_builder import POINT, POSE_LANDMARK
+from graphslam.layout import POINT, POSE_LANDMARK
 from graphslam.linear_problem import LinearProblem, LinearRelations, times
 
 
@@ -71,13 +71,13 @@ def linearisation_growth(
     every = [
         replace(steps, epoch=frozen.motion.second, landmark_index=np.full(len(steps.epoch), -1))
     ]
-    for width, kind, landmarks in (
+    for kind, name, landmarks in (
         (POINT, "a measurement", smoothed.landmark),
         (POSE_LANDMARK, "a template alignment", smoothed.pose_landmarks),
     ):
-        if width in frozen.measurements:
-            seen = frozen.measurements[width], optimum.measurements[width]
-            every.append(_relations(kind, *seen, poses, landmarks))
+        if kind in frozen.measurements:
+            seen = frozen.measurements[kind], optimum.measurements[kind]
+            every.append(_relations(name, *seen, poses, landmarks))
     every.append(_positions(frozen, optimum, poses))
     squared = np.zeros(len(poses))
     for one in every:

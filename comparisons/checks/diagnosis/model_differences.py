@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from ekf_reference.filters.misono import along_circle
-from graphslam.graph_builder import POINT, POSE_LANDMARK
+from graphslam.layout import POINT, POSE_LANDMARK
 from graphslam.linear_problem import (
     LinearPositions,
     LinearPrior,
@@ -77,16 +77,16 @@ def model_differences(
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
-        width: (
-            _of_relations(_first(recorded.measurements[width], len(seen.b))),
+        kind: (
+            _of_relations(_first(recorded.measurements[kind], len(seen.b))),
             _of_relations(seen),
         )
-        for width, seen in own.measurements.items()
+        for kind, seen in own.measurements.items()
     }
     positions = _of_positions(recorded.positions), _of_positions(own.positions)
     merges = {
-        width: (_of_relations(recorded.merges[width]), _of_relations(merged))
-        for width, merged in own.merges.items()
+        kind: (_of_relations(recorded.merges[kind]), _of_relations(merged))
+        for kind, merged in own.merges.items()
     }
     kinds = (
         ("predictions", "the predicted pose", *steps),

@@ -20,6 +20,7 @@ from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
 from comparisons.estimates.stored_precision import SINGLE, restored
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.layout import Layout
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
 
 _DRAWS = 5
@@ -110,7 +111,8 @@ class Replay:
 
 def replay(trace: TraceArrays, until: Index, landmarks: int, dtype: type) -> Replay:
     """Filter the recorded equations in a precision. until: (K,) steps made at each epoch."""
-    n = 3 + 2 * landmarks
+    layout = Layout.packed(3, landmarks)
+    n = layout.size
     x: Array = np.zeros(n, dtype)
     p: Array = np.zeros((n, n), dtype)
     x[:3], p[:3, :3] = trace.prior_pose, trace.prior_covariance
@@ -130,18 +132,22 @@ def replay(trace: TraceArrays, until: Index, landmarks: int, dtype: type) -> Rep
         for kind, records in enumerate(batches):
             last = int(np.searchsorted(records.step, step, side="right"))
             for row in range(next_row[kind], last):
-                x, p = (_augmented if kind == 1 else _updated)(x, p, records, row)
+                seen = records.landmark_index[row : row + 1]
+                columns = layout.columns(seen[seen >= 0])
+                x, p = (_augmented if kind == 1 else _updated)(x, p, records, row, columns)
             next_row[kind] = last
         poses.append(x[:3].astype(np.float64))
         spreads.append(p[:3, :3].astype(np.float64))
     return Replay(
-        np.array(poses), np.array(spreads), Gaussian(x.astype(np.float64), p.astype(np.float64))
+        np.array(poses),
+        np.array(spreads),
+        Gaussian(x.astype(np.float64), p.astype(np.float64), layout),
     )
 
 
-def _updated(x: Array, p: Array, r: MeasurementRecords, row: int) -> tuple[Array, Array]:
-    at = 3 + 2 * int(r.landmark_index[row])
-    columns = np.array([0, 1, 2, at, at + 1] if r.landmark_index[row] >= 0 else [0, 1, 2])
+def _updated(
+    x: Array, p: Array, r: MeasurementRecords, row: int, columns: Index
+) -> tuple[Array, Array]:
     point = np.concatenate((r.pose[row], r.landmark[row])).astype(x.dtype)
     h = np.concatenate((r.jacobian_pose[row], r.jacobian_other[row]), axis=1).astype(x.dtype)
     nu = r.innovation[row].astype(x.dtype) - h @ (x[columns] - point)
@@ -151,9 +157,10 @@ def _updated(x: Array, p: Array, r: MeasurementRecords, row: int) -> tuple[Array
     return x + w @ nu, p - w @ ph.T
 
 
-def _augmented(x: Array, p: Array, r: MeasurementRecords, row: int) -> tuple[Array, Array]:
-    at = 3 + 2 * int(r.landmark_index[row])
-    new = slice(at, at + 2)
+def _augmented(
+    x: Array, p: Array, r: MeasurementRecords, row: int, columns: Index
+) -> tuple[Array, Array]:
+    new = slice(columns[3], columns[-1] + 1)
     g_x, g_z, noise = (
         array[row].astype(x.dtype) for array in (r.jacobian_pose, r.jacobian_other, r.noise)
     )

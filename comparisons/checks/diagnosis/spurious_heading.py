@@ -98,7 +98,7 @@ def spurious_heading(problem: LinearProblem, run: EkfRun) -> SpuriousHeading | N
     if (most := found.largest) is not None and most.information > _ROUNDING:
         largest = LargestShare(
             float(time_s[most.epoch]),
-            _landmark(run, most.landmark_index, most.width),
+            _landmark(run, most.landmark_index, most.kind),
             most.information,
         )
     return SpuriousHeading(
@@ -109,10 +109,10 @@ def spurious_heading(problem: LinearProblem, run: EkfRun) -> SpuriousHeading | N
     )
 
 
-def _landmark(run: EkfRun, landmark_index: int, width: int) -> str:
-    if width == POINT:
+def _landmark(run: EkfRun, landmark_index: int, kind: str) -> str:
+    if kind == POINT.name:
         return f"landmark {run.estimate.landmark_id[landmark_index]}"
-    return f"scan landmark {landmark_index}" if width == POSE else ""
+    return f"scan landmark {landmark_index}" if kind == POSE.name else ""
 
 
 def _start(trace: TraceArrays) -> tuple[Array, Array]:
@@ -128,9 +128,10 @@ def _start(trace: TraceArrays) -> tuple[Array, Array]:
 def _measured(problem: LinearProblem, trace: TraceArrays) -> LinearProblem:
     """Leave out what holds of landmarks before they are measured: the last relations of F1."""
     measurements = {}
-    for width, seen in problem.measurements.items():
-        boundless = int(np.count_nonzero(trace.initialisations[width].weight <= 0.0))
-        measurements[width] = _first(seen, len(seen.first) - boundless)
+    initialised = {kind.name: records for kind, records in trace.initialisations.items()}
+    for kind, seen in problem.measurements.items():
+        boundless = int(np.count_nonzero(initialised[kind.name].weight <= 0.0))
+        measurements[kind] = _first(seen, len(seen.first) - boundless)
     return replace(problem, measurements=measurements)
 
 

@@ -14,6 +14,7 @@ from comparisons.errors import InputError
 from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import Array
+from ekf_reference.core.layout import Layout
 from ekf_reference.dense.decorrelation import (
     Correlations,
     Displacements,
@@ -90,7 +91,8 @@ class Snapshot:
 
     def among(self, *landmark_index: int) -> Array:
         """(2 k, 2 k) covariance of k landmarks, in this order."""
-        columns = (3 + 2 * np.array(landmark_index)[:, None] + np.arange(2)).ravel()
+        layout = Layout.packed(3, len(self.landmark))
+        columns = layout.columns(np.array(landmark_index))[3:]
         return self.covariance[np.ix_(columns, columns)]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.experiments.variants.batch_models import rotated, turned
 from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.layout import Layout
 
 
 def measured(matrix: Array, lever: Array | None, landmark_index: Index, x: Array) -> Array:
@@ -33,7 +34,7 @@ class BatchState:
 
     def __init__(self, pose: Array, covariance: Array, runs: int, capacity: int) -> None:
         """Start: pose (3,), covariance (3, 3), the same for all runs. capacity: most landmarks."""
-        size = 3 + 2 * capacity
+        size = Layout.packed(3, capacity).size
         self._mean = np.zeros((runs, size))
         self._covariance = np.zeros((runs, size, size))
         self._mean[:, :3], self._covariance[:, :3, :3] = pose, covariance

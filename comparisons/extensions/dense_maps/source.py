@@ -21,7 +21,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.prepare import Clock
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, flip_margin
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
@@ -114,13 +114,13 @@ class BeforeClosing:
 class DenseRun:
     """A dense map and how it came about.
 
-    kinds: of landmarks that its regions are anchored to, by width; places in the map are numbers
+    kinds: of landmarks that its regions are anchored to; places in the map are numbers
     (dense.view.numbered). scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the vehicle
     then. scans: the log's. landmark: (L, 2) where the filter has them in the end. clock: of
     regions and of scans.
     """
 
-    kinds: tuple[int, ...]
+    kinds: tuple[LandmarkKind, ...]
     options: DenseMapsConfig
     dense: DenseMap
     scans: PlanarScans
@@ -141,10 +141,11 @@ class DenseRun:
 
     def landmarks_of(self, estimate: Estimate) -> Array:
         """(L, 2) [m] the map's landmarks as an estimate has them, NaN where it has them not."""
-        pose_landmarks = np.full((int(estimate.pose_landmark_id.max(initial=-1)) + 1, POSE), np.nan)
+        count = int(estimate.pose_landmark_id.max(initial=-1)) + 1
+        pose_landmarks = np.full((count, POSE.width), np.nan)
         pose_landmarks[estimate.pose_landmark_id] = estimate.pose_landmarks
         each = {POINT: estimate.landmark, POSE: pose_landmarks}
-        known = by_number([each[width] for width in self.kinds])
+        known = by_number([each[kind] for kind in self.kinds])
         place = np.full_like(self.landmark, np.nan)
         place[: len(known)] = known[: len(place)]
         return place
@@ -167,9 +168,9 @@ class DenseWatcher:
         self,
         log: Log,
         options: DenseMapsConfig,
-        kinds: tuple[int, ...] = (POINT,),
+        kinds: tuple[LandmarkKind, ...] = (POINT,),
     ) -> None:
-        """kinds: of landmarks that regions are anchored to, by width (Nieto 2005, section 6.2).
+        """kinds: of landmarks that regions are anchored to (Nieto 2005, section 6.2).
 
         Raises InputError.
         """
@@ -246,7 +247,7 @@ class DenseWatcher:
         """Take in what was scanned at the very end."""
         while self._due(time_s + CLOCK_S):
             self._insert(FilterView.of(ekf, self._kinds))
-        landmark = by_number([ekf.state.places(width) for width in self._kinds])
+        landmark = by_number([ekf.state.places(kind) for kind in self._kinds])
         self._dense.place(replace(FilterView.of(ekf, self._kinds), landmark=landmark))
 
     def is_dynamic(self, point: Array) -> NDArray[np.bool_]:

@@ -23,6 +23,8 @@ from comparisons.pipeline.prepare import Prepared
 from comparisons.report.rows import accuracy_rows
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.layout import Layout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -175,8 +177,8 @@ def cloud_estimate(cloud: Cloud, time_s: Array) -> Estimate:
     own = np.where(has[..., None], slam.maps.covariance[:, columns], mixture.covariance[held])
     apart = np.hstack((pose - weight @ pose, (place - mean).reshape(len(pose), -1)))
     joint = np.einsum("n,ni,nj->ij", weight, apart, apart)
-    for k, block in enumerate(np.einsum("n,nlij->lij", weight, own)):
-        joint[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] += block
+    entry = Layout.packed(3, len(number)).first[POINT][:, None] + np.arange(POINT.width)
+    joint[entry[:, :, None], entry[:, None]] += np.einsum("n,nlij->lij", weight, own)
     return Estimate(
         time_s=time_s,
         pose=cloud.mean,

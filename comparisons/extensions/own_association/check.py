@@ -68,7 +68,7 @@ def check_own_association(
     filters, own = landmark_indices
     first, second = counterparts(filters, own)
     apart = smoothed.landmark[first] - estimate.landmark[second]
-    poses = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
+    poses = [Gaussian.of_pose(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
     matched = np.full(len(estimate.landmark), -1, dtype=np.intp)
     matched[second] = first
     differing = differing_measurements(filters, own, matched)

@@ -8,7 +8,7 @@ against that sum. A shift that all have in common is held against how much they 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2, f
@@ -145,8 +145,8 @@ def check_own_matching(
     sound = ~np.isin(landmark_index, wrong if 2 * len(wrong) < len(landmarks) else [])
     initialised = tuple(ones.count for ones in (filters, own))
     path = [e.pose[:, :2] - estimate.pose[:, :2] for e in (ekf, smoothed)]
-    last = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
-    both = Gaussian(last[1].mean, last[0].covariance + last[1].covariance)
+    last = [Gaussian.of_pose(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
+    both = replace(last[1], covariance=last[0].covariance + last[1].covariance)
     shift, squared_shift, freedom = common_shift(
         landmark_index[sound], difference[sound], information[sound]
     )

@@ -37,7 +37,7 @@ from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
 LANDMARKS = {"scans": (POSE,), "both": (POINT, POSE)}
-"""Kinds of landmarks that regions of a dense map are anchored to, by width."""
+"""Kinds of landmarks that regions of a dense map are anchored to."""
 EXTRACTION: Mapping[str, TemplateExtraction] = {
     "whole-scan": JoinedSegments(),
     "per-segment": SingleSegments(),

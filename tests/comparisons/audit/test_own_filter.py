@@ -22,6 +22,7 @@ from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.trace.events import Augment, Directions, Event, Remove, Snapshot, Update
 from comparisons.trace.reader import Trace
+from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import KalmanState
 from tests.comparisons.test_initialisation_run import initialised_boundless
 from tests.comparisons.test_known_landmarks import with_survey
@@ -142,7 +143,7 @@ def test_what_was_fused_together_is_one_update() -> None:
     run = sound().ekf
     updates = [e for e in run_events(run) if isinstance(e, Update)]
     assert len({e.time_s for e in updates}) == len(updates)
-    assert sum(len(e.residual) for e in updates) == run.trace.measurements[2].innovation.size
+    assert sum(len(e.residual) for e in updates) == run.trace.measurements[POINT].innovation.size
 
 
 def test_a_boundless_prior_is_in_the_filters_own_equations() -> None:

@@ -17,7 +17,7 @@ from ekf_reference.association.attributes import (
 )
 from ekf_reference.association.joint_compatibility import JointCompatibility, pair_covariance
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.landmark_types import diagonal_noise
+from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
 from ekf_reference.core.measurements import (
     AMBIGUOUS,
     NOT_MEASURED,
@@ -37,7 +37,8 @@ def mapped(points: list[tuple[float, float]], pose_covariance: np.ndarray) -> Ka
     state = KalmanState(np.zeros(3), pose_covariance)
     for point in points:
         state.augment(
-            np.array([point]), np.zeros((1, 2, 3)), np.eye(2)[None], 1e-6 * np.eye(2)[None]
+            NewLandmarks.independent(np.array([point]), 3),
+            1e-6 * np.eye(2)[None],
         )
     return state
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from ekf_reference.association.consensus import ConsensusAssociation
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.landmark_types import diagonal_noise
+from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
@@ -16,7 +16,7 @@ POSTS = np.array(((5.0, 0.0), (5.0, 2.0), (5.0, 5.0)))
 def mapped(points: np.ndarray = POSTS, heading_sigma: float = 0.01) -> KalmanState:
     state = KalmanState(np.zeros(3), np.diag((1e-4, 1e-4, heading_sigma**2)))
     for point in points:
-        state.augment(point[None], np.zeros((1, 2, 3)), np.eye(2)[None], 1e-4 * np.eye(2)[None])
+        state.augment(NewLandmarks.independent(point[None], 3), 1e-4 * np.eye(2)[None])
     return state
 
 

@@ -10,7 +10,7 @@ from ekf_reference.association.distances import normalised_distances
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.blocks import stack
-from ekf_reference.core.landmark_types import diagonal_noise
+from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
@@ -24,7 +24,7 @@ def row_of_posts(heading_sigma: float) -> KalmanState:
     state = KalmanState(np.zeros(3), np.diag((1e-6, 1e-6, heading_sigma**2)))
     points = np.array([(10.0, 0.6 * k) for k in range(-3, 4)])
     for point in points:
-        state.augment(point[None], np.zeros((1, 2, 3)), np.eye(2)[None], 1e-4 * np.eye(2)[None])
+        state.augment(NewLandmarks.independent(point[None], 3), 1e-4 * np.eye(2)[None])
     return state
 
 
@@ -123,7 +123,7 @@ def test_the_order_of_measurements_does_not_matter() -> None:
     state = KalmanState(np.zeros(3), 1e-12 * np.eye(3))
     points = np.array(((10.0, 0.0), (0.0, 12.0), (-9.0, -9.0)))
     for point in points:
-        state.augment(point[None], np.zeros((1, 2, 3)), np.eye(2)[None], 1e-12 * np.eye(2)[None])
+        state.augment(NewLandmarks.independent(point[None], 3), 1e-12 * np.eye(2)[None])
     z = MODEL.predict(np.zeros(3), points).z
     z[:2, 0] += np.sqrt(10.0) * 0.05
     for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):

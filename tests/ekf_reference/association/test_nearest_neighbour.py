@@ -6,7 +6,7 @@ from ekf_reference.association.distances import Distances, normalised_distances
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, NearestNeighbour
 from ekf_reference.core.blocks import stack
-from ekf_reference.core.landmark_types import diagonal_noise
+from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
 from ekf_reference.core.measurements import AMBIGUOUS, REJECTED, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
@@ -19,7 +19,8 @@ def state_with(points: list[tuple[float, float]], sigmas: list[float]) -> Kalman
     state = KalmanState(np.zeros(3), np.diag((1e-4, 1e-4, 1e-6)))
     for point, sigma in zip(points, sigmas, strict=True):
         state.augment(
-            np.array([point]), np.zeros((1, 2, 3)), np.eye(2)[None], sigma**2 * np.eye(2)[None]
+            NewLandmarks.independent(np.array([point]), 3),
+            sigma**2 * np.eye(2)[None],
         )
     return state
 
@@ -39,7 +40,8 @@ def test_distances_equal_the_textbook_for_every_pair() -> None:
     state = state_with([(10, 3), (5, -8), (-4, 9)], [0.5, 1.0, 0.2])
     state.predict(np.zeros(3), np.eye(3) + 0.1 * rng.standard_normal((3, 3)), 0.01 * np.eye(3))
     state.augment(
-        np.array([[7.0, 7.0]]), rng.standard_normal((1, 2, 3)), np.eye(2)[None], np.eye(2)[None]
+        NewLandmarks(np.array([[7.0, 7.0]]), rng.standard_normal((1, 2, 3)), np.eye(2)[None]),
+        np.eye(2)[None],
     )
     seen = measurements([(10.2, 3.1), (-4.1, 9.3)])
     nis, distance, innovation = distances(state, seen)
@@ -136,7 +138,8 @@ def test_a_lost_vehicle_searches_farther() -> None:
     """At loop closing the pose may be off by more than any fixed margin; the gate still decides."""
     state = KalmanState(np.zeros(3), np.diag((225.0, 1e-4, 1e-8)))
     state.augment(
-        np.array([[28.0, 0.0]]), np.zeros((1, 2, 3)), np.eye(2)[None], 1e-4 * np.eye(2)[None]
+        NewLandmarks.independent(np.array([[28.0, 0.0]]), 3),
+        1e-4 * np.eye(2)[None],
     )
     seen = measurements([(10.0, 0.0)])  # 18 m short: 1.2 sigma
     assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0]

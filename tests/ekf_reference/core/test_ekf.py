@@ -10,7 +10,7 @@ from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, NearestNeighbour
 from ekf_reference.core.ekf import Control, Ekf, Stabilisation
-from ekf_reference.core.landmark_types import POINT, diagonal_noise
+from ekf_reference.core.landmark_types import POINT, POSE, diagonal_noise
 from ekf_reference.core.measurements import Association, Measurements
 from ekf_reference.core.trace import RecordedTrace, Trace
 from ekf_reference.models.motion import UnicycleModel
@@ -64,8 +64,8 @@ def test_a_step_is_predict_associate_update_augment(rule: Callable[[], Associati
 
 
 def test_rules_are_for_points() -> None:
-    frame = Measurements(np.zeros((1, 3)), np.eye(3)[None], np.array([7]))
-    with pytest.raises(ValueError, match="measurements of 3 entries, expected 2"):
+    frame = Measurements(np.zeros((1, 3)), np.eye(3)[None], np.array([7]), kind=POSE)
+    with pytest.raises(ValueError, match="measurements of pose landmarks, expected points"):
         build().associate(frame)
 
 

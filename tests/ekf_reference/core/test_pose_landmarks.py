@@ -12,7 +12,13 @@ from scipy.stats import chi2
 from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT, POSE, NewLandmarks, PredictedMeasurements
+from ekf_reference.core.landmark_types import (
+    POINT,
+    POSE,
+    LandmarkKind,
+    NewLandmarks,
+    PredictedMeasurements,
+)
 from ekf_reference.core.state import FilterDivergedError, KalmanState
 from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.filters.compressed import CompressedState
@@ -64,18 +70,18 @@ def test_compressed_equals_full(order: str) -> None:
 class NoRows(CompressedState):
     """Broken: pose landmarks are added as if they knew nothing of the passive ones."""
 
-    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
-        super().augment(point, jacobian_pose, jacobian_z, noise)
-        if point.shape[1] == POSE:
-            self._phi[-point.size :] = 0.0
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
+        super().augment(new, noise, kind)
+        if kind == POSE:
+            self._phi[-new.landmark.size :] = 0.0
 
 
 class AtTheOldPlace(CompressedState):
     """Broken: after a removal the entries behind it are taken for where they were."""
 
-    def remove(self, landmark_index: Index, width: int = 2) -> None:
+    def remove(self, landmark_index: Index, kind: LandmarkKind = POINT) -> None:
         before = self._entry
-        super().remove(landmark_index, width)
+        super().remove(landmark_index, kind)
         self._entry = np.minimum(before[: len(self._entry)], self._local.layout.size - 1)
 
 
@@ -124,12 +130,15 @@ def test_the_filter_on_the_circle_equals_the_one_on_the_heading() -> None:
         (ours.measurements[POSE], theirs.measurements[POSE]),
         (ours.initialisations[POSE], theirs.initialisations[POSE]),
         (ours.merges, theirs.merges),
-        (ours.removals, theirs.removals),
     ):
         assert len(other.step)
         for name, column in vars(other).items():
             scale = np.abs(column).max(initial=1e-300)
             assert np.abs(column - vars(one)[name]).max(initial=0.0) <= 1e-8 * scale, name
+    gone, other_gone = (one.removals for one in (ours, theirs))
+    assert gone.kind == other_gone.kind == (POSE,) * len(gone.step) != ()
+    assert gone.step.tolist() == other_gone.step.tolist()
+    assert gone.landmark_index.tolist() == other_gone.landmark_index.tolist()
 
 
 @pytest.mark.parametrize("kind", ["full", "compressed"])
@@ -155,10 +164,10 @@ class NoLever(RelativePose):
 class NoCross(KalmanState):
     """New pose landmarks know nothing of the vehicle."""
 
-    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         n = self._layout.size
-        super().augment(point, jacobian_pose, jacobian_z, noise)
-        if point.shape[1] == POSE:
+        super().augment(new, noise, kind)
+        if kind == POSE:
             self._covariance[:n, n : self._layout.size] = 0.0
             self._covariance[n : self._layout.size, :n] = 0.0
 
@@ -211,7 +220,7 @@ def test_one_after_the_other_equals_stacked() -> None:
     new = model.invert(together.pose, z)
     r = np.array([1e-4 * random_covariance(rng, 3) for _ in z])
     for state in (together, apart):
-        state.augment(new.landmark, new.jacobian_pose, new.jacobian_z, r)
+        state.augment(new, r, POSE)
     landmark_index, start = np.array([2, 0]), together.mean.copy()
     at = model.predict(together.pose, together.places(POSE)[landmark_index])
     nu = 1e-2 * rng.standard_normal((2, 3))
@@ -231,9 +240,9 @@ def test_a_landmark_seen_twice_at_once_counts_twice() -> None:
     z = np.array([[3.0, 1.0, 0.4]])
     once, twice = build(), build()
     for ekf in (once, twice):
-        ekf.observe_known(z, r[None], np.array([NEW]))
-    once.observe_known(z, 0.5 * r[None], np.array([0]))
-    twice.observe_known(np.repeat(z, 2, axis=0), np.array((r, r)), np.array([0, 0]))
+        ekf.observe_known(z, r[None], np.array([NEW]), POSE)
+    once.observe_known(z, 0.5 * r[None], np.array([0]), POSE)
+    twice.observe_known(np.repeat(z, 2, axis=0), np.array((r, r)), np.array([0, 0]), POSE)
     assert relative_error(twice.state.covariance, once.state.covariance) < 1e-12
     assert relative_error(twice.state.mean, once.state.mean) < 1e-14
 
@@ -241,14 +250,14 @@ def test_a_landmark_seen_twice_at_once_counts_twice() -> None:
 def test_landmark_indices_that_are_not_in_the_map_are_named() -> None:
     ekf, z, r = build(), np.ones((1, 3)), np.eye(3)[None]
     with pytest.raises(ValueError, match=r"landmark indices \[0\], expected -1 or less than 0"):
-        ekf.observe_known(z, r, np.array([0]))
-    assert ekf.observe_known(z, r, np.array([NEW])).tolist() == [0]
+        ekf.observe_known(z, r, np.array([0]), POSE)
+    assert ekf.observe_known(z, r, np.array([NEW]), POSE).tolist() == [0]
     ekf.remove(np.array([0]), POSE)
     with pytest.raises(ValueError, match="removed"):
-        ekf.observe_known(z, r, np.array([0]))
+        ekf.observe_known(z, r, np.array([0]), POSE)
     with pytest.raises(ValueError, match="one already"):
         merge_landmarks(ekf, 0, 0, z[0], r[0])
-    assert ekf.observe_known(z, r, np.array([NEW])).tolist() == [1]
+    assert ekf.observe_known(z, r, np.array([NEW]), POSE).tolist() == [1]
 
 
 def test_a_removed_point_is_not_taken_for_one_that_is_there() -> None:
@@ -316,6 +325,6 @@ def test_the_correction_is_what_a_full_product_gives() -> None:
     p, x = state.covariance.copy(), state.mean.copy()
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
     nu = ekf.models[POSE].innovation(z[None], at.z)[0]
-    ekf.observe_known(z[None], r[None], np.array([0]))
+    ekf.observe_known(z[None], r[None], np.array([0]), POSE)
     assert relative_error(state.covariance, p - gain @ h @ p) < 1e-9
     assert relative_error(state.mean, x + gain @ nu) < 1e-12

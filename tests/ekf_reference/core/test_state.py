@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.geometry import Array
+from ekf_reference.core.landmark_types import NewLandmarks
 from ekf_reference.core.state import FilterDivergedError, KalmanState
 from tests.ekf_reference.numerics import point_columns, random_covariance, relative_error
 
@@ -16,7 +17,7 @@ def mapped_state(rng: np.random.Generator, landmarks: int) -> KalmanState:
     gx = rng.standard_normal((landmarks, 2, 3))
     gz = rng.standard_normal((landmarks, 2, 2)) + 2 * np.eye(2)
     noise = np.array([random_covariance(rng, 2) for _ in range(landmarks)])
-    state.augment(rng.standard_normal((landmarks, 2)), gx, gz, noise)
+    state.augment(NewLandmarks(rng.standard_normal((landmarks, 2)), gx, gz), noise)
     return state
 
 
@@ -88,7 +89,7 @@ def test_augmentation_is_the_limit_of_a_boundless_prior() -> None:
     h[:, :3] = -h[:, n:] @ gx[0]
     s = h @ wide @ h.T + noise[0]
     limit = wide - wide @ h.T @ np.linalg.solve(s, h @ wide)
-    state.augment(np.zeros((1, 2)), gx, gz, noise)
+    state.augment(NewLandmarks(np.zeros((1, 2)), gx, gz), noise)
     assert relative_error(state.covariance, limit) < 1e-5
 
 
@@ -98,7 +99,7 @@ def test_growth_keeps_what_was_there() -> None:
     before_mean, before = state.mean.copy(), state.covariance.copy()
     many = 60
     state.augment(
-        np.zeros((many, 2)), np.zeros((many, 2, 3)), np.tile(np.eye(2), (many, 1, 1)),
+        NewLandmarks(np.zeros((many, 2)), np.zeros((many, 2, 3)), np.tile(np.eye(2), (many, 1, 1))),
         np.tile(np.eye(2), (many, 1, 1)),
     )  # fmt: skip
     assert np.array_equal(state.mean[:9], before_mean)

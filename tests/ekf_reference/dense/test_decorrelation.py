@@ -166,7 +166,7 @@ def seen_once(rng: np.random.Generator) -> KalmanState:
     z = np.column_stack((rng.uniform(5, 20, 5), rng.uniform(-2, 2, 5)))
     new = RangeBearing().invert(state.pose, z)
     spread = np.broadcast_to(NOISE, (5, 2, 2))
-    state.augment(new.landmark, new.jacobian_pose, new.jacobian_z, spread)
+    state.augment(new, spread)
     return state
 
 

@@ -43,7 +43,7 @@ class Forgetful(PassiveStates):
     """Broken: measurements of pose landmarks tell it nothing."""
 
     def measurement(self, used: MeasurementRecord) -> None:
-        if used.landmark.shape[1] == POSE and used.origin == VEHICLE:
+        if used.kind == POSE and used.origin == VEHICLE:
             self._next.measurement(used)
         else:
             super().measurement(used)

@@ -157,7 +157,7 @@ def test_the_compressed_filter_shows_what_the_full_one_does() -> None:
 
 def test_with_points_alone_numbers_are_landmark_indices() -> None:
     layout = Layout.of_pose(3).appended(2, POINT).appended(1, POSE).appended(1, POINT)
-    landmark_indices = [layout.present(width) for width in BOTH]
+    landmark_indices = [layout.present(kind) for kind in BOTH]
     number, first = numbered(layout, (POINT,), landmark_indices[:1])
     assert number.tolist() == [0, 1, 2]
     assert first.tolist() == [3, 5, 10]

@@ -26,7 +26,7 @@ def at_a_wall(position_m: float, range_m: float) -> KalmanState:
     model = RangeBearing()
     new = model.invert(POSE, model.predict(POSE, WALL).z)
     noise = np.broadcast_to(np.diag((range_m**2, 1e-6)), (2, 2, 2))
-    state.augment(new.landmark, new.jacobian_pose, new.jacobian_z, noise)
+    state.augment(new, noise)
     return state
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
+from ekf_reference.core.landmark_types import NewLandmarks
 from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.local_pose import Frames
@@ -37,7 +38,7 @@ class Joint:
         count = len(LANDMARK)
         noise = np.broadcast_to((landmark_m * scale) ** 2 * np.eye(2), (count, 2, 2))
         one = np.broadcast_to(np.eye(2), (count, 2, 2))
-        self.state.augment(LANDMARK, np.zeros((count, 2, 3)), one, noise)
+        self.state.augment(NewLandmarks(LANDMARK, np.zeros((count, 2, 3)), one), noise)
 
     @property
     def view(self) -> FilterView:
@@ -57,7 +58,7 @@ class Joint:
         new = MODEL.invert(self.state.pose, z)
         in_world = new.jacobian_z @ noise @ new.jacobian_z.transpose(0, 2, 1)
         self.room.add(self.view, new.landmark, in_world, 0, anywhere((0, 1)))
-        self.state.augment(new.landmark, new.jacobian_pose, new.jacobian_z, noise)
+        self.state.augment(new, noise)
 
     def drive(self, process: float = 1.0) -> None:
         """A step of the vehicle with process noise, in which the true vehicle slips."""

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core import machine
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.landmark_types import POINT, NewLandmarks
+from ekf_reference.core.machine import STRIP
 from ekf_reference.core.measurements import Association
-from ekf_reference.core.state import STRIP, Correction, KalmanState, subtract
+from ekf_reference.core.state import Correction, KalmanState, subtract
 from ekf_reference.core.trace import RecordedTrace, RemovalRecord, StepRecord, TraceArrays
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.ekf_reference.numerics import relative_error
@@ -88,14 +90,12 @@ def test_equals_the_full_filter_in_simulation(association: Association | None) -
     assert_equal(found, run(drive, full(), association))
 
 
-@pytest.mark.parametrize("limit", ["state.WHOLE", "compressed.FOLDED"])
+@pytest.mark.parametrize("limit", ["WHOLE", "FOLDED"])
 def test_what_long_logs_need_equals_the_full_filter(
     limit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Global updates in strips, and rows of psi folded at every update."""
-    module, _, name = limit.partition(".")
-    folder = {"state": "core", "compressed": "filters"}[module]
-    monkeypatch.setattr(f"ekf_reference.{folder}.{module}.{name}", 0)
+    monkeypatch.setattr(machine, limit, 0)
     drive = circuit(seed=1)
     assert_equal(run(drive, compressed()), run(drive, full()))
 
@@ -105,7 +105,7 @@ def test_records_stacked_in_parts_are_those_stacked_at_once(
 ) -> None:
     drive = circuit(seed=1, duration_s=20.0)
     whole = run(drive, full()).trace
-    monkeypatch.setattr("ekf_reference.core.trace.STACKED", 7)
+    monkeypatch.setattr(machine, "STACKED", 7)
     parts = run(drive, full()).trace
     assert len(whole.departed) > 70
     for name in ("departed", "arrived", "f", "q"):
@@ -211,7 +211,7 @@ def test_a_large_common_uncertainty_costs_no_digits(
 def test_removals_know_the_steps_before_them_once_these_are_stacked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("ekf_reference.core.trace.STACKED", 2)
+    monkeypatch.setattr(machine, "STACKED", 2)
     trace = RecordedTrace()
     for number in range(5):
         trace.step(StepRecord(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3)))
@@ -347,7 +347,7 @@ def passive_map(landmarks: int, c1: float) -> CompressedState:
         point = place + rng.uniform(-5.0, 5.0, (count, 2))
         by_pose = np.tile(np.eye(2, 3), (count, 1, 1))
         weak = rng.uniform(0.1, 40.0, (count, 1, 1)) * np.eye(2)
-        state.augment(point, by_pose, np.tile(np.eye(2), (count, 1, 1)), weak)
+        state.augment(NewLandmarks(point, by_pose, np.tile(np.eye(2), (count, 1, 1))), weak)
     state.leave()
     columns = state.layout.columns(np.arange(10))
     h = rng.standard_normal((6, len(columns)))

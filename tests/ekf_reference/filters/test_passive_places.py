@@ -7,14 +7,14 @@ import pytest
 
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT, POSE, PredictedMeasurements
+from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind, PredictedMeasurements
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.models.relative_pose import RelativePose
 from tests.ekf_reference.both_kinds import AREAS, PRIOR, Script, build, drive
 
 FAR_M = 18.0
 """Some landmarks are farther away, and some that are not are passive."""
-WIDTHS = (POINT, POSE)
+KINDS = (POINT, POSE)
 
 
 class Reading(RelativePose):
@@ -27,18 +27,18 @@ class Reading(RelativePose):
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         state = self.ekf.state
-        for width, place in zip(WIDTHS, (state.landmarks, state.places(POSE)), strict=True):
+        for kind, place in zip(KINDS, (state.landmarks, state.places(POSE)), strict=True):
             self.places.append(place.copy())
-            self.near.append(state.within(FAR_M, width).tolist())
+            self.near.append(state.within(FAR_M, kind).tolist())
         return super().predict(pose, landmarks)
 
 
 class Stale(CompressedState):
     """Broken: read as the last global update left them."""
 
-    def places(self, width: int) -> Array:
+    def places(self, kind: LandmarkKind) -> Array:
         theta, self._theta = self._theta, np.zeros_like(self._theta)
-        place = super().places(width)
+        place = super().places(kind)
         self._theta = theta
         return place
 
@@ -80,8 +80,8 @@ def test_stale_places_are_found_out() -> None:
 class Forgetful(CompressedState):
     """Broken: areas do not allow for the reach of who asks."""
 
-    def within(self, reach_m: float, width: int = POINT) -> Index:
-        found, self._reach_m = super().within(reach_m, width), self.areas.reach_m
+    def within(self, reach_m: float, kind: LandmarkKind = POINT) -> Index:
+        found, self._reach_m = super().within(reach_m, kind), self.areas.reach_m
         return found
 
 

@@ -11,6 +11,7 @@ import pytest
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array, Mask
+from ekf_reference.core.landmark_types import POSE
 from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
@@ -84,7 +85,7 @@ def test_passive_until_seen_then_in_the_state_then_observed(mount: Array) -> Non
         assert (landmark_index == NEW).all() == (look == 0)
         size = len(ekf.state.mean)
         z, noise = np.array([one.z for one in seen]), np.array([one.covariance for one in seen])
-        landmarks.initialised(seen, ekf.observe_known(z, noise, landmark_index))
+        landmarks.initialised(seen, ekf.observe_known(z, noise, landmark_index, POSE))
         assert len(ekf.state.mean) == size + (6 if look == 0 else 0)
     assert landmarks.counts == {"seen": 4, "a direction is open": 2}
     assert [one.landmark_index for one in landmarks.landmark] == [0, NEW, 1]

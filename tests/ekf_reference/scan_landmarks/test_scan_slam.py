@@ -48,7 +48,7 @@ class Reported:
     def observe(self, z: Array, covariance: Array, landmark_index: Index) -> Index:
         self.landmark_index += landmark_index.tolist()
         self.z += list(z)
-        return self.ekf.observe_known(z, covariance, landmark_index)
+        return self.ekf.observe_known(z, covariance, landmark_index, POSE)
 
 
 def filter_at(pose: Array) -> Ekf:
@@ -158,7 +158,7 @@ def test_of_two_identical_templates_each_keeps_its_own_measurements() -> None:
     slam, ekf, reported = initialised()
     template = slam.found.template[0]
     far = template.pose + (30.0, 0.0, 0.0)
-    ekf.observe_known(far[None], PRIOR[None], np.array([NEW]))
+    ekf.observe_known(far[None], PRIOR[None], np.array([NEW]), POSE)
     slam.found.template[1] = Template(template.shape, far)
     slam._last_seen[1] = 0
     slam.step(ekf, scan_from(np.zeros(3), 2), reported)
@@ -172,7 +172,7 @@ def test_a_scan_is_aligned_with_so_many_templates_and_with_all_for_0(
     aligned: int, seen: int
 ) -> None:
     slam, ekf, reported = initialised(replace(EVERY, aligned=aligned))
-    ekf.observe_known(reported.z[0][None], PRIOR[None], np.array([NEW]))
+    ekf.observe_known(reported.z[0][None], PRIOR[None], np.array([NEW]), POSE)
     slam.found.template[1] = slam.found.template[0]
     slam._last_seen[1] = 0
     slam.step(ekf, scan_from(np.zeros(3), 2), reported)
@@ -184,7 +184,7 @@ def test_alignments_go_to_the_last_observed_and_to_the_longest_untried() -> None
     """Old templates that a lost filter does not meet must not take the new ones' places."""
     slam, ekf, reported = initialised()
     for k in range(1, 9):
-        ekf.observe_known(reported.z[0][None], PRIOR[None], np.array([NEW]))
+        ekf.observe_known(reported.z[0][None], PRIOR[None], np.array([NEW]), POSE)
         slam.found.template[k], slam._last_seen[k] = slam.found.template[0], k
     predicted, scan, old = slam._predict(ekf), scan_from(np.zeros(3), 2), set[int]()
     for number in range(10, 13):
