@@ -260,8 +260,7 @@ class ReportConfig(Section):
     )
     trace: bool = Field(
         default=False,
-        description="Write the EKF's linearisation points and matrices to ekf/trace.npz, and its "
-        "events for `slamcheck audit` to ekf/audit.trace",
+        description="Write what the EKF did to ekf/filter.trace, for check and audit",
     )
 
 
@@ -474,6 +473,11 @@ class CheckConfig(SolveConfig):
     )
     times: str | None = Field(
         default=None, description="Time stamps of a KITTI trajectory. Default: times.txt beside it"
+    )
+    trace: str | None = Field(
+        default=None,
+        description="What the filter did, by slamcheck.Recorder. Default: filter.trace in the "
+        "estimate's folder",
     )
     require: RequiredGrade | None = Field(
         default=None,

@@ -335,6 +335,10 @@ ESTIMATE = (
     REQUIRE,
     MIN_COVERAGE,
 )
+TRACE = Flag(
+    option="--trace", field="trace", metavar="FILE", panel=GRADE,
+    help="What the filter did, recorded. [filter.trace in the estimate's folder]",
+)
 CLOUD = Flag(
     option="--cloud", field="cloud", choices=choices.CloudFormat, panel=JOB,
     help="Write the map as point cloud: pcd, ply (Open3D).",
@@ -372,8 +376,8 @@ MAP = (
 )
 # fmt: on
 RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, *LOG, FAIL_ON, *REPORT)
-CHECK = (*ESTIMATE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, ACCEPT_MISFIT, *LOG)
-FLAGS = (*RUN, SOLVER_ASSOCIATION, GPS, *ESTIMATE, *FRONT_END, *MAP)
+CHECK = (*ESTIMATE, TRACE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, ACCEPT_MISFIT, *LOG)
+FLAGS = (*RUN, SOLVER_ASSOCIATION, GPS, *ESTIMATE, TRACE, *FRONT_END, *MAP)
 """Every command's."""
 
 

@@ -9,7 +9,6 @@ python examples/06_check_my_filter.py
 
 import math
 import tempfile
-from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +23,15 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.check import ExternalCheck, check
 from ekf_reference.models.motion import AckermannModel
+from slamcheck import Recorder
 
 BUGS = ("none", "the prediction leaves P_vm as it was", "R holds sigma in place of its square")
 
 
 class MyEkf:
-    """A textbook EKF. trace: what it linearised where, by the names of docs/formats.md."""
+    """A textbook EKF that is recorded, as docs/formats.md says."""
 
-    def __init__(self, log: Log, bug: str) -> None:
+    def __init__(self, log: Log, bug: str, record: Recorder) -> None:
         """Bug: one of BUGS."""
         if not isinstance(log.odometry, SteeringOdometry):
             raise TypeError("expected a log with steering odometry")
@@ -39,15 +39,16 @@ class MyEkf:
         self.noise = log.odometry.noise
         self.x, self.p = log.prior.pose.copy(), log.prior.covariance.copy()
         self.landmark_index: dict[int, int] = {}
-        self.trace: dict[str, list[Array]] = defaultdict(list)
+        self.record = record
+        record.prior({"pose": 3}, self.p, point=self.x)
 
-    def predict(self, control: Array, covariance: Array, duration_s: float, end_s: float) -> None:
-        """Move the vehicle; write down F and Q."""
+    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
+        """Move the vehicle; record F and Q."""
         step = self.motion.step(self.x[:3], control, duration_s)
         f, b = step.jacobian_pose, step.jacobian_control
         rates = self.noise.variance_rate_position, self.noise.variance_rate_heading
         q = b @ covariance @ b.T + duration_s * np.diag((rates[0], *rates))
-        self.note("step", time_s=end_s, departed=self.x[:3], arrived=step.pose, f=f, q=q)
+        self.record.predict(f, q, ["pose"], point=self.x[:3], after=step.pose)
         self.x[:3] = step.pose
         self.p[:3, :3] = f @ self.p[:3, :3] @ f.T + q
         if self.bug != BUGS[1]:
@@ -57,8 +58,7 @@ class MyEkf:
     def observe(self, row: int, label: int, z: Array, sigma: Array) -> None:
         """Fuse one range and bearing, or start a landmark with it."""
         r = np.diag(sigma if self.bug == BUGS[2] else sigma**2)
-        seen = {"step": len(self.trace["step_f"]), "measurement": row, "landmark": label}
-        pose = self.x[:3].copy()
+        pose, name = self.x[:3].copy(), f"landmark {label}"
         if label not in self.landmark_index:
             c, s = math.cos(pose[2] + z[1]), math.sin(pose[2] + z[1])
             point = pose[:2] + z[0] * np.array((c, s))
@@ -68,8 +68,7 @@ class MyEkf:
             own = g_x @ self.p[:3, :3] @ g_x.T + g_z @ r @ g_z.T
             self.landmark_index[label], self.x = len(self.x), np.append(self.x, point)
             self.p = np.hstack((new, np.vstack((self.p[:, :3] @ g_x.T, own))))
-            jacobians = {"jacobian_pose": g_x, "jacobian_measurement": g_z}
-            self.note("initialise", **seen, pose=pose, point=point, noise=r, **jacobians)
+            self.record.augment(name, g_x, g_z, r, ["pose"], point=pose, after=point, numbers=row)
             return
         i = self.landmark_index[label]
         point = self.x[i : i + 2].copy()
@@ -85,25 +84,22 @@ class MyEkf:
         self.x = self.x + gain @ nu
         self.p = (np.eye(len(self.x)) - gain @ h) @ self.p
         self.p = 0.5 * (self.p + self.p.T)
-        jacobians = {"jacobian_pose": h_v, "jacobian_landmark": h_l}
-        self.note("update", **seen, pose=pose, point=point, noise=r, innovation=nu, **jacobians)
-
-    def note(self, part: str, **arrays: Array | float) -> None:
-        """Append a row to the trace."""
-        for name, value in arrays.items():
-            self.trace[f"{part}_{name}"].append(np.array(value))
+        at, blocks = np.append(pose, point), ["pose", name]
+        self.record.update("landmarks", nu, np.hstack((h_v, h_l)), r, blocks, point=at, numbers=row)
 
 
 def run(log: Log, timeline: Timeline, bug: str, folder: Path) -> None:
     """Drive the filter through a log; write its estimate and its trace."""
-    ekf, seen, poses, spreads = MyEkf(log, bug), log.measurements, [], []
+    record = Recorder(folder / "filter.trace")
+    ekf, seen, poses, spreads = MyEkf(log, bug, record), log.measurements, [], []
     step_end_s = timeline.step_begin_s + timeline.step_duration_s
     steps, rows = timeline.steps_until(), timeline.measurements_until()
     done = 0
     for k in range(len(timeline.epoch_time_s)):
         for i in range(done, steps[k]):
             noise, duration = timeline.control_covariance[i], timeline.step_duration_s[i]
-            ekf.predict(timeline.control[i], noise, duration, step_end_s[i])
+            record.at(float(step_end_s[i]))
+            ekf.predict(timeline.control[i], noise, duration)
         done = steps[k]
         for row in range(rows[k], rows[k + 1]):
             z = np.array((seen.range_m[row], seen.bearing_rad[row]))
@@ -120,10 +116,8 @@ def run(log: Log, timeline: Timeline, bug: str, folder: Path) -> None:
         joint_covariance=ekf.p,
         information="filtered",
     )
+    record.close()
     write_estimate(estimate, folder)
-    arrays = {name: np.array(rows) for name, rows in ekf.trace.items()}
-    arrays |= {"prior_pose": log.prior.pose, "prior_covariance": log.prior.covariance}
-    np.savez(folder / "trace.npz", **arrays)  # type: ignore[arg-type]
 
 
 def main() -> dict[str, ExternalCheck]:

@@ -224,8 +224,7 @@ def check(
     if isinstance(estimate, Estimate):
         estimate = ExternalEstimate.of(estimate)
     if not isinstance(estimate, ExternalEstimate):
-        times = None if settings.times is None else Path(settings.times)
-        estimate = read_external(Path(estimate), times)
+        estimate = read_external(Path(estimate), settings.times, settings.trace)
     return check_external_estimate(log, estimate.validated(), settings, progress or no_progress)
 
 

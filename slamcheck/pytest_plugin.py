@@ -276,8 +276,7 @@ def _judge(
         from comparisons.pipeline.check import check
         from comparisons.report.check import build_check_result, check_folder, check_summary
 
-        times = None if config.times is None else Path(config.times)
-        given = read_external(Path(config.estimate), times)
+        given = read_external(Path(config.estimate), config.times, config.trace)
         checked = check(log, given, config, solver=partial(_solved, kept))
         graded = build_check_result(checked)
         found = make(

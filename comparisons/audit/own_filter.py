@@ -27,12 +27,10 @@ from comparisons.trace.events import (
     Snapshot,
     Update,
 )
-from comparisons.trace.recorder import Recorder
+from comparisons.trace.recorder import Begun, Measured, Recorder
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.core.trace import MeasurementRecords
 
-EVENTS = "audit.trace"
-"""Stands in an estimate folder, where asked for."""
 VEHICLE = "pose"
 SENSORS = {POINT: "landmarks", POSE: "scan landmarks"}
 POSITIONS, MERGES = "positions", "merges"
@@ -68,30 +66,50 @@ def write_run(run: EkfRun, path: Path) -> None:
         for event in run_events(run):
             if event.time_s is not None:
                 record.at(event.time_s)
-            _write(event, record)
+            write_event(event, record)
 
 
-def _write(event: Event, record: Recorder) -> None:
+def write_event(event: Event, record: Recorder) -> None:
+    """Record an event of a run again, at the recorder's time.
+
+    Args:
+        event: As `run_events` yields it, or as it was read.
+        record: A recorder that has recorded the events before.
+    """
     match event:
         case Prior():
-            record.prior(dict(zip(event.blocks, event.dims, strict=True)), event.covariance)
+            blocks = dict(zip(event.blocks, event.dims, strict=True))
+            charts = dict(zip(event.blocks, event.charts, strict=False))
+            record.prior(blocks, event.covariance, point=event.point, charts=charts)
         case Directions():
             basis = dict(zip(event.names, event.basis.T, strict=True))
             record.directions(basis, event.blind, blocks=event.blocks)
         case Predict():
-            record.predict(event.jacobian, event.noise, event.blocks)
+            points = {"point": event.point, "after": event.after}
+            record.predict(event.jacobian, event.noise, event.blocks, **points)
         case Augment():
+            begun: Begun = {"numbers": _needed(event.numbers), "weight": event.weight}
+            begun |= {"point": _needed(event.point), "after": _needed(event.after)}
             g_x, g_z = event.jacobian, event.noise_jacobian
-            record.augment(event.name, g_x, g_z, event.noise, event.blocks)
+            record.augment(event.name, g_x, g_z, event.noise, event.blocks, **begun)
         case Update():
+            more: Measured = {"point": _needed(event.point), "weight": event.weight}
+            more["numbers"] = _needed(event.numbers)
             h, r = event.jacobian, event.noise
-            record.update(event.sensor, event.residual, h, r, event.blocks)
+            record.update(event.sensor, event.residual, h, r, event.blocks, **more)
         case Remove():
             record.remove(*event.blocks)
         case Snapshot():
             record.snapshot(event.covariance, event.blocks)
         case _:
             raise TypeError(f"a run of the EKF has no {type(event).__name__}")
+
+
+def _needed(values: Array | None) -> Array:
+    """What every event of a run has."""
+    if values is None:
+        raise TypeError("a run's events have their points")
+    return values
 
 
 class _Events:
@@ -106,7 +124,8 @@ class _Events:
         until = run.timeline.steps_until()
         self._time_s = float(time_s[0])
         p = trace.prior_pose
-        yield Prior(*self._next(), (VEHICLE,), (len(p),), trace.prior_covariance)
+        charts = ("se2",) if len(p) == _PLANAR else ()
+        yield Prior(*self._next(), (VEHICLE,), (len(p),), trace.prior_covariance, p, charts)
         if not (trace.initialisations[POINT].number < 0).any():
             basis = np.column_stack(tuple(_directions(p).values()))
             blind = (*SENSORS.values(), MERGES)
@@ -117,10 +136,11 @@ class _Events:
         gone = _by_step(trace.removals.step)
         for step in range(len(trace.f) + 1):
             if step:
+                made = trace.f, trace.q, trace.departed, trace.arrived
+                self._time_s = float(run.timeline.step_end_s[step - 1])
+                yield Predict(*self._next(), (VEHICLE,), *(column[step - 1] for column in made))
                 epoch = min(int(np.searchsorted(until, step)), len(time_s) - 1)
                 self._time_s = float(time_s[epoch])
-                f, q = trace.f[step - 1], trace.q[step - 1]
-                yield Predict(*self._next(), (VEHICLE,), f, q)
             for kind in SENSORS:
                 new, seen = initialised[kind].get(step, []), fused[kind].get(step, [])
                 yield from self._landmarks(kind, new, seen)
@@ -151,36 +171,51 @@ class _Events:
         width = kind.width
         for row in initialised:
             name = self._name(kind, int(new.landmark_index[row]))
-            jacobians = new.jacobian_pose[row], new.jacobian_other[row]
-            yield Augment(*self._next(), name, (VEHICLE,), *jacobians, new.noise[row])
+            matrices = new.jacobian_pose[row], new.jacobian_other[row], new.noise[row]
+            points = new.pose[row], new.landmark[row], new.number[row : row + 1].astype(float)
+            weight = float(new.weight[row])
+            yield Augment(*self._next(), name, (VEHICLE,), *matrices, *points, weight)
         for begin, end in fused:
             names = [self._name(kind, i) for i in seen.landmark_index[begin:end].tolist()]
             blocks = tuple(dict.fromkeys((VEHICLE, *names)))
             p, m = seen.jacobian_pose.shape[2], width * (end - begin)
             h = np.zeros((m, p + width * (len(blocks) - 1)))
+            point = np.zeros(h.shape[1])
+            point[:p] = seen.pose[begin]
             h[:, :p] = seen.jacobian_pose[begin:end].reshape(m, p)
             for i, name in enumerate(names):
                 at = p + width * (blocks.index(name) - 1)
                 h[width * i : width * (i + 1), at : at + width] = seen.jacobian_other[begin + i]
-            residual, noise = seen.innovation[begin:end].ravel(), _diagonal(seen.noise[begin:end])
-            yield self._update(SENSORS[kind], blocks, residual, h, noise)
+                point[at : at + width] = seen.landmark[begin + i]
+            yield self._update(SENSORS[kind], blocks, h, point, seen.rows(np.arange(begin, end)))
 
     def _position(self, begin: int, end: int) -> Update:
         r = self._run.trace.positions
         h = np.concatenate(r.jacobian_pose[begin:end])
-        residual, noise = r.innovation[begin:end].ravel(), _diagonal(r.noise[begin:end])
-        return self._update(POSITIONS, (VEHICLE,), residual, h, noise)
+        rows = r.rows(np.arange(begin, end))
+        return self._update(POSITIONS, (VEHICLE,), h, r.pose[begin], rows)
 
     def _merge(self, row: int) -> Update:
         r = self._run.trace.merges
         blocks = self._name(POSE, int(r.origin[row])), self._name(POSE, int(r.landmark_index[row]))
         h = np.hstack((r.jacobian_pose[row], r.jacobian_other[row]))
-        return self._update(MERGES, blocks, r.innovation[row], h, r.noise[row])
+        point = np.concatenate((r.pose[row], r.landmark[row]))
+        return self._update(MERGES, blocks, h, point, r.rows(np.arange(row, row + 1)))
 
     def _update(
-        self, sensor: str, blocks: tuple[str, ...], residual: Array, h: Array, noise: Array
+        self, sensor: str, blocks: tuple[str, ...], h: Array, point: Array, rows: MeasurementRecords
     ) -> Update:
-        return Update(*self._next(), sensor, blocks, residual, h, noise, True, None, None)
+        residual, noise = rows.innovation.ravel(), _diagonal(rows.noise)
+        numbers, weight = rows.number.astype(float), float(rows.weight[0])
+        return Update(
+            *(*self._next(), sensor, blocks, residual, h, noise),
+            used=True,
+            correction=None,
+            gain=None,
+            point=point,
+            numbers=numbers,
+            weight=weight,
+        )
 
     def _snapshot(self) -> Snapshot:
         run, e = self._run, self._run.estimate

@@ -215,8 +215,7 @@ def _find(log: Log, config: RunConfig | CheckConfig) -> Found:
             from comparisons.pipeline.check import check
             from comparisons.report.check import build_check_result
 
-            times = None if config.times is None else Path(config.times)
-            given = read_external(Path(config.estimate), times)
+            given = read_external(Path(config.estimate), config.times, config.trace)
             return build_check_result(check(log, given, config, progress))
         from comparisons.pipeline.compare import compare as compare_estimators
         from comparisons.report.result import build_result

@@ -39,7 +39,8 @@ def check(given: Given) -> None:
                     raise InputError(
                         "--estimate is missing: give a trajectory or an estimate's folder"
                     )
-                handed_in.append(read_external(Path(config.estimate), _path(config.times)))
+                estimate = Path(config.estimate)
+                handed_in.append(read_external(estimate, config.times, config.trace))
 
             job = start_job(given, CheckConfig, check=read_first)
             from comparisons.pipeline.check import check as check_estimate
@@ -53,7 +54,3 @@ def check(given: Given) -> None:
             write_job_folder(check_folder(checked, result), job.folder)
         print_result(check_summary(result), job.folder / "check.json", given.output)
         raise SystemExit(VERDICTS[checked.outcome])
-
-
-def _path(name: str | None) -> Path | None:
-    return None if name is None else Path(name)

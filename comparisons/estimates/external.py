@@ -23,7 +23,7 @@ from comparisons.estimates.folder import (
     read_scan_landmarks,
     read_trajectory,
 )
-from comparisons.estimates.trace_file import TRACE, TraceFile, read_trace
+from comparisons.estimates.trace_file import FORMER, TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
 from comparisons.logs.validation import LARGEST
 from ekf_reference.core.layout import Layout
@@ -176,12 +176,15 @@ class ExternalEstimate:
         ]
 
 
-def read_external(path: Path, times: Path | None = None) -> ExternalEstimate:
+def read_external(
+    path: Path, times: str | Path | None = None, trace: str | Path | None = None
+) -> ExternalEstimate:
     """Read a trajectory file, or a folder with `trajectory.tum` and more of an estimate folder.
 
     Args:
         path: A TUM, KITTI or CSV trajectory, or a folder (docs/formats.md).
         times: The file with the times of a KITTI trajectory; `times.txt` beside it by default.
+        trace: What the filter did, as `Recorder` writes it; by default the folder's `filter.trace`.
 
     Returns:
         Everything that is there: headings unwrapped, covariances of the additive global error.
@@ -194,8 +197,15 @@ def read_external(path: Path, times: Path | None = None) -> ExternalEstimate:
     if path.is_dir():
         if times is not None:
             raise InputError(f"{path}: is a folder; --times is for KITTI files")
-        return replace(_read_folder(path), sha256=_hashes(path / name for name in (*FILES, TRACE)))
-    (time_s, pose, covariance), files = read_with_files(path, times)
+        found = (path / name for name in (TRACE, FORMER) if (path / name).exists())
+        chosen = next(found, None) if trace is None else Path(trace)
+        own = [path / name for name in FILES] + ([] if chosen is None else [chosen])
+        return replace(_read_folder(path, chosen), sha256=_hashes(own))
+    if trace is not None:
+        raise InputError(f"{path}: is no folder; --trace needs one, with landmarks.csv")
+    (time_s, pose, covariance), files = read_with_files(
+        path, None if times is None else Path(times)
+    )
     if not len(pose):
         raise InputError(f"{path}: holds no poses")
     return ExternalEstimate(
@@ -224,7 +234,7 @@ def _hashes(files: Iterable[Path]) -> dict[str, str]:
     }
 
 
-def _read_folder(path: Path) -> ExternalEstimate:
+def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
     time_s, pose = read_trajectory(path / "trajectory.tum")
     if not len(pose):
         raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
@@ -237,11 +247,8 @@ def _read_folder(path: Path) -> ExternalEstimate:
     if (path / "landmarks.csv").exists():
         ids, places = read_landmarks(path / "landmarks.csv")
     covariances = _read_covariances(path, len(pose), 0 if places is None else len(places))
-    trace = None
-    if (path / TRACE).exists():
-        if ids is None:
-            raise InputError(f"{path / TRACE}: needs landmarks.csv beside it")
-        trace = read_trace(path / TRACE, ids)
+    if trace is not None and ids is None:
+        raise InputError(f"{trace}: needs landmarks.csv beside the trajectory")
     return ExternalEstimate(
         time_s=time_s,
         pose=pose,
@@ -252,7 +259,7 @@ def _read_folder(path: Path) -> ExternalEstimate:
         joint_covariance=covariances.joint,
         information=information,
         estimator=estimator,
-        trace=trace,
+        trace=None if trace is None or ids is None else read_trace(trace, ids),
     )
 
 

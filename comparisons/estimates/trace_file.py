@@ -1,17 +1,20 @@
-"""`trace.npz`: what a filter linearised where, on disk, so that another's algebra can be judged."""
+"""What a filter linearised where, on disk, so that another's algebra can be judged.
+
+A recorder's trace, or `trace.npz` of 0.2.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.archive import read_arrays
 from comparisons.arrays import Array, Index
-from comparisons.errors import InputError
+from comparisons.errors import InputError, note
+from comparisons.estimates.event_arrays import event_arrays
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from ekf_reference.core.landmark_types import POINT, POSE
@@ -23,12 +26,8 @@ from ekf_reference.core.trace import (
     stack_records,
 )
 
-if TYPE_CHECKING:
-    from comparisons.adapters.ekf_run import EkfRun
-
-
-TRACE = "trace.npz"
-"""Stands in an estimate folder."""
+TRACE, FORMER = "filter.trace", "trace.npz"
+"""One of them stands in an estimate folder."""
 
 _PRIOR = {"prior_pose": (3,), "prior_covariance": (3, 3)}
 _STEPS = {
@@ -80,50 +79,23 @@ class TraceFile:
     rounding: float = 0.0
 
 
-def write_trace(run: EkfRun, path: Path) -> None:
-    """Write a run's trace. Raises InputError for filters that keep no x, y and heading.
-
-    Also for runs with pose landmarks: without these a filter's algebra is wrong.
-    """
-    trace, ids = run.trace, run.estimate.landmark_id
-    if trace.prior_pose.shape != (3,) or run.own_axes:
-        raise InputError("--trace is for filters of x, y and heading, range and bearing")
-    if len(run.pose_landmarks.measured):
-        raise InputError("--trace is for landmarks that are points; its file holds no others")
-    arrays: dict[str, Array | NDArray[np.integer]] = {
-        "prior_pose": trace.prior_pose,
-        "prior_covariance": trace.prior_covariance,
-        "step_time_s": run.timeline.step_end_s,
-        "step_departed": trace.departed,
-        "step_arrived": trace.arrived,
-        "step_f": trace.f,
-        "step_q": trace.q,
-    }
-    for part, records, other in (
-        ("update", trace.measurements[POINT], "landmark"),
-        ("initialise", trace.initialisations[POINT], "measurement"),
-    ):
-        arrays |= {
-            f"{part}_step": records.step,
-            f"{part}_measurement": records.number,
-            f"{part}_landmark": ids[records.landmark_index],
-            f"{part}_pose": records.pose,
-            f"{part}_point": records.landmark,
-            f"{part}_jacobian_pose": records.jacobian_pose,
-            f"{part}_jacobian_{other}": records.jacobian_other,
-            f"{part}_noise": records.noise,
-            f"{part}_weight": records.weight,
-        }
-    arrays["update_innovation"] = trace.measurements[POINT].innovation
-    for name in ("step", "number", "pose", "innovation", "jacobian_pose", "noise", "weight"):
-        arrays[f"position_{name}"] = getattr(trace.positions, name)
-    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
-
-
 def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
     """Read a trace of a filter whose landmarks have the ids (L,), in the estimate's order.
 
-    Positions and weights may be absent: none, and one. Raises InputError naming the array.
+    Raises InputError naming the event, or the array of a trace of 0.2.
+    """
+    if path.suffix == ".npz":
+        note(f"{path}: is of slamcheck 0.2, and the next release will not read it; see Recorder")
+        found = _former_arrays(path)
+    else:
+        found = event_arrays(path)
+    return _checked(path, found, landmark_id)
+
+
+def _former_arrays(path: Path) -> dict[str, Array]:
+    """Return the arrays of a `trace.npz`. Raises InputError naming the array.
+
+    Positions and weights may be absent: none, and one.
     """
     names = (*_PRIOR, *_SHAPES)
     stored = read_arrays(path, tuple(dict.fromkeys((*names, *map(_former, names)))))
@@ -144,6 +116,11 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
             if name not in found:
                 raise InputError(f"{path}: holds no {name}")
             _check(path, name, found[name], (count, *shape))
+    return found
+
+
+def _checked(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]) -> TraceFile:
+    """Return arrays as a trace, once their contents are checked."""
     rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
     _check_contents(path, found, rounding)
     _unwrap(found)

@@ -59,11 +59,10 @@ def run_folder(comparison: Comparison, result: Result) -> JobFolder:
 
     files: dict[str, Callable[[Path], object]] = {"report.html": write_page}
     if config.report.trace:
-        from comparisons.audit.own_filter import EVENTS, write_run
-        from comparisons.estimates.trace_file import TRACE, write_trace
+        from comparisons.audit.own_filter import write_run
+        from comparisons.estimates.trace_file import TRACE
 
-        files[f"ekf/{TRACE}"] = lambda path: write_trace(comparison.ekf, path)
-        files[f"ekf/{EVENTS}"] = lambda path: write_run(comparison.ekf, path)
+        files[f"ekf/{TRACE}"] = lambda path: write_run(comparison.ekf, path)
     return JobFolder(
         name="result",
         result=result,

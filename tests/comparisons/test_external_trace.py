@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,20 +16,24 @@ from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.audit.own_filter import write_run
 from comparisons.checks.agreement import Gap
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.estimates.trace_file import TRACE, read_trace, write_trace
+from comparisons.estimates.trace_file import FORMER, TRACE, read_trace
 from comparisons.experiments.defects.logs import open_case
 from comparisons.logs.log import Log
+from comparisons.logs.log_folder import read_log_folder
 from comparisons.pipeline.check import ExternalCheck, check, check_external
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import solve
+from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from tests.commands import slamcheck
+from tests.comparisons.former_trace import write_trace
 from tests.helpers import Array, compared
 
 Arrays = dict[str, Array]
@@ -50,14 +55,17 @@ def filtered(
 
 def hand_in(run: EkfRun, folder: Path) -> None:
     write_estimate(run.estimate, folder)
-    write_trace(run, folder / TRACE)
+    write_run(run, folder / TRACE)
 
 
-def change(folder: Path, edit: Callable[[Arrays], object]) -> None:
-    with np.load(folder / TRACE) as archive:
+def change(folder: Path, run: EkfRun, edit: Callable[[Arrays], object]) -> None:
+    """Hand in the trace as slamcheck 0.2 wrote it, with other arrays."""
+    (folder / TRACE).unlink()
+    write_trace(run, folder / FORMER)
+    with np.load(folder / FORMER) as archive:
         arrays = dict(archive)
     edit(arrays)
-    np.savez(folder / TRACE, **arrays)
+    np.savez(folder / FORMER, **arrays)
 
 
 def checked(folder: Path, log: Log, choices: EkfConfig) -> ExternalCheck:
@@ -166,25 +174,30 @@ def bare(arrays: Arrays) -> None:
             del arrays[name]
 
 
-@pytest.mark.slow
-def test_former_names_of_arrays_are_read(
-    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]
+KEPT = Path(__file__).parent / "kept" / "estimate-0.2"
+"""A log, what `run --trace` of 0.2 left of it, and its trace by the names of 0.1."""
+
+
+def test_estimates_of_earlier_versions_are_read(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Version 0.1 wrote `begin_sighting` for `initialise_measurement`."""
-    _, _, run = plain
-    write_trace(run, tmp_path / TRACE)
-    with np.load(tmp_path / TRACE) as stored:
-        arrays = {
-            n.replace("initialise_", "begin_").replace("measurement", "sighting"): stored[n]
-            for n in stored.files
-        }
-    np.savez(tmp_path / "former.npz", **arrays)
-    assert {"begin_sighting", "begin_jacobian_sighting"} <= set(arrays)
-    ids = run.estimate.landmark_id
-    now, former = (read_trace(tmp_path / name, ids).trace for name in (TRACE, "former.npz"))
-    for kind in ("measurements", "initialisations"):
-        for name, array in vars(getattr(now, kind)[POINT]).items():
-            np.testing.assert_array_equal(array, getattr(getattr(former, kind)[POINT], name))
+    """Each is today's run, and says that it is old."""
+    log = read_log_folder(KEPT / "log")
+    ids = read_external(KEPT / "estimate").landmark_id
+    assert ids is not None
+    assert "is of slamcheck 0.2, and the next release will not read it" in capfd.readouterr().err
+    write_run(filtered(log, EkfConfig()), tmp_path / TRACE)
+    now = read_trace(tmp_path / TRACE, ids)
+    for path in (KEPT / "estimate" / FORMER, KEPT / "trace-0.1.npz"):
+        former = read_trace(path, ids)
+        np.testing.assert_array_equal(former.step_time_s, now.step_time_s)
+        for name in ("prior_pose", "prior_covariance", "departed", "arrived", "f", "q"):
+            one, other = getattr(former.trace, name), getattr(now.trace, name)
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+        for kind in ("measurements", "initialisations"):
+            for name, array in vars(getattr(now.trace, kind)[POINT]).items():
+                other = getattr(getattr(former.trace, kind)[POINT], name)
+                np.testing.assert_allclose(array, other, rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize("edit", [wrapped, coarse, bare])
@@ -193,7 +206,7 @@ def test_other_habits_make_no_difference(
 ) -> None:
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
-    change(tmp_path, edit)
+    change(tmp_path, comparison.ekf, edit)
     assert_as_from_within(checked(tmp_path, log, choices), comparison)
 
 
@@ -226,7 +239,7 @@ def test_a_coarse_filter_that_fuses_late_is_told(
     def later(arrays: Arrays) -> None:
         arrays["update_step"] = np.minimum(arrays["update_step"] + 1, len(arrays["step_f"]))
 
-    change(tmp_path, later)
+    change(tmp_path, comparison.ekf, later)
     found = checked(tmp_path, log, choices)
     assert found.grade.value == "equal"  # for the estimate has been fused in time
     assert any("measurements are used too late, by 0.025 s" in said for said in found.remarks)
@@ -292,17 +305,81 @@ def test_damage_is_one_line(
     log, choices, run = plain
     hand_in(run, tmp_path)
     edit, reported = BAD[name]
-    change(tmp_path, edit)
+    change(tmp_path, run, edit)
     with pytest.raises(InputError, match=reported) as caught:
         checked(tmp_path, log, choices)
-    assert str(tmp_path / TRACE) in str(caught.value)
+    assert str(tmp_path / FORMER) in str(caught.value)
+
+
+P, EYE, HALF = np.eye(3), np.eye(2), np.eye(2, 3)
+AT: dict[str, Any] = {"point": np.zeros(3), "numbers": 0}
+
+
+def pair(record: Recorder, h: Array, r: Array) -> None:
+    """Two landmarks, and an update of both."""
+    for name in ("landmark 1", "landmark 2"):
+        record.augment(name, HALF, EYE, EYE, ["pose"], after=np.zeros(2), **AT)
+    blocks, point = ["pose", "landmark 1", "landmark 2"], np.zeros(7)
+    record.update("x", np.zeros(len(h)), h, r, blocks, point=point, numbers=[0, 1])
+
+
+def predict(record: Recorder, **points: Array) -> None:
+    record.at(1.0)
+    record.predict(P, P, **points)
+
+
+UNLIKE: dict[str, tuple[Callable[[Recorder], None], str]] = {
+    "no time": (lambda r: r.predict(P, P, point=P[0], after=P[0]), "event 1: has no time; set it"),
+    "no point": (predict, "event 1: has no point, which a comparison with a log needs"),
+    "no after": (lambda r: predict(r, point=P[0]), "event 1: has no after"),
+    "no numbers": (lambda r: r.update("x", EYE[0], HALF, EYE, point=P[0]), "has no numbers"),
+    "numbers": (
+        lambda r: r.update("x", EYE[0], HALF, EYE, point=P[0], numbers=[1, 2]),
+        "event 1: numbers has 2 numbers, expected 1",
+    ),
+    "odd": (lambda r: r.update("x", P[0], P, P, **AT), "event 1: has a residual that is not of"),
+    "clone": (lambda r: r.clone("pose", "copy"), "event 1: is a clone, which a planar filter has"),
+    "name": (
+        lambda r: r.augment("tree", HALF, EYE, EYE, after=EYE[0], **AT),
+        "event 1: begins a block that is no point whose name ends in its id",
+    ),
+    "two in one": (lambda r: pair(r, np.ones((2, 7)), EYE), "event 3: numbers has 2 numbers"),
+    "correlated": (
+        lambda r: pair(r, np.eye(4, 7, 3), np.eye(4) + 0.1),
+        "event 3: has noise that is correlated between measurements",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNLIKE)
+def test_events_of_another_filter_are_one_line(tmp_path: Path, name: str) -> None:
+    call, said = UNLIKE[name]
+    with Recorder(tmp_path / TRACE) as record:
+        record.prior({"pose": 3}, P, point=np.zeros(3))
+        call(record)
+    with pytest.raises(InputError, match=said):
+        read_trace(tmp_path / TRACE, np.array([1, 2]))
+
+
+def test_a_trace_stands_anywhere(tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]) -> None:
+    hand_in(plain[2], tmp_path)
+    beside, elsewhere = read_external(tmp_path), tmp_path.parent / "elsewhere.trace"
+    (tmp_path / TRACE).rename(elsewhere)
+    assert read_external(tmp_path).trace is None
+    found = read_external(tmp_path, trace=elsewhere)
+    assert found.trace is not None
+    assert beside.trace is not None
+    np.testing.assert_array_equal(found.trace.trace.f, beside.trace.trace.f)
+    assert "elsewhere.trace" in found.sha256
+    with pytest.raises(InputError, match="is no folder; --trace needs one"):
+        read_external(tmp_path / "trajectory.tum", trace=elsewhere)
 
 
 def test_a_trace_needs_landmarks(tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]) -> None:
     hand_in(plain[2], tmp_path)
     (tmp_path / "landmarks.csv").unlink()
     (tmp_path / "covariances.npz").unlink()
-    with pytest.raises(InputError, match=r"trace\.npz: needs landmarks\.csv beside it"):
+    with pytest.raises(InputError, match=r"filter\.trace: needs landmarks\.csv beside"):
         read_external(tmp_path)
 
 

@@ -17,7 +17,6 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
-from comparisons.estimates.trace_file import write_trace
 from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
@@ -160,13 +159,6 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     assert 'data-key="s0"' in page
     assert f"{len(slam.landmarks)} of {len(slam.landmarks)} agree" in page
     assert (tmp_path / "out" / "ekf" / "scan_landmarks.csv").exists()
-
-
-@pytest.mark.slow
-def test_a_trace_that_cannot_hold_scan_landmarks_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--trace is for landmarks that are points"):
-        write_trace(drawn().ekf, tmp_path / "trace.npz")
-    assert not list(tmp_path.iterdir())
 
 
 class Broken:

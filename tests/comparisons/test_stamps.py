@@ -12,6 +12,7 @@ import pytest
 
 import slamcheck
 from comparisons.arrays import Array
+from comparisons.audit.own_filter import write_event
 from comparisons.errors import InputError
 from comparisons.logs import stamps
 from comparisons.logs.log import Log
@@ -19,6 +20,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, VelocityOdometry
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.check import ExternalCheck
+from comparisons.trace.reader import Trace
 from tests.helpers import simulated
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_filter" / "my_ekf.py"
@@ -89,10 +91,14 @@ def test_an_estimate_with_fewer_decimals_is_of_the_same_instants(
     path = tmp_path / "mine" / "trajectory.tum"
     rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
     path.write_text("".join(f"{float(time):.{decimals}f} {rest}\n" for time, rest in rows))
-    with np.load(tmp_path / "mine" / "trace.npz") as archive:
-        arrays = dict(archive)
-    arrays["step_time_s"] = np.round(arrays["step_time_s"], decimals)
-    np.savez(tmp_path / "mine" / "trace.npz", **arrays)
+    trace = tmp_path / "mine" / "filter.trace"
+    exact = list(Trace(trace))
+    trace.unlink()
+    with slamcheck.Recorder(trace) as record:
+        for event in exact:
+            if event.time_s is not None:
+                record.at(round(event.time_s, decimals))
+            write_event(event, record)
     found = slamcheck.check(slamcheck.load_log(tmp_path / "log"), tmp_path / "mine")
     assert (found.outcome, found.grade.value) == ("agree", "equal")
 

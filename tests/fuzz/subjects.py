@@ -18,7 +18,7 @@ from comparisons.baseline import build_baseline, read_baseline, write_baseline
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.estimates.trace_file import TRACE, write_trace
+from comparisons.estimates.trace_file import FORMER
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
 from comparisons.experiments.montecarlo.runs import Records
@@ -33,6 +33,7 @@ from comparisons.report.models import Result
 from comparisons.report.result import build_result
 from comparisons.settings import configure, run_config, run_options
 from graphslam.g2o import G2oContents, write_g2o
+from tests.comparisons.former_trace import write_trace
 from tests.comparisons.logs.rawlogs import rawlog
 from tests.comparisons.logs.test_log_folder import full_log, velocity_log
 from tests.comparisons.logs.test_readers import car_park, graph, mrclam, victoria
@@ -151,7 +152,7 @@ def estimate_files(folder: Path) -> None:
     log, _ = small_solution()
     run = run_ekf(log, build_timeline(log), settle(EkfConfig(), log))
     write_estimate(run.estimate, folder)
-    write_trace(run, folder / TRACE)
+    write_trace(run, folder / FORMER)
 
 
 def trajectory_file(format_name: str) -> Subject:

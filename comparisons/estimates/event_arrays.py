@@ -1,0 +1,247 @@
+"""The events of a planar filter as columns: steps, measurements, new landmarks and positions.
+
+A filter of x, y and heading, whose block comes first, and of points, each a block whose name ends
+in its id. A prediction moves the pose alone. What is fused together is one update, with two rows
+for each measurement.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from comparisons.arrays import Array
+from comparisons.errors import InputError
+from comparisons.trace.events import (
+    ADDITIVE,
+    Augment,
+    Blocks,
+    Directions,
+    Event,
+    Predict,
+    Prior,
+    Snapshot,
+    Update,
+)
+from comparisons.trace.reader import Trace
+
+_POSE, _POINT = 3, 2
+_ID = re.compile(r"(?:.*\D)?(\d{1,18})")
+_COLUMNS = {
+    "step": {
+        "time_s": (),
+        "departed": (_POSE,),
+        "arrived": (_POSE,),
+        **dict.fromkeys(("f", "q"), (_POSE, _POSE)),
+    },
+    "update": {
+        **dict.fromkeys(("step", "measurement", "landmark", "weight"), ()),
+        "pose": (_POSE,),
+        "point": (_POINT,),
+        "innovation": (_POINT,),
+        "jacobian_pose": (_POINT, _POSE),
+        "jacobian_landmark": (_POINT, _POINT),
+        "noise": (_POINT, _POINT),
+    },
+    "initialise": {
+        **dict.fromkeys(("step", "measurement", "landmark", "weight"), ()),
+        "pose": (_POSE,),
+        "point": (_POINT,),
+        "jacobian_pose": (_POINT, _POSE),
+        **dict.fromkeys(("jacobian_measurement", "noise"), (_POINT, _POINT)),
+    },
+    "position": {
+        **dict.fromkeys(("step", "number", "weight"), ()),
+        "pose": (_POSE,),
+        "innovation": (_POINT,),
+        "jacobian_pose": (_POINT, _POSE),
+        "noise": (_POINT, _POINT),
+    },
+}
+
+
+def event_arrays(path: Path) -> dict[str, Array]:
+    """Return a trace's columns by name, as `trace.npz` of 0.2 had them.
+
+    Raises:
+        InputError: The file is no trace, or an event is none of such a filter, or lacks its point
+            or the numbers of its measurements.
+    """
+    reading = _Reading(path)
+    for event in Trace(path):
+        reading.take(event)
+    return reading.arrays()
+
+
+class _Reading:
+    """Columns in the making."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.made = path, 0
+        self.prior: Prior
+        self.rows: defaultdict[str, list[Any]] = defaultdict(list)
+        self.ids: dict[str, int] = {}
+
+    def take(self, event: Event) -> None:
+        """Add an event."""
+        match event:
+            case Prior():
+                self._prior(event)
+            case Predict():
+                self._predict(event)
+            case Augment():
+                self._augment(event)
+            case Update() if not event.used:
+                pass
+            case Update() if event.blocks == self.prior.blocks:
+                self._position(event)
+            case Update():
+                self._update(event)
+            case Snapshot() | Directions():
+                pass
+            case _:
+                kind = type(event).__name__.lower()
+                self._refuse(event, f"is a {kind}, which a planar filter has not")
+
+    def arrays(self) -> dict[str, Array]:
+        """Return all columns."""
+        found = {
+            f"{part}_{name}": np.array(self.rows[f"{part}_{name}"], dtype=np.float64).reshape(
+                -1, *shape
+            )
+            for part, columns in _COLUMNS.items()
+            for name, shape in columns.items()
+        }
+        point = self._sized(self.prior, "point", self.prior.point, _POSE)
+        return {"prior_pose": point, "prior_covariance": self.prior.covariance, **found}
+
+    def _prior(self, event: Prior) -> None:
+        if event.dims != (_POSE,) or event.charts not in ((), (ADDITIVE,), ("se2",)):
+            self._refuse(event, "begins with another state than a pose of x, y and heading")
+        self.prior = event
+
+    def _predict(self, event: Predict) -> None:
+        if event.blocks != self.prior.blocks:
+            self._refuse(event, "moves more than the pose; expected its block alone")
+        if event.time_s is None:
+            self._refuse(event, "has no time; set it with at(time_s)")
+        self._put(
+            "step",
+            time_s=event.time_s,
+            departed=self._sized(event, "point", event.point, _POSE),
+            arrived=self._sized(event, "after", event.after, _POSE),
+            f=event.jacobian,
+            q=event.noise,
+        )
+        self.made += 1
+
+    def _augment(self, event: Augment) -> None:
+        found = _ID.fullmatch(event.name)
+        if found is None or len(event.jacobian) != _POINT:
+            self._refuse(event, "begins a block that is no point whose name ends in its id")
+        if event.blocks != self.prior.blocks or event.noise.shape != (_POINT, _POINT):
+            self._refuse(event, "begins a landmark by more than the pose and one measurement")
+        self.ids[event.name] = int(found[1])
+        self._put(
+            "initialise",
+            step=self.made,
+            measurement=self._sized(event, "numbers", event.numbers, 1)[0],
+            landmark=self.ids[event.name],
+            weight=event.weight,
+            pose=self._sized(event, "point", event.point, _POSE),
+            point=self._sized(event, "after", event.after, _POINT),
+            jacobian_pose=event.jacobian,
+            jacobian_measurement=event.noise_jacobian,
+            noise=event.noise,
+        )
+
+    def _position(self, event: Update) -> None:
+        count = self._count(event)
+        numbers = self._sized(event, "numbers", event.numbers, count)
+        pose = self._sized(event, "point", event.point, _POSE)
+        noise = self._parts(event, count)
+        for k, number in enumerate(numbers):
+            rows = slice(_POINT * k, _POINT * (k + 1))
+            self._put(
+                "position",
+                step=self.made,
+                number=number,
+                weight=event.weight,
+                pose=pose,
+                innovation=event.residual[rows],
+                jacobian_pose=event.jacobian[rows],
+                noise=noise[k],
+            )
+
+    def _update(self, event: Update) -> None:
+        blocks, count = event.blocks, self._count(event)
+        if blocks[:1] != self.prior.blocks or not self.ids.keys() >= set(blocks[1:]):
+            self._refuse(event, "is of other blocks than the pose, first, and landmarks")
+        numbers = self._sized(event, "numbers", event.numbers, count)
+        size = _POSE + _POINT * (len(blocks) - 1)
+        point = self._sized(event, "point", event.point, size)
+        noise, h = self._parts(event, count), event.jacobian
+        for k, block in enumerate(self._landmarks(event, blocks, count)):
+            at = _POSE + _POINT * block
+            rows = slice(_POINT * k, _POINT * (k + 1))
+            self._put(
+                "update",
+                step=self.made,
+                measurement=numbers[k],
+                landmark=self.ids[blocks[1 + block]],
+                weight=event.weight,
+                pose=point[:_POSE],
+                point=point[at : at + _POINT],
+                innovation=event.residual[rows],
+                jacobian_pose=h[rows, :_POSE],
+                jacobian_landmark=h[rows, at : at + _POINT],
+                noise=noise[k],
+            )
+
+    def _landmarks(self, event: Update, blocks: Blocks, count: int) -> list[int]:
+        """Which of the landmarks each measurement is of: the one that its rows have columns of."""
+        others = len(blocks) - 1
+        if others == 1:
+            return [0] * count
+        parts = event.jacobian[:, _POSE:].reshape(count, _POINT, others, _POINT)
+        seen = parts.any(axis=(1, 3))
+        if (seen.sum(axis=1) == 1).all():
+            return list(seen.argmax(axis=1).tolist())
+        if count != others:
+            self._refuse(event, "has a measurement that is not of one landmark")
+        return list(range(count))
+
+    def _parts(self, event: Update, count: int) -> Array:
+        """The noise of each measurement (count, 2, 2)."""
+        if count == 1:
+            return event.noise[None]
+        parts = event.noise.reshape(count, _POINT, count, _POINT)
+        every = np.arange(count)
+        own: Array = parts[every, :, every]
+        if np.count_nonzero(event.noise) > np.count_nonzero(own):
+            self._refuse(event, "has noise that is correlated between measurements")
+        return own
+
+    def _count(self, event: Update) -> int:
+        if len(event.residual) % _POINT:
+            self._refuse(event, "has a residual that is not of two entries for each measurement")
+        return len(event.residual) // _POINT
+
+    def _sized(self, event: Event, name: str, values: Array | None, size: int) -> Array:
+        """What `check` needs beside an event's matrices."""
+        if values is None:
+            self._refuse(event, f"has no {name}, which a comparison with a log needs")
+        if len(values) != size:
+            self._refuse(event, f"{name} has {len(values)} numbers, expected {size}")
+        return values
+
+    def _put(self, part: str, **values: Any) -> None:
+        for name, value in values.items():
+            self.rows[f"{part}_{name}"].append(value)
+
+    def _refuse(self, event: Event, fault: str) -> NoReturn:
+        raise InputError(f"{self.path}, event {event.number}: {fault}")
