@@ -90,11 +90,12 @@ bench: $(VENV)/installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.ratios $(if $(KEEP),--keep)
 
 # Hours: 20,000 damaged files, odd settings, kills and full disks, drawn anew each time, with how
-# many of each kind were tried; the quick tests as on each processor, on each Python, and with the
+# many of each kind were tried; all golden runs; the quick tests as on each processor, on each Python, and with the
 # newest numpy and scipy.
 nightly: $(VENV)/installed-dev
 	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
 		--dist worksteal tests/fuzz
+	$(MAKE) test-golden
 	$(BIN)/python -m benchmarks.flavours env $(PYTEST) $(QUICK)
 	$(MAKE) test-pythons test-newest
 
