@@ -1,17 +1,17 @@
-# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` all
-# tests but those of a night. All set everything up: `run` without extras, tests with all of them (`scans` among them).
+# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` all tests
+# but those of a night. Each sets everything up: `run` without extras, tests with all of them.
 VENV ?= .venv
 BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
-QUICK := -m "not golden and not slow and not browser"
-# Quick tests that end in numbers.
-NUMERIC := tests/golden tests/ekf_reference/core tests/ekf_reference/filters \
-	tests/ekf_reference/association tests/graphslam/test_search.py tests/graphslam/test_smoother.py \
-	tests/graphslam/test_spurious.py tests/comparisons/test_check_page.py
+QUICK := -m "not slow and not browser and not nightly"
+# Some hundred quick tests that end in numbers.
+NUMERIC := tests/golden/test_golden.py tests/ekf_reference/filters tests/graphslam/test_search.py \
+	tests/graphslam/test_smoother.py tests/comparisons/test_check_page.py \
+	-k "not golden or loop or waypoint or check or solve"
 
-.PHONY: run test test-all test-golden same test-flavours test-pythons test-newest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
+.PHONY: run test test-all same test-flavours test-pythons test-newest test-lowest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -24,12 +24,8 @@ test: lint
 # which end where these are wrong.
 test-all: style
 	@$(BIN)/mypy & types=$$!; \
-	$(PYTEST) -m "not golden and not nightly" --durations=30 & tests=$$!; \
+	$(PYTEST) -m "not nightly" --durations=30 & tests=$$!; \
 	wait $$types || { kill $$tests; wait $$tests; exit 1; }; wait $$tests
-
-# Every golden run: verdicts, causes and counts as kept, figures within what processors round.
-test-golden: $(VENV)/installed-dev
-	$(PYTEST) --dist load tests/golden
 
 # Golden runs by the code of a commit and by the tree's, on this machine: every file is compared to
 # the bit, times apart. ONLY="loop-own check": these cases. Five minutes.
@@ -37,7 +33,6 @@ same: $(VENV)/installed-dev
 	$(BIN)/python -m tests.golden.same $(BASE) $(ONLY)
 
 # Tests that end in numbers, as on an old processor and without numpy's newest vector features.
-# Two minutes.
 test-flavours: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.flavours --only "Prescott" "no new vector features" -- \
 		env $(PYTEST) $(QUICK) $(NUMERIC)
@@ -55,6 +50,15 @@ test-newest:
 	$(MAKE) build/venv-newest/installed-dev VENV=build/venv-newest
 	build/venv-newest/bin/python -m pip install --quiet --upgrade numpy scipy
 	$(MAKE) test VENV=build/venv-newest
+
+# The quick tests with the lowest versions that pyproject.toml admits.
+test-lowest:
+	$(MAKE) build/venv-lowest/installed-dev VENV=build/venv-lowest
+	build/venv-lowest/bin/python -m pip install --quiet uv
+	build/venv-lowest/bin/uv pip compile --quiet --resolution lowest-direct --extra dev \
+		pyproject.toml --output-file build/lowest.txt
+	build/venv-lowest/bin/uv pip install --quiet --python build/venv-lowest -r build/lowest.txt
+	$(PYTEST:$(BIN)/%=build/venv-lowest/bin/%) $(QUICK)
 
 lint: style types
 
@@ -99,13 +103,13 @@ bench: $(VENV)/installed-dev
 
 # Hours: every test; 20,000 damaged files, odd settings, kills and full disks, drawn anew each time,
 # with how many of each kind were tried; the quick tests as on each processor, on each Python, and
-# with the newest numpy and scipy.
+# with the newest and the oldest libraries that pyproject.toml admits.
 nightly: lint
 	$(PYTEST)
 	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
 		--dist worksteal tests/fuzz
 	$(BIN)/python -m benchmarks.flavours env $(PYTEST) $(QUICK)
-	$(MAKE) test-pythons test-newest
+	$(MAKE) test-pythons test-newest test-lowest
 
 # Source distribution and wheels, built, looked into, and used in fresh environments on Python 3.11,
 # 3.12 and 3.13: those on PATH or PYTHONS="/path/to/python3.11 ...". ALLOW_MISSING=1: those there are.

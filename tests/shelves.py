@@ -156,6 +156,24 @@ SHELVES = {
             "ekf_reference/features/",
         ),
     ),
+    "long golden runs": Shelf(
+        (
+            *_tests("golden/test_same.py"),
+            *(
+                f"tests/golden/test_golden.py::test_results_are_as_they_were[{case}]"
+                for case in (
+                    "scan-slam-maps",
+                    "scan-slam-own",
+                    "solve",
+                    "map-scans",
+                    "dynamic-lanes",
+                    "car-park-both",
+                    "high-level-dense",
+                )
+            ),
+        ),
+        ("tests/golden/", "comparisons/extensions/", "ekf_reference/dense/", "graphslam/scan/"),
+    ),
     "planted faults": Shelf(
         _of_comparisons(
             "test_defects.py",

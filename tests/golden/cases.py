@@ -58,11 +58,6 @@ montecarlo: montecarlo circle --runs 25 --filters ekf,riekf --workers 1
 """
 CASES: dict[str, str] = dict(line.split(": ", 1) for line in _TABLE.splitlines())
 """Command lines by name. {work}: the folder in which the folders of all cases are."""
-LONG = frozenset(
-    {"scan-slam-maps", "solve", "map-scans", "dynamic-lanes", "car-park-both", "scan-slam-own"}
-    | {"high-level-dense"}
-)
-"""Long cases, by make test-golden only; all others together take a minute."""
 
 
 def words(name: str, work: Path) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from comparisons.baseline import Baseline, Metric, read_baseline
-from tests.golden.cases import CASES, LONG, lacks_data
+from tests.golden.cases import CASES, lacks_data
 from tests.golden.run import KEPT, ROUNDING, differences, run_case
 
 KNOWN = "loop-own"
@@ -18,9 +18,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("golden")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.golden if n in LONG else []) for n in CASES]
-)
+@pytest.mark.parametrize("name", CASES)
 def test_results_are_as_they_were(name: str, work: Path) -> None:
     if lacks_data(name):
         pytest.skip("the real logs (../shared/data) are not on this machine")

@@ -71,7 +71,7 @@ def test_other_pictures_are_seen(tmp_path: Path) -> None:
     assert found.startswith("map.png: bytes: ")
 
 
-@pytest.mark.golden
+@pytest.mark.slow
 def test_each_side_runs_its_own_code(tmp_path: Path) -> None:
     """A commit that rounds one function's results otherwise, beside itself."""
     case = "loop-own"
