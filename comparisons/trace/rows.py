@@ -37,6 +37,8 @@ _IN_CACHE = 16384
 _ASYMMETRY, _NEGATIVE = 1e-6, 1e-9
 """Beyond rounding, of a covariance scaled to a unit diagonal: differences of entries that should be
 equal, and eigenvalues below zero."""
+_SINGLE = 64.0 * 2.0**-24
+"""The same, of a covariance whose numbers are all of single precision."""
 
 
 class Cell:
@@ -359,25 +361,32 @@ def _fault(stack: Array, *, definite: bool) -> tuple[int, str] | None:
     for start in range(0, len(stack), few):
         some = stack[start : start + few]
         skew = _skew(some)
-        bad = np.flatnonzero(skew | ~_sound(some, definite=definite))
-        if len(bad):
-            fault = "is not positive definite" if definite else "has a negative eigenvalue"
-            return start + int(bad[0]), "is not symmetric" if skew[bad[0]] else fault
+        for bad in np.flatnonzero(skew | ~_sound(some, definite=definite)).tolist():
+            if not _single_sound(some[bad : bad + 1], definite=definite):
+                fault = "is not positive definite" if definite else "has a negative eigenvalue"
+                return start + bad, "is not symmetric" if skew[bad] else fault
     return None
 
 
-def _skew(stack: Array) -> Mask:
+def _single_sound(one: Array, *, definite: bool) -> bool:
+    """Whether a matrix (1, n, n) of single precision is a covariance to that precision."""
+    if (one != one.astype(np.float32)).any():
+        return False
+    return not _skew(one, _SINGLE)[0] and bool(_sound(one, definite=definite, least=_SINGLE)[0])
+
+
+def _skew(stack: Array, most: float = _ASYMMETRY) -> Mask:
     """Which matrices of (k, n, n) are not symmetric."""
     difference = np.abs(stack - stack.swapaxes(1, 2))
     if not difference.any():
         return np.zeros(len(stack), dtype=bool)
     sigma = np.sqrt(np.abs(np.diagonal(stack, axis1=1, axis2=2)))
-    beyond: Array = difference - _ASYMMETRY * sigma[:, :, None] * sigma[:, None, :]
+    beyond: Array = difference - most * sigma[:, :, None] * sigma[:, None, :]
     found: Mask = beyond.max((1, 2)) > 0.0
     return found
 
 
-def _sound(stack: Array, *, definite: bool) -> Mask:
+def _sound(stack: Array, *, definite: bool, least: float = _NEGATIVE) -> Mask:
     """Which symmetric matrices of (k, n, n) are positive definite, or semidefinite."""
     symmetric = 0.5 * (stack + stack.swapaxes(1, 2))
     if definite:
@@ -388,7 +397,7 @@ def _sound(stack: Array, *, definite: bool) -> Mask:
         # A variance of zero goes with covariances of zero; then a one may stand in its place.
         sound &= ~((variance == 0.0)[:, :, None] & (symmetric != 0.0)).any((1, 2))
     entries = np.arange(stack.shape[1])
-    symmetric[:, entries, entries] += np.where(variance == 0.0, 1.0, _NEGATIVE * variance)
+    symmetric[:, entries, entries] += np.where(variance == 0.0, 1.0, least * variance)
     sound &= _factored(symmetric)
     return sound
 

@@ -1,12 +1,11 @@
 """An EKF-SLAM that shares no code with ours, leaves a trace, and can be given a fault anywhere.
 
 Every formula is a field, so that a fault is `replace(filter, range_bearing=...)`. It works in
-double or in single precision, and writes an estimate folder with `trace.npz`.
+double or in single precision, and writes an estimate folder with its trace.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,10 +14,14 @@ import numpy as np
 
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
+from comparisons.audit.own_filter import write_event
 from comparisons.estimates.folder import tum_text
 from comparisons.estimates.trace_file import TRACE
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import OdometryNoise, RelativePoses, SteeringOdometry
+from comparisons.trace.events import Event
+from comparisons.trace.reader import Trace
+from comparisons.trace.recorder import Recorder
 
 
 def control(f: Foreign, k: int) -> Array:
@@ -233,7 +236,6 @@ class Foreign:
     def begin(self) -> None:
         """Forget everything."""
         self.x, self.p = self.cast(self.prior_pose), self.cast(self.prior_covariance)
-        self.rows: dict[str, list[object]] = defaultdict(list)
         self.at: dict[int, int] = {}
         self.first: dict[int, Array] = {}
         self.time_s = float(self.timeline.epoch_time_s[0])
@@ -247,6 +249,13 @@ class Foreign:
     def run(self, folder: Path) -> None:
         """Drive through the log, and write the estimate with its trace."""
         self.begin()
+        with Recorder(folder / TRACE) as self.record:
+            self.record.prior({"pose": 3}, self.p, point=self.x)
+            poses, spreads = self._drive()
+        self._write(folder, poses, spreads)
+
+    def _drive(self) -> tuple[Array, Array]:
+        """Go through the log; return poses and their covariances at the epochs."""
         t, poses, spreads = self.timeline, [], []
         until, seen = t.steps_until(), t.measurements_until()
         fixed = t.positions_until()
@@ -266,7 +275,7 @@ class Foreign:
                 self._fix(g)
             poses.append(self.x[:3].copy())
             spreads.append(self.p[:3, :3].copy())
-        self._write(folder, np.array(poses), np.array(spreads))
+        return np.array(poses), np.array(spreads)
 
     def _predict(self) -> None:
         k, pose = self.step, self.x[:3].copy()
@@ -274,12 +283,8 @@ class Foreign:
         arrived = self.motion(self, pose, u, dt)
         f, q = (part(self, pose, arrived, u, dt) for part in (self.by_pose, self.step_noise))
         self.time_s += float(self.timeline.step_duration_s[k])
-        end = self.time_s
-        for name, value in (
-            ("step_time_s", end), ("step_departed", pose), ("step_arrived", arrived),
-            ("step_f", f), ("step_q", q),
-        ):  # fmt: skip
-            self.rows[name].append(value)
+        self.record.at(self.time_s)
+        self.record.predict(f, q, ["pose"], point=pose, after=arrived)
         self.before, self.arrived, self.step = pose, arrived, k + 1
         self.x[:3] = arrived
         self.p[:3, 3:] = f @ self.p[:3, 3:]
@@ -299,6 +304,7 @@ class Foreign:
         n, m = len(self.x), len(rows)
         h, nu, r = (self.cast(np.zeros(s)) for s in ((2 * m, n), 2 * m, (2 * m, 2 * m)))
         pose = self.x[:3].copy()
+        begins = {f"landmark {k}": self.at[k] for k in self.landmark_index[rows].tolist()}
         for j, i in enumerate(rows.tolist()):
             landmark_index = int(self.landmark_index[i])
             at, part = self.at[landmark_index], slice(2 * j, 2 * j + 2)
@@ -310,9 +316,9 @@ class Foreign:
             )
             r[part, part] = self.noise(self, i)
             h[part, :3], h[part, at : at + 2] = row[:, :3], row[:, 3:]
-            self._record("update", i, landmark_index, pose, landmark, row[:, :3], r[part, part])
-            self.rows["update_innovation"].append(nu[part].copy())
-            self.rows["update_jacobian_landmark"].append(row[:, 3:])
+        columns = [0, 1, 2, *(at + k for at in begins.values() for k in (0, 1))]
+        blocks, point = ["pose", *begins], self.x[columns]
+        self.record.update("landmarks", nu, h[:, columns], r, blocks, point=point, numbers=rows)
         self._correct(h, nu, r)
 
     def _augment(self, i: int) -> None:
@@ -328,8 +334,8 @@ class Foreign:
         p[:n, n:] = p[n:, :n].T
         p[n:, n:] = g[:, :3] @ self.p[:3, :3] @ g[:, :3].T + g[:, 3:] @ r @ g[:, 3:].T
         self.x, self.p = np.concatenate((self.x, landmark)), self.keep(self, p, n)
-        self._record("initialise", i, landmark_index, pose, landmark, g[:, :3], r)
-        self.rows["initialise_jacobian_measurement"].append(g[:, 3:])
+        name, by_pose, by_z = f"landmark {landmark_index}", g[:, :3], g[:, 3:]
+        self.record.augment(name, by_pose, by_z, r, ["pose"], numbers=i, point=pose, after=landmark)
 
     def _fix(self, g: int) -> None:
         pose, n = self.x[:3].copy(), len(self.x)
@@ -337,33 +343,10 @@ class Foreign:
         nu = self.place(self, g) - pose[:2] - arm
         h = self.cast(np.zeros((2, n)))
         h[:, :3] = [[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]]]
-        for name, value in (
-            ("step", self.step), ("number", g), ("pose", pose), ("innovation", nu),
-            ("jacobian_pose", h[:, :3]), ("noise", r),
-        ):  # fmt: skip
-            self.rows[f"position_{name}"].append(value)
+        self.record.update("positions", nu, h[:, :3], r, ["pose"], point=pose, numbers=g)
         self._correct(h, nu, r)
 
-    def _record(self, part: str, i: int, landmark_index: int, pose: Array, at: Array, h: Array,
-                r: Array) -> None:  # fmt: skip
-        for name, value in (
-            ("step", self.step), ("measurement", i), ("landmark", landmark_index), ("pose", pose),
-            ("point", at), ("jacobian_pose", h), ("noise", r.copy()),
-        ):  # fmt: skip
-            self.rows[f"{part}_{name}"].append(value)
-
     def _write(self, folder: Path, poses: Array, spreads: Array) -> None:
-        whole = ("step", "measurement", "landmark", "number")
-        arrays = {
-            name: np.array(values, np.int64 if name.partition("_")[2] in whole else None)
-            for name, values in self.rows.items()
-        }
-        np.savez(
-            folder / TRACE,
-            prior_pose=self.cast(self.prior_pose),
-            prior_covariance=self.cast(self.prior_covariance),
-            **arrays,  # type: ignore[arg-type]
-        )
         order = [at - 3 for at in self.at.values()]
         if order != sorted(order):
             raise RuntimeError("landmarks out of order")
@@ -378,15 +361,27 @@ class Foreign:
         (folder / "landmarks.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def _rounded(event: Event) -> dict[str, Array]:
+    """Return an event's numbers in single precision; numbers of measurements stay whole."""
+    return {
+        name: value.astype(np.float32)
+        for name, value in event._asdict().items()
+        if isinstance(value, np.ndarray) and name != "numbers"
+    }
+
+
 def in_single(folder: Path) -> None:
     """Store in single precision what a folder holds in double."""
-    for name in (TRACE, "covariances.npz"):
-        with np.load(folder / name) as archive:
-            arrays = {
-                key: a.astype(np.float32) if a.dtype == np.float64 and key != "step_time_s" else a
-                for key, a in archive.items()
-            }
-        np.savez(folder / name, **arrays)
+    with np.load(folder / "covariances.npz") as archive:
+        arrays = {key: a.astype(np.float32) for key, a in archive.items()}
+    np.savez(folder / "covariances.npz", **arrays)
+    events = list(Trace(folder / TRACE))
+    (folder / TRACE).unlink()
+    with Recorder(folder / TRACE) as record:
+        for event in events:
+            if event.time_s is not None:
+                record.at(event.time_s)
+            write_event(event._replace(**_rounded(event)), record)  # type: ignore[arg-type]
     for name, separator in (("trajectory.tum", " "), ("landmarks.csv", ",")):
         lines = []
         for line in (folder / name).read_text(encoding="utf-8").splitlines():

@@ -630,6 +630,21 @@ def test_asymmetry_beyond_rounding_is_refused(turn: float, sound: bool) -> None:
     assert found == (None if sound else (0, "is not symmetric"))
 
 
+def test_single_precision_is_allowed_its_rounding() -> None:
+    """A singular Q of a filter that computes in float32; not a negative one, nor one in float64."""
+    g = np.random.default_rng(6).standard_normal((40, 3, 1)).astype(np.float32)
+    q = (g @ g.transpose(0, 2, 1)).astype(np.float64)
+    assert np.linalg.eigvalsh(q).min() < -1e-9
+    assert trace_rows._fault(q, definite=False) is None
+    wrong = q.copy()
+    wrong[7] -= np.float32(1e-3) * np.eye(3)
+    found = trace_rows._fault(wrong.astype(np.float32).astype(np.float64), definite=False)
+    assert found == (7, "has a negative eigenvalue")
+    double = q.copy()
+    double[:, 0, 0] *= 1.0 + 1e-12
+    assert trace_rows._fault(double, definite=False) is not None
+
+
 def test_the_first_of_several_faults_is_named(tmp_path: Path) -> None:
     """Covariances are checked by the hundred; an event before the wrong one is not blamed."""
     path = tmp_path / "run.trace"
