@@ -99,9 +99,11 @@ class Estimate:
         """Return the covariance of each point landmark alone.
 
         Returns:
-            (L, 2, 2) [m^2], additive global error; the diagonal blocks of `joint_covariance`.
+            (L, 2, 2) [m^2], additive global error; the diagonal blocks of `joint_covariance`, none
+            where that is of the pose alone.
         """
-        return self.layout.blocks(self.joint_covariance)
+        points = 3 + POINT.width * len(self.landmark)
+        return landmark_blocks(self.joint_covariance[:points, :points])
 
 
 def landmark_blocks(joint: Array) -> Array:
