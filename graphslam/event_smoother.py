@@ -86,7 +86,7 @@ class EventSmoother:
             self._collapse()
         b = w @ (residual - h @ self._shifts(blocks))
         for group in groups:
-            keys = _touched(terms, group) if len(groups) > 1 else terms
+            keys = _touched(terms, group) if len(terms) > _MOST_KEYS else terms
             self._add({key: terms[key][group] for key in keys}, b[group])
 
     def augment(self, name: str, blocks: Blocks, g: Array, noise: Array) -> None:

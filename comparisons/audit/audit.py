@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -61,6 +61,7 @@ LARGEST_ANCHORED = 500
 _MOST_GAPS = 2_000
 
 Progress = Callable[[str, int, int], None]
+Verdict = Literal["sound", "faulty", "nothing checked"]
 
 
 class Finding(NamedTuple):
@@ -106,6 +107,7 @@ class Audit:
         largest: The largest gap of all snapshots.
         first_open: The first that is more than the tolerance.
         agreement: Largest difference of the two solutions, in sigmas, up to the first fault.
+        compared: How many snapshots were compared, those of the prior apart.
         gains: How many gains and corrections were compared with Kalman's.
         sensors: Innovations by sensor.
         smoother: Filter against smoother.
@@ -123,6 +125,7 @@ class Audit:
     largest: AlgebraGap | None
     first_open: AlgebraGap | None
     agreement: float
+    compared: int
     gains: int
     sensors: tuple[SensorFigures, ...]
     smoother: Averaged | None
@@ -130,9 +133,16 @@ class Audit:
     spurious: Learnt | None
 
     @property
+    def verdict(self) -> Verdict:
+        """Without a snapshot, gain or correction no algebra was checked."""
+        if any(one.fault for one in self.findings):
+            return "faulty"
+        return "sound" if self.compared or self.gains else "nothing checked"
+
+    @property
     def sound(self) -> bool:
-        """No finding is a fault."""
-        return not any(one.fault for one in self.findings)
+        """The algebra was checked, and no finding is a fault."""
+        return self.verdict == "sound"
 
 
 def audit(path: str | Path, tolerance: float = ROUNDING, progress: Progress | None = None) -> Audit:
@@ -166,6 +176,7 @@ class _Pass:
         self.largest: AlgebraGap | None = None
         self.first_open: AlgebraGap | None = None
         self.agreement, self.gains, self.searched, self.snapshots = 0.0, 0, 0, 0
+        self.acted, self.compared = False, 0
         self.known: set[str] = set()
         self.sound = self.optimal = True
         self.broken: set[str] = set()
@@ -209,6 +220,7 @@ class _Pass:
             largest=self.largest,
             first_open=self.first_open,
             agreement=self.agreement,
+            compared=self.compared,
             gains=self.gains,
             sensors=sensors,
             smoother=smoother,
@@ -231,6 +243,7 @@ class _Pass:
             case Directions():
                 self.spurious = SpuriousInformation(event, self.replay)
                 return
+        self.acted = True
         if self.spurious is not None:
             self.spurious.take(event)
         if self.start is not None:
@@ -285,6 +298,7 @@ class _Pass:
     def _snapshot(self, snapshot: Snapshot) -> None:
         """Compare a snapshot with both solutions."""
         self.snapshots += 1
+        self.compared += self.acted
         marginal = self.smoother.marginal()
         at = self.replay.layout.columns(snapshot.blocks)
         recorded, right = snapshot.covariance, self.replay.covariance[at][:, at]

@@ -12,6 +12,7 @@ from comparisons.cli.flags import OUTPUT, argument, set_parameters
 from comparisons.cli.support import (
     AGREE,
     DISAGREE,
+    UNVERIFIED,
     chosen_output,
     guarded,
     print_result,
@@ -23,7 +24,7 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
     """Audit a trace of any Kalman filter: its algebra, gains and consistency.
 
     A trace is recorded by slamcheck.Recorder, or in C++ by cpp/slamcheck_recorder.hpp. Exit code
-    0: the filter is sound; 1: a fault was found.
+    0: the filter is sound; 1: a fault was found; 3: nothing that is recorded could be checked.
 
     \b
     Examples:
@@ -45,9 +46,10 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
             progress("report", 0, 0)
             write_audit(found, folder)
         print_result(audit_summary(found), folder / RESULT, chosen)
-        raise SystemExit(AGREE if found.sound else DISAGREE)
+        raise SystemExit(_CODES[found.verdict])
 
 
+_CODES = {"sound": AGREE, "faulty": DISAGREE, "nothing checked": UNVERIFIED}
 _TOLERANCE = typer.Option(
     metavar="SIGMAS",
     min=0.0,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from comparisons.atomic import fresh_folder, known_files
-from comparisons.audit.audit import Audit, Finding
+from comparisons.audit.audit import Audit, Finding, Verdict
 from comparisons.audit.innovations import SensorFigures
 from comparisons.audit.smoothing import Averaged
 from comparisons.audit.spurious import Learnt
@@ -27,6 +27,15 @@ from comparisons.words import Row
 
 RESULT = "audit.json"
 _SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
+_STYLES: dict[Verdict, str] = {
+    "sound": "agree",
+    "faulty": "disagree",
+    "nothing checked": "unverified",
+}
+_LACKING = (
+    "no snapshot, gain or correction is recorded, so that no algebra could be checked: record "
+    "snapshots of the covariance, or the gains of updates"
+)
 _EVENT = "event"
 _LEAST = 1e-17
 """What a gap of nothing is drawn as."""
@@ -152,7 +161,7 @@ class AuditResult(Model):
         snapshots: of them.
         blocks: dimensions of all blocks that there ever were, by name; at most 200.
         tolerance: largest difference that counts as rounding, in standard deviations.
-        verdict: `sound` or `faulty`.
+        verdict: `sound`, `faulty` or `nothing checked`.
         findings: faults first.
         largest_gap: the snapshot that is farthest from least squares.
         first_open: the first that is farther than the tolerance.
@@ -173,7 +182,7 @@ class AuditResult(Model):
     snapshots: int
     blocks: dict[str, int]
     tolerance: float
-    verdict: str
+    verdict: Verdict
     findings: list[FindingResult]
     largest_gap: GapResult | None
     first_open: GapResult | None
@@ -198,7 +207,7 @@ def build_audit_result(audit: Audit) -> AuditResult:
         snapshots=audit.counts.snapshots,
         blocks=dict(list(audit.blocks.items())[:200]),
         tolerance=audit.tolerance,
-        verdict="sound" if audit.sound else "faulty",
+        verdict=audit.verdict,
         findings=[_finding(one) for one in audit.findings],
         largest_gap=None if audit.largest is None else _gap(*audit.largest),
         first_open=None if audit.first_open is None else _gap(*audit.first_open),
@@ -267,9 +276,9 @@ def audit_summary(audit: Audit) -> Summary:
     """Return what the command prints."""
     named = [one.text for one in audit.findings if not one.fault]
     wrong = [one.text for one in audit.findings if one.fault]
-    headline = "verdict: sound"
+    headline = f"verdict: {audit.verdict}"
     if wrong:
-        headline = f"verdict: faulty ({len(wrong)} finding{'s' if len(wrong) > 1 else ''})"
+        headline += f" ({len(wrong)} finding{'s' if len(wrong) > 1 else ''})"
     counts = audit.counts
     lines = [
         (
@@ -290,8 +299,8 @@ def audit_summary(audit: Audit) -> Summary:
         lines.append(("spurious", _spurious_line(audit.spurious)))
     return Summary(
         headline=headline,
-        style=STYLES["disagree" if wrong else "agree"],
-        reasons=wrong,
+        style=STYLES[_STYLES[audit.verdict]],
+        reasons=[_LACKING] if audit.verdict == "nothing checked" else wrong,
         remarks=named,
         lines=lines,
         rows=audit_rows(audit),
@@ -479,7 +488,7 @@ def write_audit(audit: Audit, folder: Path) -> None:
 
 def _page(audit: Audit, panels: Sequence[Panel]) -> str:
     summary = audit_summary(audit)
-    colour = "agree" if audit.sound else "disagree"
+    colour = _STYLES[audit.verdict]
     panels = [panel for panel in panels if panel.curves]
     start = min((float(panel.curves[0].x[0]) for panel in panels), default=0.0)
     facts = "".join(f"<dt>{escape(n)}</dt><dd>{prose(t)}</dd>" for n, t in summary.lines)
@@ -487,7 +496,10 @@ def _page(audit: Audit, panels: Sequence[Panel]) -> str:
     parts = [
         f"<header><h1>{escape(audit.trace.name)}</h1><p>"
         f'<span class="verdict {colour}">{escape(summary.headline)}</span></p></header>',
-        *(_listed("Faults", summary.reasons), _listed("Named, not faults", summary.remarks)),
+        *(
+            _listed("Faults" if audit.verdict == "faulty" else "Lacking", summary.reasons),
+            _listed("Named, not faults", summary.remarks),
+        ),
         f"<dl>{facts}</dl>",
         '<noscript><p class="note">Curves need JavaScript; they are in curves.png, too.</p>'
         '</noscript><section id="when"><h2>Curves <span id="now"></span></h2>'

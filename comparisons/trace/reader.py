@@ -180,20 +180,23 @@ class Trace:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
     def _address(self) -> str:
-        """Return where SQLite shall open the file, after a look at its first bytes."""
-        path = self.path
-        check_regular(path)
+        """Return where SQLite shall open the file, after a look at its first bytes.
+
+        It follows links before it looks for a journal, so its look and ours are at the same file.
+        """
+        check_regular(self.path)
+        path = Path(os.path.realpath(self.path))
         journal = Path(f"{path}-journal")
         check_regular(journal)
         if not path.exists():
-            raise InputError(f"{path}: no such file, expected a filter's trace")
+            raise InputError(f"{self.path}: no such file, expected a filter's trace")
         with path.open("rb") as start:
             header = start.read(20)
         if header[:16] != _MAGIC:
-            raise InputError(f"{path}: is not an SQLite file, expected a filter's trace")
+            raise InputError(f"{self.path}: is not an SQLite file, expected a filter's trace")
         if _WAL in header[18:20]:
             raise InputError(
-                f"{path}: has a write-ahead log, which a trace has not; "
+                f"{self.path}: has a write-ahead log, which a trace has not; "
                 "PRAGMA journal_mode = DELETE ends it"
             )
         mode = "ro"
@@ -201,7 +204,7 @@ class Trace:
             mode = "rw"  # SQLite undoes what is in a journal, for which it must write.
             if _last_bytes(journal, 8) == _JOURNAL_MAGIC:
                 raise InputError(f"{journal}: names another file, which SQLite would delete")
-        return f"{path.absolute().as_uri()}?mode={mode}"
+        return f"{path.as_uri()}?mode={mode}"
 
     def _check(self, file: sqlite3.Connection) -> int:
         """Return the format. Raise InputError where the tables are not those of a recorder."""

@@ -199,3 +199,23 @@ def test_links_are_the_backward_pass_of_a_smoother() -> None:
     np.testing.assert_allclose(mean, kept.mean[2:], atol=1e-12)
     np.testing.assert_allclose(p, kept.covariance[2:, 2:], atol=1e-12)
     assert np.abs(p - filtered[2].covariance).max() > 1e-3
+
+
+@pytest.mark.parametrize("others", [1, 2, 3, 5])
+def test_a_jacobian_may_be_as_wide_as_the_state(others: int) -> None:
+    """Zeros for what is not measured: the same as without these blocks."""
+    smoothers = []
+    for whole in (True, False):
+        smoother = EventSmoother(("p",), (3,), np.eye(3))
+        names = [f"landmark {i}" for i in range(others)]
+        for name in names:
+            smoother.augment(name, ("p",), np.eye(3)[:2], 0.5 * np.eye(2))
+        h = np.hstack((-np.eye(3)[:2], np.eye(2)))
+        if whole:
+            h = np.hstack((h, np.zeros((2, 2 * (others - 1)))))
+        blocks = ("p", *names) if whole else ("p", names[0])
+        smoother.measure(blocks, h, np.eye(2), np.array([0.1, -0.2]))
+        smoothers.append(smoother.marginal())
+    whole_state, own_blocks = smoothers
+    assert np.abs(whole_state.mean - own_blocks.mean).max() < 1e-12
+    assert np.abs(whole_state.covariance - own_blocks.covariance).max() < 1e-12

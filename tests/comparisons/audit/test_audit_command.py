@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import slamcheck
@@ -83,3 +84,24 @@ def test_a_trace_without_snapshots_is_judged_by_its_innovations(tmp_path: Path) 
     assert found.sound
     assert found.largest is not None  # the one after the prior
     assert len(found.sensors) == 3
+
+
+@pytest.mark.parametrize("recorded", ["a prior", "its snapshot", "updates", "a snapshot", "gains"])
+def test_where_nothing_can_be_checked_nothing_is_sound(recorded: str, tmp_path: Path) -> None:
+    p, h, r = np.eye(2), np.array([[1.0, 0.0]]), np.eye(1)
+    with slamcheck.Recorder(tmp_path / "run.trace") as recorder:
+        recorder.prior({"state": 2}, p)
+        if recorded == "its snapshot":
+            recorder.snapshot(p)
+        if recorded in ("updates", "a snapshot", "gains"):
+            gain = 0.5 * h.T if recorded == "gains" else None
+            recorder.update("gps", [0.3], h, r, gain=gain)
+        if recorded == "a snapshot":
+            recorder.snapshot(np.diag((0.5, 1.0)))
+    done = command("audit", "run.trace", cwd=tmp_path)
+    if recorded in ("a snapshot", "gains"):
+        assert (done.returncode, done.stdout.splitlines()[0]) == (0, "verdict: sound")
+        return
+    assert done.returncode == 3
+    assert done.stdout.startswith("verdict: nothing checked\n  no snapshot, gain or correction")
+    assert ">Lacking</h2>" in (tmp_path / "slamcheck-audit-run" / "report.html").read_text()

@@ -499,13 +499,17 @@ def test_a_hostile_journal_deletes_no_file(
         file.execute("UPDATE batch SET updates = 7")
         shutil.copy(path, hostile)
         shutil.copy(f"{path}-journal", f"{hostile}-journal")
-    magic, name = reader._JOURNAL_MAGIC, str(victim).encode()
+    magic, prey = reader._JOURNAL_MAGIC, str(victim).encode()
     with Path(f"{hostile}-journal").open("ab") as journal:
-        journal.write(struct.pack(">I", 2**30 // 32768 + 1) + name)
-        journal.write(struct.pack(">II", len(name), sum(name)) + magic)
+        journal.write(struct.pack(">I", 2**30 // 32768 + 1) + prey)
+        journal.write(struct.pack(">II", len(prey), sum(prey)) + magic)
     if guarded:
-        with pytest.raises(InputError, match="names another file, which SQLite would delete"):
-            Trace(hostile)
+        link = tmp_path / "link.trace"
+        link.symlink_to(hostile)
+        Path(f"{link}-journal").write_text("not the one that SQLite reads\n")
+        for name in (hostile, link):
+            with pytest.raises(InputError, match="names another file, which SQLite would delete"):
+                Trace(name)
     else:
         monkeypatch.setattr(reader, "_JOURNAL_MAGIC", b"")
         assert len(list(Trace(hostile))) == 3001
