@@ -183,8 +183,10 @@ def _match(
 def _parted(header: str) -> tuple[str, str | None]:
     """A header's name and the unit in brackets behind it."""
     text = header.strip().lower()
-    if found := re.fullmatch(r"(.*?)[\s_]*[\[(]\s*(.*?)\s*[\])]", text):
-        return found[1].replace(" ", "_"), found[2]
+    at = min(len(text.partition(bracket)[0]) for bracket in "[(")
+    if at < len(text) and text[-1] in "])":
+        name = text[:at].replace("_", " ").rstrip()
+        return name.replace(" ", "_"), text[at + 1 : -1].strip()
     return text.replace(" ", "_"), None
 
 

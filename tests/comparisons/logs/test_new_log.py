@@ -19,6 +19,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
+from comparisons.logs.plain_csv import _parted
 from comparisons.logs.readers import read_log
 from tests.commands import slamcheck
 
@@ -78,6 +79,26 @@ def test_words_for_unknown_and_commas_at_the_end(tmp_path: Path) -> None:
     trees = "id,range,bearing,t\nNA,5,0,0.1,\nUnknown,5,1,0.1,,\noak,4,0,0.2\n"
     log = build(files(tmp_path, trees=trees)).log
     assert log.measurements.landmark.tolist() == [-1, -1, 0]
+
+
+@pytest.mark.parametrize(
+    ("header", "parts"),
+    [
+        ("Yaw Rate _ [ deg/s ]", ("yaw_rate", "deg/s")),
+        ("range_m", ("range_m", None)),
+        ("range (m)", ("range", "m")),
+        ("[m]", ("", "m")),
+        ("speed [", ("speed_[", None)),
+        ("a (b) [m]", ("a", "b) [m")),
+        ("omega [" + " " * 200_000 + "x", ("omega_[" + "_" * 200_000 + "x", None)),
+        ("a" + " _" * 100_000 + "[m]", ("a", "m")),
+    ],
+)
+def test_a_header_is_a_name_and_a_unit_however_long(
+    header: str, parts: tuple[str, str | None]
+) -> None:
+    """A pattern that goes back over blanks would take years for the last two."""
+    assert _parted(header) == parts
 
 
 def test_a_header_behind_a_hash_as_numpy_writes_it(tmp_path: Path) -> None:
