@@ -22,7 +22,7 @@ from tests.comparisons.toy_extension.extension import DockingFinding
 from tests.helpers import simulated
 
 ROOT = Path(__file__).resolve().parents[2]
-MOST_MODULES = 155
+MOST_MODULES = 158
 """Nine of them are the documents' constants, which say how the run differs from these."""
 
 
