@@ -162,7 +162,7 @@ SHELVES = {
             *(
                 f"tests/golden/test_golden.py::test_results_are_as_they_were[{case}]"
                 for case in (
-                    "scan-slam-maps",
+                    "scan-maps-dense",
                     "scan-slam-own",
                     "solve",
                     "map-scans",

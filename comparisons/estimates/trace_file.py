@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import read_arrays
 from comparisons.arrays import Array, Index
-from comparisons.errors import InputError, note
+from comparisons.errors import InputError
 from comparisons.estimates.event_arrays import event_arrays
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
@@ -69,8 +69,7 @@ class TraceFile:
 
     Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
     the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
-    done to
-    the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
+    done to the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
     """
 
     path: Path
@@ -84,11 +83,7 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
 
     Raises InputError naming the event, or the array of a trace of 0.2.
     """
-    if path.suffix == ".npz":
-        note(f"{path}: is of slamcheck 0.2, and the next release will not read it; see Recorder")
-        found = _former_arrays(path)
-    else:
-        found = event_arrays(path)
+    found = _former_arrays(path) if path.suffix == ".npz" else event_arrays(path)
     return _checked(path, found, landmark_id)
 
 

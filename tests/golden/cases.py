@@ -40,7 +40,7 @@ scan-slam-own: run {work}/short --landmarks scans --smoother-matcher generalised
 --template-extraction per-segment
 scan-slam-fused: run {work}/short --landmarks scans --merge-landmarks
 scan-slam-enriched: run {work}/short --landmarks scans --map-aided-matching
-scan-slam-maps: run scan-slam-maps --landmarks scans --dense occupancy
+scan-maps-dense: run scan-slam-maps --landmarks scans --dense occupancy
 scan-loop-dense: run scan-loop-fine --dense points --dense sog --resolution 0.4
 high-level-dense: run occupancy-loop --high-level --dense occupancy
 dynamic-lanes: run dynamic-lanes --dynamic

@@ -94,8 +94,8 @@ def test_where_nothing_can_be_checked_nothing_is_sound(recorded: str, tmp_path: 
         if recorded == "its snapshot":
             recorder.snapshot(p)
         if recorded in ("updates", "a snapshot", "gains"):
-            gain = 0.5 * h.T if recorded == "gains" else None
-            recorder.update("gps", [0.3], h, r, gain=gain)
+            more = {"gain": 0.5 * h.T} if recorded == "gains" else {}
+            recorder.update("gps", [0.3], h, r, **more)
         if recorded == "a snapshot":
             recorder.snapshot(np.diag((0.5, 1.0)))
     done = command("audit", "run.trace", cwd=tmp_path)
