@@ -11,7 +11,7 @@ NUMERIC := tests/golden/test_golden.py tests/ekf_reference/filters tests/graphsl
 	tests/graphslam/test_smoother.py tests/comparisons/test_check_page.py \
 	-k "not golden or loop or waypoint or check or solve"
 
-.PHONY: run test test-all same test-flavours test-pythons test-newest test-lowest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
+.PHONY: run test test-all same test-flavours test-pythons test-newest test-lowest lowest lint style types settings docs pictures results results-speed peers bench nightly release-check clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -51,14 +51,19 @@ test-newest:
 	build/venv-newest/bin/python -m pip install --quiet --upgrade numpy scipy
 	$(MAKE) test VENV=build/venv-newest
 
-# The quick tests with the lowest versions that pyproject.toml admits; what these warn of is no error.
+# The quick tests with the lowest versions that pyproject.toml admits, on the oldest Python and the
+# newest; what these warn of is no error.
 test-lowest:
-	$(MAKE) build/venv-lowest/installed-dev VENV=build/venv-lowest
-	build/venv-lowest/bin/python -m pip install --quiet uv
-	build/venv-lowest/bin/uv pip compile --quiet --resolution lowest-direct --extra dev \
-		pyproject.toml --output-file build/lowest.txt
-	build/venv-lowest/bin/uv pip install --quiet --python build/venv-lowest -r build/lowest.txt
-	$(PYTEST:$(BIN)/%=build/venv-lowest/bin/%) -o filterwarnings= $(QUICK)
+	@for v in 3.11 3.13; do \
+		$(MAKE) lowest VENV=build/venv-lowest-$$v PYTHON=python$$v || exit 1; \
+	done
+
+lowest: $(VENV)/installed-dev
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile --quiet --resolution lowest-direct --extra dev pyproject.toml \
+		--python $(BIN)/python --output-file $(VENV)/lowest.txt
+	$(BIN)/uv pip install --quiet --python $(BIN)/python -r $(VENV)/lowest.txt
+	$(PYTEST) -o filterwarnings= $(QUICK)
 
 lint: style types
 

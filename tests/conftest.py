@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -53,9 +54,15 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     return report
 
 
+@cache
+def _asked() -> set[str]:
+    """Return the shelves that a change asks for."""
+    return due(changed_files())
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark tests that read the real logs, and those of shelves that no change asks for."""
-    asked = due(changed_files())
+    asked = _asked()
     for item in items:
         if "shared_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.data)
@@ -66,7 +73,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_report_header() -> str:
     """Name the shelves that a change asks for."""
-    return f"shelves with changes: {', '.join(sorted(due(changed_files()))) or 'none'}"
+    return f"shelves with changes: {', '.join(sorted(_asked())) or 'none'}"
 
 
 @pytest.fixture(scope="session")
