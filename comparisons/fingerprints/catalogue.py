@@ -103,7 +103,7 @@ class ExpectedWrapped(RangeBearing):
     def innovation(self, z: Array, predicted: Array) -> Array:
         """Off by a turn where the two lie on either side of the cut."""
         wrapped = predicted.copy()
-        wrapped[:, 1] = np.angle(np.exp(1j * predicted[:, 1]))
+        wrapped[..., 1] = np.angle(np.exp(1j * predicted[..., 1]))
         return z - wrapped
 
 

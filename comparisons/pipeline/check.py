@@ -236,8 +236,11 @@ class _Job:
         return found
 
     def moved_back(self, first: ExternalCheck) -> ExternalCheck | None:
-        """The same where the estimate is explained once a motion of all of it is undone."""
-        if not first.peers or not first.peers[0].known.any():
+        """The same where the estimate is explained once a motion of all of it is undone.
+
+        None where there is a trace, which says how its filter moved.
+        """
+        if first.trace is not None or not first.peers or not first.peers[0].known.any():
             return None
         if first.causes and first.causes[0].gap in MOTIONS:
             return None

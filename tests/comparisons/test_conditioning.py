@@ -26,7 +26,7 @@ def test_measurements_that_come_one_by_one(jitter_s: float) -> None:
     shift = np.random.default_rng(0).uniform(0.0, jitter_s, len(log.measurements.time_s))
     time = np.sort(log.measurements.time_s + shift)
     c = compared(replace(log, measurements=replace(log.measurements, time_s=time)))
-    limit = 1e-8 if jitter_s > 1e-7 else 5e-7
+    limit = 1e-7 if jitter_s > 1e-7 else 5e-7
     assert c.agreement.algebra.within(limit)
     assert c.agreement.model.within(limit)
     assert c.smoother.optimality.verified

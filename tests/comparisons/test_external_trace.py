@@ -26,6 +26,7 @@ from comparisons.estimates.trace_file import FORMER, TRACE, read_trace
 from comparisons.experiments.defects.logs import open_case
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
+from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.check import ExternalCheck, check, check_external
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import solve
@@ -34,7 +35,7 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from tests.commands import slamcheck
 from tests.comparisons.former_trace import write_trace
-from tests.helpers import Array, compared
+from tests.helpers import Array, compared, first_seconds
 
 Arrays = dict[str, Array]
 NEW_EVERY = 4
@@ -243,6 +244,21 @@ def test_a_coarse_filter_that_fuses_late_is_told(
     found = checked(tmp_path, log, choices)
     assert found.grade.value == "equal"  # for the estimate has been fused in time
     assert any("measurements are used too late, by 0.025 s" in said for said in found.remarks)
+
+
+def test_a_late_path_is_not_moved_back_beside_its_trace(tmp_path: Path) -> None:
+    """The trace would no longer fit it, and says how its filter moved."""
+    log, choices = open_case("loop", seed=4)
+    log = first_seconds(log, 12.0)
+    assert isinstance(log.odometry, SteeringOdometry)
+    late = {
+        name: np.concatenate((np.zeros(8), vars(log.odometry)[name][:-8]))
+        for name in ("speed_mps", "steering_rad")
+    }
+    hand_in(filtered(replace(log, odometry=replace(log.odometry, **late)), choices), tmp_path)
+    found = check(log, read_external(tmp_path), CheckConfig(gps=choices.gps))
+    assert found.outcome == "disagree"
+    assert found.causes[0].gap == "model"
 
 
 @pytest.mark.slow

@@ -166,8 +166,12 @@ def test_the_first_format_is_read_with_a_line_that_says_so(
     assert "is of format 1, of slamcheck 0.2, which the next release" in capfd.readouterr().err
     assert former.counts == Trace(now).counts
     assert former.sensors == Trace(now).sensors
-    both = zip(former, Trace(now), strict=True)
-    assert all(plain(one) == plain(other) for one, other in both)
+    for one, other in zip(former, Trace(now), strict=True):
+        for kept, again in zip(one, other, strict=True):
+            if isinstance(kept, np.ndarray):  # made on other processors, and large beside their sum
+                assert kept == pytest.approx(again, rel=1e-9, abs=1e-12)
+            else:
+                assert kept == again
 
 
 def test_what_a_check_needs_is_read_as_it_was_recorded(tmp_path: Path) -> None:
