@@ -457,9 +457,12 @@ def _chosen(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimat
 
 
 def _references(given: ExternalEstimate, solution: Solution) -> _References:
+    """Of a log with loop closures no filter is a peer, for none of ours uses these."""
     optimum = smoother(solution, given.time_s)
     smoothed = optimum.pose, optimum.pose_covariance
-    ekf = reference_ekf(solution.prepared, given.time_s) if given.may_be("filtered") else None
+    closed, ekf = solution.log.loop_closures is not None, None
+    if given.may_be("filtered") and not closed:
+        ekf = reference_ekf(solution.prepared, given.time_s)
     peers: tuple[Reference, ...] = () if ekf is None else (ekf[0],)
     if given.may_be("smoothed"):
         peers += (optimum,)
@@ -468,7 +471,7 @@ def _references(given: ExternalEstimate, solution: Solution) -> _References:
         run = ekf or reference_ekf(solution.prepared, given.time_s)
         return run and (run[0].pose, run[0].pose_covariance)
 
-    clues = Clues(before=ekf and ekf[1], smoothed=smoothed, filtered=filtered)
+    clues = Clues(before=ekf and ekf[1], smoothed=smoothed, filtered=filtered, closed=closed)
     return _References(optimum, peers, clues)
 
 

@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
-from comparisons.logs.log import LoopClosures
+from comparisons.logs.log import Log, LoopClosures
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses
+from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
 from comparisons.report.folder import write_job_folder
 from comparisons.report.solution import build_solution_result, solution_folder
 from graphslam.g2o import G2oContents, write_g2o
+from graphslam.increments import dead_reckoned
 from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything
 from tests.helpers import compared, simulated
 
@@ -142,3 +145,44 @@ def test_a_small_chi_square_is_not_told_as_zero() -> None:
     path = Path(gtsam.__file__).parent / "Data" / "noisyToyGraph.txt"
     [remark] = build_solution_result(solve(open_log(str(path)))).remarks
     assert remark.startswith("chi-square 0.14 for 6 degrees of freedom is too low (band 0.")
+
+
+def ring(path: Path) -> Log:
+    """Three rounds of a square, each pose tied to the one of the round before."""
+    rng, info, true = np.random.default_rng(2), np.diag((4e2, 4e2, 1e4)), [np.zeros(3)]
+    lines = []
+
+    def edge(first: int, second: int) -> None:
+        a, b = true[first], true[second]
+        c, s = np.cos(a[2]), np.sin(a[2])
+        moved = np.append(np.array(((c, s), (-s, c))) @ (b - a)[:2], b[2] - a[2])
+        moved += rng.standard_normal(3) / np.sqrt(np.diag(info))
+        moved[2] = np.angle(np.exp(1j * moved[2]))
+        numbers = (*moved, *info[np.triu_indices(3)])
+        lines.append(" ".join(("EDGE_SE2", str(first), str(second), *map(str, numbers))))
+
+    for k in range(60):
+        x, y, heading = true[-1]
+        after = heading + (k % 5 == 4) * np.pi / 2
+        true.append(np.array((x + np.cos(heading), y + np.sin(heading), after)))
+        edge(k, k + 1)
+    for k in range(20, 61, 4):
+        edge(k - 20, k)
+    places = [f"VERTEX_SE2 {k} {x} {y} {t}" for k, (x, y, t) in enumerate(true)]
+    path.write_text("\n".join((*places, *lines)) + "\n")
+    return open_log(str(path))
+
+
+def test_an_estimate_that_uses_no_closure_is_told(tmp_path: Path) -> None:
+    """A reference that saw less than the smoother grants no grade."""
+    log = ring(tmp_path / "ring.g2o")
+    solution = solve(log)
+    problem, time_s = solution.result.problem, solution.estimate.time_s
+    dead = dead_reckoned(problem.prior_pose, problem.increment)
+    found = check(log, ExternalEstimate(time_s=time_s, pose=dead))
+    assert found.outcome == "disagree"
+    assert "no loop closure is used" in found.causes[0].evidence
+    sound = check(log, ExternalEstimate(time_s=time_s, pose=solution.estimate.pose))
+    assert sound.outcome == "agree"
+    assert sound.grade.by is not None
+    assert sound.grade.by.reference.smoothed

@@ -39,12 +39,13 @@ class Clues:
 
     before: those before each instant's measurements, if the reference is a filter. smoothed: the
     smoother's, NaN where it has none. filtered: makes those of the reference EKF, None where it
-    breaks down.
+    breaks down. closed: the log has loop closures, which the reference EKF does not use.
     """
 
     before: tuple[Array, Array] | None
     smoothed: tuple[Array, Array]
     filtered: Callable[[], tuple[Array, Array] | None]
+    closed: bool
 
 
 def facts(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]:
@@ -166,6 +167,14 @@ def _known_path(given: ExternalEstimate, found: Likeness, clues: Clues) -> Cause
         )
     filtered = clues.filtered() if found.reference.smoothed else None
     if filtered is not None and _fits(given, found, filtered):
+        if clues.closed:
+            return Cause(
+                "data",
+                "the poses are those of the log's odometry and landmarks alone: no loop closure is "
+                "used",
+                "check that the closures reach the optimiser, and that what is written is its "
+                "result, not its start",
+            )
         return Cause(
             "information",
             "the poses are those of the reference EKF, which does not use later measurements",
