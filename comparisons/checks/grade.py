@@ -28,6 +28,8 @@ LIKE_VARIANCE = 0.05
 SMOOTHER = "the smoother"
 MOST_LATE_S = 0.5
 """A path that begins or ends so much inside the log's is not all of it."""
+_EXACT = 1e-6
+"""Variance, by the largest on the path, of a pose that is known exactly, as a start may be."""
 _ROUNDED = 4.0
 """Times the rounding of the reference to single precision that is still equal to it."""
 
@@ -234,11 +236,20 @@ def _poses(given: ExternalEstimate, reference: Reference) -> Part:
     own = reference.pose_covariance[at]
     difference = pose_difference(given.pose[at], reference.pose[at])
     cover = None if given.pose_covariance is None else given.pose_covariance[at]
+    ratios = _ratios(None if cover is None else _started(cover, own), own)
     rounding = (
         _mean_rounding(given.pose[:, :2], reference.pose[at], own),
         _covariance_rounding(cover, own),
     )
-    return Part("poses", in_sigma(difference, own), *_ratios(cover, own), rounding)
+    return Part("poses", in_sigma(difference, own), *ratios, rounding)
+
+
+def _started(given: Array, own: Array) -> Array:
+    """Covariances (K, 3, 3) as given; the reference's where both know the pose exactly."""
+    variance, others = (np.diagonal(one, 0, 1, 2) for one in (given, own))
+    nothing = _EXACT * others.max(axis=0, initial=0.0)
+    exact = (np.abs(variance) <= nothing).all(axis=1) & (others <= nothing).all(axis=1)
+    return np.where(exact[:, None, None], own, given)
 
 
 def _landmarks(given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:

@@ -279,6 +279,19 @@ def test_single_precision_is_allowed_for(solution: Solution, right: ExternalEsti
     assert check_external(nudged, solution, "equal").outcome == "disagree"
 
 
+def test_a_start_that_is_known_exactly_has_no_covariance(solution: Solution) -> None:
+    """Where the log knows it, too; a later pose without one is a fault."""
+    log = solution.log
+    exact = solve(replace(log, prior=replace(log.prior, covariance=1e-14 * np.eye(3))))
+    given = filtered(exact.log, exact)
+    assert given.pose_covariance is not None
+    for row, outcome in ((0, "agree"), (5, "disagree")):
+        without = given.pose_covariance.copy()
+        without[row] = 0.0
+        found = check_external(replace(given, pose_covariance=without), exact, "like")
+        assert found.outcome == outcome, evidence(found)
+
+
 def test_eigenvalues_are_those_of_the_pair() -> None:
     second = np.array([[[2.0, 0.5], [0.5, 1.0]]])
     low, high = eigenvalues(3.0 * second, second)
