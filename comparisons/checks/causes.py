@@ -125,6 +125,14 @@ EXPLANATIONS: dict[str, Explanation] = {
         "Check for a sensor that was silent or blocked, for lost messages, and for a gate that "
         "rejects every measurement.",
     ),
+    "positions": Explanation(
+        "Positions contradict the other measurements",
+        "Most absolute positions fit neither the filter nor the optimum, which rest on odometry "
+        "and landmarks alone, since the gate rejected these positions. One of the two is wrong. "
+        "Each known motion was fitted to the residuals, and one that explains 95 % of their "
+        "chi-square is named.",
+        "Check the antenna's place, the positions' frame and clock, and their sigma.",
+    ),
     "association": Explanation(
         "Measurements are assigned to different landmarks",
         "In a run, the smoother's own association leads to another optimum than the filter's. In "

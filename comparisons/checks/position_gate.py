@@ -7,7 +7,7 @@ later.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
+from comparisons.checks.causes import Cause
+from comparisons.checks.position_fit import Path, Seen, position_fit
 from comparisons.estimates.estimate import Estimate
 from ekf_reference.models.position import PositionFixes, PositionModel
 
@@ -25,6 +27,7 @@ class RejectedFixes:
 
     given: how many were given. number: (R,) which of them were rejected. streak: (R,) how many in a
     row each is one of. unfit: (R,) whether the same gate at the smoother's optimum rejects it, too.
+    fit: what would make them fit, in words; empty where nothing known does, or need not.
     """
 
     LONG: ClassVar[int] = 5
@@ -34,6 +37,28 @@ class RejectedFixes:
     number: Index
     streak: Index
     unfit: NDArray[np.bool_]
+    fit: str = ""
+
+    @property
+    def contradict(self) -> bool:
+        """Whether most of all positions do not fit the optimum."""
+        return 2 * self.unfit_count > self.given
+
+    @property
+    def causes(self) -> list[Cause]:
+        """Positions that speak against all else are a disagreement, whoever is wrong."""
+        if not self.contradict:
+            return []
+        evidence = (
+            f"{self.unfit_count} of {self.given} positions contradict what odometry and landmarks "
+            "say, and were rejected"
+        )
+        if self.fit:
+            return [
+                Cause("positions", f"{evidence}; they fit {self.fit}", "correct this in the log")
+            ]
+        hint = "check the positions' frame, antenna, clock and sigma, and the start"
+        return [Cause("positions", evidence, hint)]
 
     @property
     def in_streaks(self) -> int:
@@ -74,24 +99,32 @@ def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
     if given is None or not count:
         return None
     number = np.setdiff1d(np.arange(count), run.fix_number)
-    model, at = PositionModel(given.antenna_m), run.timeline.position_epoch[number]
-    unfit = [
-        normalised_squared(model, pose, covariance, given.position_m[g], given.covariance[g])
-        > PositionFixes().gate
-        for g, pose, covariance in zip(
-            number, smoothed.pose[at], smoothed.pose_covariance[at], strict=True
-        )
-    ]
-    return RejectedFixes(count, number, streaks(number), np.array(unfit, dtype=bool))
+    at = run.timeline.position_epoch[number]
+    residual, spread = residuals(
+        PositionModel(given.antenna_m),
+        (smoothed.pose[at], smoothed.pose_covariance[at]),
+        (given.position_m[number], given.covariance[number]),
+    )
+    squared = np.einsum(
+        "ni,ni->n", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0]
+    )
+    found = RejectedFixes(count, number, streaks(number), squared > PositionFixes().gate)
+    if not found.contradict:
+        return found
+    seen = Seen(smoothed.time_s[at], given.position_m[number], spread, given.antenna_m)
+    return replace(found, fit=position_fit(seen, Path(smoothed.time_s, smoothed.pose)))
 
 
-def normalised_squared(
-    model: PositionModel, pose: Array, covariance: Array, z: Array, noise: Array
-) -> float:
-    """Return nu^T S^-1 nu of a position z (2,) with R (2, 2) at a pose (3,), (3, 3)."""
-    expected, jacobian = model.predict(pose)
-    s = jacobian @ covariance @ jacobian.T + noise
-    return float((z - expected) @ np.linalg.solve(s, z - expected))
+def residuals(
+    model: PositionModel, poses: tuple[Array, Array], positions: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Return nu (N, 2) and S (N, 2, 2) of positions at poses, both with their covariances."""
+    nu, spread = [], []
+    for pose, covariance, z, noise in zip(*poses, *positions, strict=True):
+        expected, jacobian = model.predict(pose)
+        nu.append(z - expected)
+        spread.append(jacobian @ covariance @ jacobian.T + noise)
+    return np.array(nu).reshape(-1, 2), np.array(spread).reshape(-1, 2, 2)
 
 
 def streaks(number: Index) -> Index:

@@ -209,22 +209,26 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             log, run, smoothed, labelled=labelled, robust=options.robust
         )
         spurious = spurious_heading(gaps.recorded, run)
+        fixes = _rejected_fixes(run, smoothed)
         verdict = judge(
             gaps.agreement,
             gaps.result,
             run,
             _diagnosis(compared, consistency, spurious),
             data_faults=data_faults(log, run, smoothed, labelled=labelled),
-            causes=[cause for found in findings.values() for cause in found.causes],
+            causes=[
+                *(() if fixes is None else fixes.causes),
+                *(cause for found in findings.values() for cause in found.causes),
+            ],
             conservative=prepared.ekf.conservative,
         )
         verdict = replace(verdict, remarks=(*odometry_remarks(log), *verdict.remarks))
         remarks = [remark for found in findings.values() for remark in found.remarks]
         reckoned = dead_reckoned(gaps.problem.prior_pose, gaps.problem.increment)
-        assessment = _assess(prepared, run, smoothed, reckoned)
+        assessment = replace(_assess(prepared, run, smoothed, reckoned), fixes=fixes)
         gap = _truth_gap(compared, assessment, consistency)
-        if assessment.fixes is not None:
-            remarks += assessment.fixes.remarks
+        if fixes is not None:
+            remarks += fixes.remarks
         return Comparison(
             prepared=prepared,
             ekf=run,
@@ -394,7 +398,6 @@ def _assess(
         smoother=assess(smoothed, judged, labelled=labelled),
         dead_reckoned=assess_trajectory(run.timeline.epoch_time_s, reckoned, judged),
         association=score,
-        fixes=_rejected_fixes(run, smoothed),
     )
 
 

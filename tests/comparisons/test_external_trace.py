@@ -251,11 +251,12 @@ def test_a_late_path_is_not_moved_back_beside_its_trace(tmp_path: Path) -> None:
     log, choices = open_case("loop", seed=4)
     log = first_seconds(log, 12.0)
     assert isinstance(log.odometry, SteeringOdometry)
-    late = {
-        name: np.concatenate((np.zeros(8), vars(log.odometry)[name][:-8]))
-        for name in ("speed_mps", "steering_rad")
-    }
-    hand_in(filtered(replace(log, odometry=replace(log.odometry, **late)), choices), tmp_path)
+    speed, steering = (
+        np.concatenate((np.zeros(8), values[:-8]))
+        for values in (log.odometry.speed_mps, log.odometry.steering_rad)
+    )
+    late = replace(log.odometry, speed_mps=speed, steering_rad=steering)
+    hand_in(filtered(replace(log, odometry=late), choices), tmp_path)
     found = check(log, read_external(tmp_path), CheckConfig(gps=choices.gps))
     assert found.outcome == "disagree"
     assert found.causes[0].gap == "model"

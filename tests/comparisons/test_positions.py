@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +53,49 @@ def test_gaps_stay_at_rounding_with_positions(antenna: tuple[float, float], name
     assert c.ekf.rejected_fixes == 1
     assert 10 not in c.ekf.fix_number
     assert c.verdict.outcome == "agree"
+
+
+def moved(log: Log, change: Callable[[Positions], Positions]) -> Log:
+    assert log.positions is not None
+    return replace(log, positions=change(log.positions))
+
+
+def rotated(positions: Positions) -> Positions:
+    turn = np.array(((np.cos(0.2), -np.sin(0.2)), (np.sin(0.2), np.cos(0.2))))
+    return replace(positions, position_m=positions.position_m @ turn.T)
+
+
+WRONG: dict[str, tuple[Callable[[Positions], Positions], str, tuple[float, ...]]] = {
+    "antenna": (lambda p: replace(p, antenna_m=(-2.0, 1.0)), "an antenna at", (2.0, -0.8)),
+    "offset": (
+        lambda p: replace(p, position_m=p.position_m + (4.0, -3.0)),
+        "an offset of",
+        (4.0, -3.0),
+    ),
+    "delay": (lambda p: replace(p, time_s=p.time_s + 2.0), "s too late", (2.0,)),
+    "rotation": (rotated, "a frame turned by", (11.5, 0.0, 0.0)),
+    "none of these": (
+        lambda p: replace(
+            p, position_m=20.0 * np.random.default_rng(1).standard_normal(p.position_m.shape)
+        ),
+        "were rejected",
+        (),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_positions_that_contradict_all_else_are_a_disagreement(name: str) -> None:
+    """Said with the motion that makes them fit, where one does."""
+    change, said, figures = WRONG[name]
+    log = with_fixes(simulated(seed=3, loop_s=30.0), (2.0, -0.8))
+    c = compared(moved(log, change), association="known", gps="on")
+    assert c.verdict.outcome == "disagree"
+    assert [one.gap for one in c.verdict.causes] == ["positions"]
+    _, _, fitted = c.verdict.causes[0].evidence.partition("; they fit ")
+    first = fitted.partition(", or ")[0]
+    assert said in (first or c.verdict.causes[0].evidence)
+    assert [float(n) for n in re.findall(r"-?\d+\.\d+", first)] == pytest.approx(figures, abs=1.0)
 
 
 def test_positions_reduce_the_covariance_of_vehicle_and_map() -> None:
