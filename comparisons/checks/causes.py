@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
+    from comparisons.checks.diagnosis.log_fit import LogFit
     from comparisons.checks.diagnosis.model_differences import ModelDifference
     from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
 
@@ -124,6 +125,14 @@ EXPLANATIONS: dict[str, Explanation] = {
         "and never appears alone.",
         "Check for a sensor that was silent or blocked, for lost messages, and for a gate that "
         "rejects every measurement.",
+    ),
+    "log": Explanation(
+        "The log fits with another number",
+        "The smoother's chi-square is too high, and it falls to what the stated noise explains if "
+        "one number of one sensor is changed: a scale, an offset, or a delay. The named one "
+        "removes at least 80 % of what chi-square is too high by. Scales of speed and range stand "
+        "for each other where nothing else tells the size of the map.",
+        "Check the calibration, the units and the clock of the named sensor.",
     ),
     "positions": Explanation(
         "Positions contradict the other measurements",
@@ -447,6 +456,21 @@ def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
         f"({growth.sigma:.1f} sigma of its noise; the heading's sigma was {around}), and half of "
         f"the total linearisation error arose before {time_s[growth.reached(0.5)]:.1f} s"
     )
+
+
+def log(fits: Sequence[LogFit], test: ChiSquareTest) -> list[Cause]:
+    """The numbers that would make the log fit, where there are any."""
+    if not fits:
+        return []
+    named = ", or ".join(f"to {one.chi2:.0f} with {one.what}" for one in fits)
+    return [
+        Cause(
+            "log",
+            f"the smoother's chi-square falls from {test.chi2:.0f} (for {test.dof} degrees of "
+            f"freedom) {named}",
+            "check the calibration, units and clock of this sensor; correct the log and run again",
+        )
+    ]
 
 
 def noise(test: ChiSquareTest, consistency: Consistency | None) -> list[Cause]:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
+    from comparisons.checks.diagnosis.log_fit import LogFit
     from comparisons.checks.diagnosis.model_differences import ModelDifference
     from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
 
@@ -75,8 +76,9 @@ class Diagnosis:
     differences: where the models differ. operations: which operation of the filter is wrong.
     explanations: known mistakes that reproduce the records. growth: where linearising cost
     something. spurious: what the filter learnt of its heading from what cannot tell it. dropouts:
-    stretches without observations. consistency: of the innovations. The last two explain a
-    disagreement, or an optimum that is not verified, and never make one.
+    stretches without observations. consistency: of the innovations. log_fits: numbers that would
+    make the log fit. The last three explain a disagreement, or an optimum that is not verified, and
+    never make one.
     single: how the algebra gap grows, if computing in single precision explains it. algebra,
     model: the gaps that rounding explains.
     """
@@ -88,6 +90,7 @@ class Diagnosis:
     spurious: SpuriousHeading | None = None
     dropouts: Callable[[], Dropouts | None] = lambda: None
     consistency: Consistency | None = None
+    log_fits: Callable[[], Sequence[LogFit]] = tuple
     single: str = ""
     algebra: Allowed = EXACT
     model: Allowed = EXACT
@@ -116,7 +119,10 @@ def judge(
     if not found:
         outcome, found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
         if outcome != "agree":
-            found += cause.noise(result.optimality.chi_square, diagnosis.consistency)
+            test = result.optimality.chi_square
+            fits = diagnosis.log_fits() if test.reading == "too high" else ()
+            found = cause.log(fits, test) + found
+            found += cause.noise(test, diagnosis.consistency) if not fits else []
             found += cause.dropout(diagnosis.dropouts())
     remarks = _remarks(result.optimality, run) + _on_robust(result.options.robust)
     algebra, allowed = agreement.algebra, diagnosis.algebra

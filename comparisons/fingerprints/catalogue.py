@@ -26,6 +26,7 @@ from comparisons.logs.odometry import (
     SteeringOdometry,
     VelocityOdometry,
 )
+from comparisons.logs.transforms.calibration import controlled, driven, sensed
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import (
@@ -216,7 +217,7 @@ def catalogue(log: Log) -> Iterator[Fault]:
     if not isinstance(log.odometry, RelativePoses):
         yield from (Fault(what, feed=_noise(change)) for what, change in _WHEELS.items())
         yield from _shifted_odometry()
-        yield Fault("the turn counts to the right", feed=lambda log: _driven(log, turn=(-1.0, 0.0)))
+        yield Fault("the turn counts to the right", feed=lambda log: driven(log, turn=(-1.0, 0.0)))
 
 
 def families(log: Log) -> Iterator[Family]:
@@ -231,10 +232,10 @@ def families(log: Log) -> Iterator[Family]:
     yield Family("the gain is computed with {} R, the covariance by Joseph's form with R",
                  plant=_other_gain)  # fmt: skip
     yield Family("the prior's covariance is {} times the log's", _wider_prior)
-    yield Family("the ranges are {} times the log's", lambda log, k: _moved(log, range_=(k, 0.0)))
-    yield Family("the ranges have a bias of {} m", lambda log, b: _moved(log, range_=(1.0, b)),
+    yield Family("the ranges are {} times the log's", lambda log, k: sensed(log, range_=(k, 0.0)))
+    yield Family("the ranges have a bias of {} m", lambda log, b: sensed(log, range_=(1.0, b)),
                  0.0, factor=False)  # fmt: skip
-    yield Family("the bearings have a bias of {} rad", lambda log, b: _moved(log, bearing=(1.0, b)),
+    yield Family("the bearings have a bias of {} rad", lambda log, b: sensed(log, bearing=(1.0, b)),
                  0.0, factor=False)  # fmt: skip
     if isinstance(log.odometry, RelativePoses):
         return
@@ -246,10 +247,10 @@ def families(log: Log) -> Iterator[Family]:
         ("the stabilisation noise", _RATES),
     ):
         yield Family(f"{what} is {{}} times the log's", _wider_control(parts))
-    yield Family("the speed is {} times the log's", lambda log, k: _driven(log, speed=(k, 0.0)))
-    yield Family("the turn is {} times the log's", lambda log, k: _driven(log, turn=(k, 0.0)))
+    yield Family("the speed is {} times the log's", lambda log, k: driven(log, speed=(k, 0.0)))
+    yield Family("the turn is {} times the log's", lambda log, k: driven(log, turn=(k, 0.0)))
     yield Family("the turn has a bias of {} (rad or rad/s)",
-                 lambda log, b: _driven(log, turn=(1.0, b)), 0.0, factor=False)  # fmt: skip
+                 lambda log, b: driven(log, turn=(1.0, b)), 0.0, factor=False)  # fmt: skip
 
 
 def _kept(first: int) -> Change:
@@ -307,34 +308,7 @@ def _shifted(lag: int, *, held: bool = False) -> Feed:
             found[:lag], found[lag:] = values[-lag:], values[-1]
         return found
 
-    return lambda log: _controls(log, late, late)
-
-
-def _driven(
-    log: Log, speed: tuple[float, float] = (1.0, 0.0), turn: tuple[float, float] = (1.0, 0.0)
-) -> Log:
-    """The log with speed and turn times a factor, and an offset added."""
-    return _controls(log, lambda v: speed[0] * v + speed[1], lambda w: turn[0] * w + turn[1])
-
-
-def _controls(log: Log, speed: Callable[[Array], Array], turn: Callable[[Array], Array]) -> Log:
-    odometry = _wheels(log)
-    moved = replace(odometry, speed_mps=speed(odometry.speed_mps))
-    if isinstance(moved, SteeringOdometry):
-        moved = replace(moved, steering_rad=turn(moved.steering_rad))
-    else:
-        moved = replace(moved, yaw_rate_radps=turn(moved.yaw_rate_radps))
-    return replace(log, odometry=moved)
-
-
-def _moved(
-    log: Log, range_: tuple[float, float] = (1.0, 0.0), bearing: tuple[float, float] = (1.0, 0.0)
-) -> Log:
-    """The log with ranges and bearings times a factor, and an offset added."""
-    seen = log.measurements
-    range_m = np.maximum(range_[0] * seen.range_m + range_[1], 1e-3)
-    angle = np.angle(np.exp(1j * (bearing[0] * seen.bearing_rad + bearing[1])))
-    return replace(log, measurements=replace(seen, range_m=range_m, bearing_rad=angle))
+    return lambda log: controlled(log, late, late)
 
 
 def _wider_noise(in_range: bool, in_bearing: bool) -> Callable[[Log, float], Log]:

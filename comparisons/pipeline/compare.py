@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
     from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
+    from comparisons.checks.diagnosis.log_fit import LogFit
     from comparisons.checks.position_gate import RejectedFixes
     from comparisons.pipeline.beside import Beside
 
@@ -356,6 +357,12 @@ def _diagnosis(
 
         return find_dropouts(run, gaps.smoothed)
 
+    def fits() -> Sequence[LogFit]:
+        from comparisons.checks.diagnosis.log_fit import log_fits
+
+        compared.prepared.progress("the log's own numbers", 0, 0)
+        return log_fits(log, run, gaps.result)
+
     return Diagnosis(
         differences=gaps.model_differences,
         operations=lambda: _repeated(compared.prepared, run),
@@ -364,6 +371,7 @@ def _diagnosis(
         spurious=spurious,
         dropouts=dropouts,
         consistency=consistency,
+        log_fits=fits,
         algebra=gaps.rounding,
         model=gaps.rounding,
     )

@@ -1,0 +1,188 @@
+"""Which single number of the log's sensors, if it were another, would make the smoother fit.
+
+Each is fitted alone by minimising the chi-square of the smoother's optimum over it: scales of
+speed, turn, range and bearing (-1 for the opposite sign), offsets of the last three, and the clock
+of the measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import fdtrc
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.smoother_input import build_problem
+from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
+from comparisons.logs.transforms.calibration import delayed, driven, sensed
+from graphslam.graph_builder import build_graph, to_values
+from graphslam.optimisers import levenberg_marquardt
+from graphslam.search import relaxed_values
+from graphslam.smoother import SmootherResult
+
+LEAST_SHARE = 0.8
+"""Of what chi-square is too high by, that a number must remove to be named."""
+LEVEL = 1e-6
+"""Of the F test of all numbers together."""
+_ROUNDS = 4
+_MOST_REFINED = 3
+_AS_WELL = 1.5
+"""Times the least chi-square: a number that leaves no more may be the one."""
+_TOLERANCE = 1e-6
+"""Of the smoother's error, relative."""
+
+_WORDS: dict[type, tuple[str, str]] = {
+    RelativePoses: ("ways between poses", "turns between poses"),
+    SteeringOdometry: ("speeds", "steering angles"),
+    VelocityOdometry: ("speeds", "turn rates"),
+}
+
+
+class LogFit(NamedTuple):
+    """A number with which the log fits. what: in words. chi2: with it; before: without."""
+
+    what: str
+    chi2: float
+    before: float
+
+
+class _Number(NamedTuple):
+    """change: makes the log's value right if the number is. step: about what noise hides."""
+
+    words: str
+    change: Callable[[Log, float], Log]
+    neutral: float
+    step: float
+
+
+def _numbers(log: Log) -> Iterator[_Number]:
+    """Of what the log has."""
+    way, turn = _WORDS[type(log.odometry)]
+    yield _Number(f"{way} {{:.3g}} times the log's", lambda g, k: driven(g, (k, 0.0)), 1.0, 0.01)
+    yield _Number(
+        f"{turn} {{:.3g}} times the log's", lambda g, k: driven(g, turn=(k, 0.0)), 1.0, 0.01
+    )
+    yield _Number(
+        f"an offset of {{:+.3g}} rad on the {turn}",
+        lambda g, b: driven(g, turn=(1.0, b)),
+        0.0,
+        1e-3,
+    )
+    if not len(log.measurements.time_s):
+        return
+    yield _Number("ranges {:.3g} times the log's", lambda g, k: sensed(g, (k, 0.0)), 1.0, 0.01)
+    yield _Number(
+        "an offset of {:+.3g} m on the ranges", lambda g, b: sensed(g, (1.0, b)), 0.0, 0.01
+    )
+    yield _Number(
+        "bearings {:.3g} times the log's", lambda g, k: sensed(g, bearing=(k, 0.0)), 1.0, 0.01
+    )
+    yield _Number(
+        "an offset of {:+.3g} rad on the bearings",
+        lambda g, b: sensed(g, bearing=(1.0, b)),
+        0.0,
+        1e-3,
+    )
+    if not isinstance(log.odometry, RelativePoses):
+        yield _Number("measurements {:+.3g} s later than the log says", delayed, 0.0, 0.05)
+
+
+def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
+    """Return the numbers that make the log fit, the best first.
+
+    Args:
+        log: As the estimators read it.
+        run: With the association.
+        result: The smoother's, whose chi-square is too high.
+    """
+    test = result.optimality.chi_square
+    excess = test.chi2 - test.dof
+    rough = []
+    for one in _numbers(log):
+        fit = _Fit(log, run, result, one)
+        rough.append((fit.round(), fit))
+    rough.sort(key=lambda pair: pair[0])
+    found = []
+    numbers = len(rough)
+    for _, fit in rough[:_MOST_REFINED]:
+        chi2 = fit.refined()
+        f = (test.chi2 - chi2) / max(chi2 / max(test.dof - 1, 1), 1e-300)
+        sure = numbers * float(fdtrc(1, test.dof - 1, max(f, 0.0))) < LEVEL
+        if sure and test.chi2 - chi2 >= LEAST_SHARE * excess:
+            found.append(LogFit(fit.words, chi2, test.chi2))
+    least = min((one.chi2 for one in found), default=0.0)
+    alike = [one for one in found if one.chi2 <= _AS_WELL * least]
+    return sorted(alike, key=lambda one: one.chi2)
+
+
+class _Fit:
+    """Newton's method on chi-square by one number."""
+
+    def __init__(self, log: Log, run: EkfRun, result: SmootherResult, number: _Number) -> None:
+        self._log, self._run, self._number = log, run, number
+        self._poses, self._landmarks = result.poses, result.landmarks
+        self._at, self._step = number.neutral, number.step
+        self._chi2, self._afresh = 2.0 * result.error, True
+        opposite = self._of(-number.neutral) if number.neutral else np.inf
+        if opposite < self._chi2:
+            self._at, self._chi2 = -number.neutral, opposite
+        else:
+            self._afresh = False
+
+    @property
+    def words(self) -> str:
+        """With the number."""
+        return self._number.words.format(self._at)
+
+    def refined(self) -> float:
+        """Chi-square at the number that fits best."""
+        for _ in range(_ROUNDS - 1):
+            before = self._chi2
+            self.round()
+            if before - self._chi2 < 1e-3 * before:
+                break
+        return self._chi2
+
+    def round(self) -> float:
+        """Take a step of Newton's, halved until chi-square falls; return chi-square then."""
+        up, down = (self._of(self._at + sign * self._step) for sign in (1.0, -1.0))
+        bend = up - 2.0 * self._chi2 + down
+        if not np.isfinite(bend):
+            return self._chi2
+        slope = 0.5 * (up - down)
+        move = -slope / bend * self._step if bend > 0.0 else -np.sign(slope) * 8.0 * self._step
+        for _ in range(_ROUNDS):
+            chi2 = self._of(self._at + move)
+            if chi2 < self._chi2:
+                self._at, self._chi2 = self._at + move, chi2
+                self._step = min(self._step, 0.25 * abs(move))
+                break
+            move *= 0.5
+        return self._chi2
+
+    def _of(self, number: float) -> float:
+        """Chi-square of the smoother with the number; infinite where the log cannot have it."""
+        try:
+            log = self._number.change(self._log, number)
+            timeline = build_timeline(log, self._run.positions)
+            problem = build_problem(log, replace(self._run, timeline=timeline))
+            graph, values = build_graph(problem), relaxed_values(problem)
+            if not self._afresh:
+                poses = self._poses_at(timeline.epoch_time_s)
+                seen = problem.seen_landmarks, problem.pose_landmarks
+                values = to_values(poses, self._landmarks, *seen)
+            return 2.0 * float(graph.error(levenberg_marquardt(graph, values, _TOLERANCE)[0]))
+        except (InputError, RuntimeError):
+            return np.inf
+
+    def _poses_at(self, time_s: Array) -> Array:
+        """The optimum's (K, 3), between its own instants along straight lines."""
+        own_s = self._run.timeline.epoch_time_s
+        return np.column_stack([np.interp(time_s, own_s, one) for one in self._poses.T])

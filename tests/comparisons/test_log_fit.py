@@ -1,0 +1,70 @@
+"""Logs of a sensor that is scaled, offset or late: the number that would make them fit is named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.checks.diagnosis.log_fit import log_fits
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.logs.transforms.calibration import delayed, driven, sensed
+from comparisons.pipeline.compare import Comparison
+from tests.helpers import compared
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    """Nothing is seen at its ends, so that measurements may come a little earlier or later."""
+    drive = simulate(np.random.default_rng(3), Drive(noise_scale=0.1, loop_s=30.0))
+    seen, last_s = drive.measurements, float(drive.odometry.time_s[-1])
+    middle = (seen.time_s > 1.0) & (seen.time_s < last_s - 1.0)
+    return replace(drive, measurements=seen.chosen(middle))
+
+
+def fits_of(found: Comparison) -> list[str]:
+    return [one.what for one in log_fits(found.log, found.ekf, found.smoother)]
+
+
+WRONG: dict[str, tuple[Callable[[Log], Log], str, float]] = {
+    "speed": (lambda log: driven(log, (0.8, 0.0)), "speeds", 1.25),
+    "turn": (lambda log: driven(log, turn=(0.8, 0.0)), "steering angles .* times", 1.25),
+    "turn's offset": (lambda log: driven(log, turn=(1.0, 0.05)), "on the steering angles", -0.05),
+    "opposite turn": (lambda log: driven(log, turn=(-1.0, 0.0)), "steering angles", -1.0),
+    "range": (lambda log: sensed(log, (1.0, 1.0)), "m on the ranges", -1.0),
+    "bearing": (lambda log: sensed(log, bearing=(1.0, 0.2)), "rad on the bearings", -0.2),
+    "clock": (lambda log: delayed(log, 0.9), "s later than the log says", -0.9),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_the_number_is_named_first_thing(log: Log, name: str) -> None:
+    change, words, number = WRONG[name]
+    found = compared(change(log))
+    assert found.verdict.outcome != "agree"
+    first = found.verdict.causes[0]
+    assert first.gap == "log"
+    named = re.split(r"(?:, or )?to \d+ with ", first.evidence)[1:]
+    said = next(one for one in named if re.search(words, one))
+    fitted = re.search(r"[-+]?\d+\.?\d*(e-\d+)?", said)
+    assert fitted is not None
+    assert float(fitted[0]) == pytest.approx(number, rel=0.15)
+
+
+def test_noise_that_is_larger_than_stated_is_no_number(log: Log) -> None:
+    rng, seen = np.random.default_rng(0), log.measurements
+    more = 3.0 * seen.sigma_bearing_rad * rng.standard_normal(len(seen.time_s))
+    found = compared(replace(log, measurements=replace(seen, bearing_rad=seen.bearing_rad + more)))
+    assert not found.smoother.optimality.verified
+    assert not fits_of(found)
+    assert any(one.gap == "noise" for one in found.verdict.causes)
+
+
+def test_a_sound_log_has_none(log: Log) -> None:
+    found = compared(log)
+    assert found.verdict.outcome == "agree"
+    assert not fits_of(found)
