@@ -42,6 +42,7 @@ from ekf_reference.models.range_bearing import RangeBearing
 _STEERING = {"steering sign", "wheelbase wrong", "sensor's place left out"}
 _POSITIONS = {"lever arm left out", "position fused twice"}
 _RATES = ("variance_rate_position", "variance_rate_heading")
+_VARIANCES = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
 _SIMULATED = {"interval ignored"}
 """Of one interval only, that of the logs that it is planted in."""
 
@@ -68,6 +69,51 @@ class NoiseInBodyAxes(OtherMotion):
         jacobian = step.jacobian_control.copy()
         jacobian[:2] = np.array([[cos, sin], [-sin, cos]]) @ jacobian[:2]
         return step._replace(jacobian_control=jacobian)
+
+
+class InDeadReckonedFrame(OtherMotion):
+    """Steps lead along the heading of plain dead reckoning, which no update corrects."""
+
+    _heading_rad: float | None = None
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """From the filter's place, by the other heading; the Jacobians are right."""
+        heading = float(pose[2]) if self._heading_rad is None else self._heading_rad
+        own, other = (
+            super(InDeadReckonedFrame, self).step(np.append(pose[:2], one), control, duration_s)
+            for one in (pose[2], heading)
+        )
+        self._heading_rad = float(other.pose[2])
+        return own._replace(pose=np.append(other.pose[:2], own.pose[2]))
+
+
+def _heading_column(change: Callable[[float, float, float], tuple[float, float]]) -> Plant:
+    """F with another column by the heading. change: of a step's east, north [m] and turn per metre.
+
+    Sound is (-north, east).
+    """
+
+    class OtherColumn(OtherMotion):
+        def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+            step = super().step(pose, control, duration_s)
+            east, north, turn = (step.pose - pose).tolist()
+            way = float(np.hypot(east, north))
+            jacobian = step.jacobian_pose.copy()
+            jacobian[:2, 2] = change(east, north, turn / way if way else 0.0)
+            return step._replace(jacobian_pose=jacobian)
+
+    return with_motion(OtherColumn)
+
+
+_COLUMNS: dict[str, Callable[[float, float, float], tuple[float, float]]] = {
+    "cosine and sine are exchanged": lambda e, n, t: (-e, n),
+    "the x row has the opposite sign": lambda e, n, t: (n, e),
+    "the y row has the opposite sign": lambda e, n, t: (-n, -e),
+    "the turn stands for the way in the x row": lambda e, n, t: (-n * t, e),
+    "the turn stands for the way in the y row": lambda e, n, t: (-n, e * t),
+    "the turn stands for the way": lambda e, n, t: (-n * t, e * t),
+}
+"""Errors in the heading's column of F."""
 
 
 def _opposite_sign(row: int, of: str) -> Plant:
@@ -111,15 +157,29 @@ class ExpectedWrapped(RangeBearing):
 class IndependentAtAugmentation(KalmanState):
     """New landmarks know neither the vehicle nor the map nor each other."""
 
+    variance: float | None = None
+    """[m^2] that they have instead of their own."""
+
     def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
         """Append, then forget."""
-        old = self.covariance.copy()
+        n = len(self.covariance)
         super().augment(new, noise, kind)
-        n, (count, width) = len(old), new.landmark.shape
+        count, width = new.landmark.shape
         p = self._covariance[: self._layout.size, : self._layout.size]
         p[n:, n:] *= np.kron(np.eye(count), np.ones((width, width)))
+        if self.variance is not None:
+            p[n:, n:] = self.variance * np.eye(count * width)
         p[:n, n:] = 0.0
         p[n:, :n] = 0.0
+
+
+def _constant(value: float) -> Plant:
+    """New landmarks with the same covariance, whatever is known."""
+
+    class Constant(IndependentAtAugmentation):
+        variance = value
+
+    return with_state(Constant)
 
 
 def _other_gain(factor: float) -> Plant:
@@ -210,6 +270,13 @@ def catalogue(log: Log) -> Iterator[Fault]:
                 plant=with_observation(ExpectedWrapped))  # fmt: skip
     yield Fault("a landmark is initialised without any cross-covariance",
                 plant=with_state(IndependentAtAugmentation))  # fmt: skip
+    for value in _VARIANCES:
+        yield Fault(f"a landmark is initialised with the covariance {value:g} m^2 I, whatever is "
+                    "known, and without any cross-covariance", plant=_constant(value))  # fmt: skip
+    yield Fault("steps lead along the heading of plain dead reckoning, not the filter's",
+                plant=with_motion(InDeadReckonedFrame))  # fmt: skip
+    for what, column in _COLUMNS.items():
+        yield Fault(f"{what} in the heading's column of F", plant=_heading_column(column))
     yield Fault("measurements of landmarks in the map are used twice in one update",
                 plant=_new_landmarks(0.5, 1.0))  # fmt: skip
     yield from (Fault(what, feed=_seen(change)) for what, change in _MEASUREMENTS.items())
@@ -218,6 +285,17 @@ def catalogue(log: Log) -> Iterator[Fault]:
         yield from (Fault(what, feed=_noise(change)) for what, change in _WHEELS.items())
         yield from _shifted_odometry()
         yield Fault("the turn counts to the right", feed=lambda log: driven(log, turn=(-1.0, 0.0)))
+
+
+def own_start(log: Log, covariance: Array) -> Fault:
+    """The fault of a filter whose first pose has a covariance (3, 3) of its own."""
+    prior = log.prior.covariance
+    ratio = np.diag(covariance) / np.diag(prior)
+    named = ", ".join(f"{one:.3g}" for one in ratio)
+    if np.ptp(ratio) <= 1e-6 * ratio.max():
+        named = f"{ratio[0]:.3g}"
+    what = f"the prior's covariance is {named} times the log's"
+    return Fault(what, feed=lambda log: _with_prior(log, covariance))
 
 
 def families(log: Log) -> Iterator[Family]:
@@ -340,13 +418,16 @@ def _wider_control(parts: tuple[str, ...]) -> Callable[[Log, float], Log]:
     return feed
 
 
+def _with_prior(log: Log, covariance: Array) -> Log:
+    return replace(log, prior=replace(log.prior, covariance=covariance))
+
+
 def _wider_prior(log: Log, factor: float) -> Log:
-    return replace(log, prior=replace(log.prior, covariance=factor * log.prior.covariance))
+    return _with_prior(log, factor * log.prior.covariance)
 
 
 def _prior_of_sigmas(log: Log) -> Log:
-    sigmas = np.diag(np.sqrt(np.diag(log.prior.covariance)))
-    return replace(log, prior=replace(log.prior, covariance=sigmas))
+    return _with_prior(log, np.diag(np.sqrt(np.diag(log.prior.covariance))))
 
 
 def _noise(change: Callable[[OdometryNoise], OdometryNoise]) -> Feed:

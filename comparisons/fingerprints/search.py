@@ -10,13 +10,14 @@ from typing import NamedTuple, get_args
 import numpy as np
 
 from comparisons.adapters.filter_loop import FilterObserver, NoObserver
+from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks.causes import Cause
 from comparisons.checks.grade import Likeness, Reference, likeness
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.fingerprints.catalogue import Family, Fault, catalogue, families
+from comparisons.fingerprints.catalogue import Family, Fault, catalogue, families, own_start
 from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses, own_integration
@@ -51,6 +52,11 @@ class Fingerprint(NamedTuple):
     exact: bool
     until_s: float | None = None
 
+    @property
+    def whole(self) -> bool:
+        """Whether it reproduces all of the estimate."""
+        return self.exact and self.until_s is None
+
 
 def fingerprints(
     given: ExternalEstimate, prepared: Prepared[SolveConfig], sound: Likeness, progress: Progress
@@ -62,7 +68,7 @@ def fingerprints(
     the estimate. One that reproduces it to rounding ends the search.
     """
     found: dict[str, Fingerprint] = {}
-    todo: list[Fault | Family] = [*catalogue(prepared.log), *families(prepared.log)]
+    todo = [*_start(given, prepared.log), *catalogue(prepared.log), *families(prepared.log)]
     trials = [
         (
             ", ".join(filter(None, (by, steps))),
@@ -73,14 +79,29 @@ def fingerprints(
     ]
     for done, fault in enumerate(todo):
         progress("fingerprints", done, len(todo))
+        exact: Fingerprint | None = None
         for way, trial in trials:
             one = trial.fitted(fault) if isinstance(fault, Family) else trial.of(fault)
-            if one is None or one.sigma > found.get(fault.what, one).sigma:
+            if one is None or (one.sigma > found.get(fault.what, one).sigma and not one.whole):
                 continue
             one = found[fault.what] = one._replace(way=way)
-            if one.exact:
+            if one.whole:
                 return [one]
+            if one.exact:
+                exact = exact or one
+        if exact is not None:
+            return [exact]
     return sorted(found.values(), key=lambda one: one.sigma)
+
+
+def _start(given: ExternalEstimate, log: Log) -> list[Fault | Family]:
+    """The estimate's own prior, where it has one and it is not the log's."""
+    if given.pose_covariance is None or abs(given.time_s[0] - log.prior.time_s) > CLOCK_S:
+        return []
+    own = given.pose_covariance[0]
+    if not np.linalg.eigvalsh(0.5 * (own + own.T))[0] > 0.0:
+        return []
+    return [own_start(log, own)]
 
 
 def fault_cause(known: Sequence[Fingerprint], sound: Likeness) -> Cause:

@@ -18,7 +18,7 @@ from comparisons.checks.grade import Reference, likeness
 from comparisons.checks.spread import within_spread
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.fingerprints.catalogue import Fault, catalogue, families
+from comparisons.fingerprints.catalogue import Fault, catalogue, families, own_start
 from comparisons.fingerprints.search import fingerprints
 from comparisons.pipeline.check import check
 from comparisons.pipeline.prepare import no_progress
@@ -77,6 +77,10 @@ PLANTED = (
     "the heading's column of G_x has the opposite sign",
     "a landmark is initialised without any cross-covariance",
     "measurements of landmarks in the map are used twice in one update",
+    "a landmark is initialised with the covariance 0.001 m^2 I",
+    "cosine and sine are exchanged in the heading's column of F",
+    "the turn stands for the way in the x row",
+    "steps lead along the heading of plain dead reckoning",
 )
 FITTED = (
     "R of new landmarks is {}",
@@ -116,6 +120,14 @@ def test_no_fault_stops_a_filter_that_associates_for_itself() -> None:
     with np.errstate(all="ignore"):
         found = [tried(blind, one) for one in faults]
     assert sum(one is not None for one in found) > 0.9 * len(faults)
+
+
+def test_a_start_of_its_own_is_named(solution: Solution) -> None:
+    """Whatever its size, which a fit from the log's would not reach."""
+    prior = np.diag((0.3, 0.2, 0.1)) * np.diag(solution.log.prior.covariance) * 1e5
+    fault = own_start(solution.log, prior)
+    assert "is 3e+04, 2e+04, 1e+04 times the log's" in fault.what
+    assert_named(solution, fault)
 
 
 def sound_filters(solution: Solution) -> list[Reference]:
