@@ -188,26 +188,31 @@ class _Events:
                 at = p + width * (blocks.index(name) - 1)
                 h[width * i : width * (i + 1), at : at + width] = seen.jacobian_other[begin + i]
                 point[at : at + width] = seen.landmark[begin + i]
-            yield self._update(SENSORS[kind], blocks, h, point, seen.rows(np.arange(begin, end)))
+            yield self._update(SENSORS[kind], blocks, h, point, (seen, slice(begin, end)))
 
     def _position(self, begin: int, end: int) -> Update:
         r = self._run.trace.positions
         h = np.concatenate(r.jacobian_pose[begin:end])
-        rows = r.rows(np.arange(begin, end))
-        return self._update(POSITIONS, (VEHICLE,), h, r.pose[begin], rows)
+        return self._update(POSITIONS, (VEHICLE,), h, r.pose[begin], (r, slice(begin, end)))
 
     def _merge(self, row: int) -> Update:
         r = self._run.trace.merges
         blocks = self._name(POSE, int(r.origin[row])), self._name(POSE, int(r.landmark_index[row]))
         h = np.hstack((r.jacobian_pose[row], r.jacobian_other[row]))
         point = np.concatenate((r.pose[row], r.landmark[row]))
-        return self._update(MERGES, blocks, h, point, r.rows(np.arange(row, row + 1)))
+        return self._update(MERGES, blocks, h, point, (r, slice(row, row + 1)))
 
     def _update(
-        self, sensor: str, blocks: tuple[str, ...], h: Array, point: Array, rows: MeasurementRecords
+        self,
+        sensor: str,
+        blocks: tuple[str, ...],
+        h: Array,
+        point: Array,
+        rows: tuple[MeasurementRecords, slice],
     ) -> Update:
-        residual, noise = rows.innovation.ravel(), _diagonal(rows.noise)
-        numbers, weight = rows.number.astype(float), float(rows.weight[0])
+        records, at = rows
+        residual, noise = records.innovation[at].ravel(), _diagonal(records.noise[at])
+        numbers, weight = records.number[at].astype(float), float(records.weight[at.start])
         return Update(
             *(*self._next(), sensor, blocks, residual, h, noise),
             used=True,
