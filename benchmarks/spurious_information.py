@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.audit.replay import Replay
-from comparisons.audit.spurious import Learnt, SpuriousInformation
+from comparisons.audit.spurious import SpuriousInformation
+from comparisons.checks.learnt import Learnt
 from comparisons.experiments.montecarlo.plots import colour_of
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.scenarios.scenario import read_scenario
@@ -98,9 +99,8 @@ def measured(name: str, world: World, runs: int) -> Measured:
 
 def _at_steps(found: Learnt, steps: int) -> Array:
     """Information about the heading after each step (T,)."""
-    gathered = np.concatenate(([0.0], found.growth[:, HEADING]))
-    at = np.searchsorted(found.time_s, np.arange(1, steps + 1), side="right")
-    result: Array = gathered[at]
+    at = np.searchsorted(found.time_s, np.arange(1, steps + 1), side="right") - 1
+    result: Array = found.growth[at, HEADING]
     return result
 
 

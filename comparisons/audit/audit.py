@@ -28,7 +28,8 @@ from comparisons.audit.replay import (
     units,
 )
 from comparisons.audit.smoothing import Anchors, Averaged, averaged
-from comparisons.audit.spurious import Learnt, SpuriousInformation
+from comparisons.audit.spurious import SpuriousInformation
+from comparisons.checks.learnt import Learnt
 from comparisons.statistics import faults
 from comparisons.trace.events import (
     Augment,

@@ -17,6 +17,7 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.audit.directions import planar_directions
+from comparisons.checks.learnt import VEHICLE
 from comparisons.trace.events import (
     Augment,
     Directions,
@@ -31,7 +32,6 @@ from comparisons.trace.recorder import Begun, Measured, Recorder
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.core.trace import MeasurementRecords
 
-VEHICLE = "pose"
 SENSORS = {POINT: "landmarks", POSE: "scan landmarks"}
 POSITIONS, MERGES = "positions", "merges"
 _PLANAR = 3
@@ -130,23 +130,22 @@ class _Events:
             basis = np.column_stack(tuple(_directions(p).values()))
             blind = (*SENSORS.values(), MERGES)
             yield Directions(*self._next(), (VEHICLE,), basis, tuple(_directions(p)), blind)
-        fused = {kind: _fused(one) for kind, one in trace.measurements.items()}
+        seen, seen_poses = (_fused(trace.measurements[kind]) for kind in SENSORS)
         fixes, merges = _fused(trace.positions), _by_step(trace.merges.step)
-        initialised = {kind: _by_step(one.step) for kind, one in trace.initialisations.items()}
+        new, new_poses = (_by_step(trace.initialisations[kind].step) for kind in SENSORS)
         gone = _by_step(trace.removals.step)
-        for step in range(len(trace.f) + 1):
+        made = zip(trace.f, trace.q, trace.departed, trace.arrived, strict=True)
+        ends_s = run.timeline.step_end_s.tolist()
+        epoch = np.minimum(np.searchsorted(until, np.arange(len(ends_s) + 1)), len(time_s) - 1)
+        for step, stands_s in enumerate(time_s[epoch].tolist()):
             if step:
-                made = trace.f, trace.q, trace.departed, trace.arrived
-                self._time_s = float(run.timeline.step_end_s[step - 1])
-                yield Predict(*self._next(), (VEHICLE,), *(column[step - 1] for column in made))
-                epoch = min(int(np.searchsorted(until, step)), len(time_s) - 1)
-                self._time_s = float(time_s[epoch])
-            for kind in SENSORS:
-                new, seen = initialised[kind].get(step, []), fused[kind].get(step, [])
-                yield from self._landmarks(kind, new, seen)
-                if kind == POINT:
-                    for begin, end in fixes.get(step, []):
-                        yield self._position(begin, end)
+                self._time_s = ends_s[step - 1]
+                yield Predict(*self._next(), (VEHICLE,), *next(made))
+                self._time_s = stands_s
+            yield from self._landmarks(POINT, new.get(step, []), seen.get(step, []))
+            for begin, end in fixes.get(step, []):
+                yield self._position(begin, end)
+            yield from self._landmarks(POSE, new_poses.get(step, []), seen_poses.get(step, []))
             for row in merges.get(step, []):
                 yield self._merge(row)
             for row in gone.get(step, []):
@@ -167,6 +166,8 @@ class _Events:
         self, kind: LandmarkKind, initialised: list[int], fused: list[tuple[int, int]]
     ) -> Iterator[Event]:
         """Yield what is initialised and measured at one step."""
+        if not initialised and not fused:
+            return
         new, seen = self._run.trace.initialisations[kind], self._run.trace.measurements[kind]
         width = kind.width
         for row in initialised:
@@ -187,26 +188,31 @@ class _Events:
                 at = p + width * (blocks.index(name) - 1)
                 h[width * i : width * (i + 1), at : at + width] = seen.jacobian_other[begin + i]
                 point[at : at + width] = seen.landmark[begin + i]
-            yield self._update(SENSORS[kind], blocks, h, point, seen.rows(np.arange(begin, end)))
+            yield self._update(SENSORS[kind], blocks, h, point, (seen, slice(begin, end)))
 
     def _position(self, begin: int, end: int) -> Update:
         r = self._run.trace.positions
         h = np.concatenate(r.jacobian_pose[begin:end])
-        rows = r.rows(np.arange(begin, end))
-        return self._update(POSITIONS, (VEHICLE,), h, r.pose[begin], rows)
+        return self._update(POSITIONS, (VEHICLE,), h, r.pose[begin], (r, slice(begin, end)))
 
     def _merge(self, row: int) -> Update:
         r = self._run.trace.merges
         blocks = self._name(POSE, int(r.origin[row])), self._name(POSE, int(r.landmark_index[row]))
         h = np.hstack((r.jacobian_pose[row], r.jacobian_other[row]))
         point = np.concatenate((r.pose[row], r.landmark[row]))
-        return self._update(MERGES, blocks, h, point, r.rows(np.arange(row, row + 1)))
+        return self._update(MERGES, blocks, h, point, (r, slice(row, row + 1)))
 
     def _update(
-        self, sensor: str, blocks: tuple[str, ...], h: Array, point: Array, rows: MeasurementRecords
+        self,
+        sensor: str,
+        blocks: tuple[str, ...],
+        h: Array,
+        point: Array,
+        rows: tuple[MeasurementRecords, slice],
     ) -> Update:
-        residual, noise = rows.innovation.ravel(), _diagonal(rows.noise)
-        numbers, weight = rows.number.astype(float), float(rows.weight[0])
+        records, at = rows
+        residual, noise = records.innovation[at].ravel(), _diagonal(records.noise[at])
+        numbers, weight = records.number[at].astype(float), float(records.weight[at.start])
         return Update(
             *(*self._next(), sensor, blocks, residual, h, noise),
             used=True,

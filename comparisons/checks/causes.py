@@ -21,6 +21,7 @@ from comparisons.checks.agreement import (
     block_agrees,
 )
 from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.learnt import HEADING, Learnt
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.log_fit import LogFit
     from comparisons.checks.diagnosis.model_differences import ModelDifference
-    from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
 
 
 FITTED = "check for these model errors, which were fitted to the trace: "
@@ -46,6 +46,8 @@ _NAMED = 3
 """So many differences of the models are named."""
 _GREW = 3.0
 """A dropout over which the position's sigma grew so many times is named as a cause."""
+_MATTERS = 10.0
+"""Times the heading's largest sigma: what is learnt less surely than that changes nothing."""
 
 
 @dataclass(frozen=True)
@@ -360,7 +362,7 @@ def linearisation(
     agreement: Agreement,
     run: EkfRun,
     growth: LinearisationGrowth | None = None,
-    spurious: SpuriousHeading | None = None,
+    spurious: Learnt | None = None,
 ) -> Cause:
     """The gap between F2 and S. growth: where it arose, if that was looked for."""
     names = [f"landmark {i}" for i in run.estimate.landmark_id]
@@ -411,8 +413,8 @@ def linearisation(
         reached = f" (its sigma reached {_degrees(sigma[k])} at {run.estimate.time_s[k]:.1f} s)"
     if growth is not None and growth.total > 0.0:
         parts.append(_grew(growth, run, sigma))
-    if spurious is not None and spurious.matters:
-        parts.append(_learnt(spurious))
+    if spurious is not None:
+        parts += _learnt(spurious, sigma)
     return Cause(
         "linearisation",
         "; ".join(parts),
@@ -427,19 +429,22 @@ def _degrees(angle_rad: float) -> str:
     return f"{angle:.1f} degrees" if abs(angle) >= 1.0 else f"{angle:.2g} degrees"
 
 
-def _learnt(spurious: SpuriousHeading) -> str:
-    """How well the filter seems to know what nothing measured, and when it learnt that."""
-    begin_s, end_s, _ = spurious.fastest
-    largest = spurious.largest
-    there = ""
-    if largest is not None:
-        there = f", most from {begin_s:.1f} to {end_s:.1f} s"
-        if largest.seen:
-            there += f", there with {largest.seen} at {largest.time_s:.1f} s"
-    return (
-        f"the filter has learnt its global heading to {_degrees(spurious.sigma_rad[-1])} from "
-        f"measurements that cannot tell it{there}"
-    )
+def _learnt(spurious: Learnt, sigma: Array) -> list[str]:
+    """How well the filter seems to know what nothing measured, and when it learnt that.
+
+    sigma: (K,) the filter's own of the heading [rad]; what is learnt far less surely than the
+    largest of them changes nothing.
+    """
+    learnt = spurious.of(HEADING)
+    known = sigma[np.isfinite(sigma)]
+    if learnt.largest is None or learnt.sigma > _MATTERS * np.degrees(known.max(initial=0.0)):
+        return []
+    begin_s, end_s, _ = spurious.fastest(HEADING)
+    return [
+        f"the filter has learnt its global heading to {_degrees(np.radians(learnt.sigma))} from "
+        f"measurements that cannot tell it, most from {begin_s:.1f} to {end_s:.1f} s and, by a "
+        f"single update, with {learnt.largest.seen} at {learnt.largest.time_s:.1f} s"
+    ]
 
 
 def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:

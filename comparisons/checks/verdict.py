@@ -12,6 +12,7 @@ from comparisons.checks.agreement import EXACT, ROUNDING, Agreement, Allowed, Ga
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.data_usage import DataFault
+from comparisons.checks.learnt import Learnt
 from comparisons.choices import FailOn
 from graphslam.optimum import Optimality
 from graphslam.smoother import SmootherResult
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.log_fit import LogFit
     from comparisons.checks.diagnosis.model_differences import ModelDifference
-    from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
 
 SPARED_SIGMA = 0.05
 """Largest difference of the means that sparing part of the covariance may cause, in sigma."""
@@ -87,7 +87,7 @@ class Diagnosis:
     operations: Callable[[], Sequence[AlgebraDifference]] = tuple
     known_model_errors: Callable[[], Sequence[str]] = tuple
     growth: Callable[[], LinearisationGrowth | None] = lambda: None
-    spurious: SpuriousHeading | None = None
+    spurious: Callable[[], Learnt | None] = lambda: None
     dropouts: Callable[[], Dropouts | None] = lambda: None
     consistency: Consistency | None = None
     log_fits: Callable[[], Sequence[LogFit]] = tuple
@@ -187,7 +187,7 @@ def _by_optimum(
     blocks = (agreement.pose, *agreement.landmarks, *agreement.pose_landmarks, agreement.whole)
     found = []
     if not all(map(block_agrees, blocks)):
-        found.append(cause.linearisation(agreement, run, diagnosis.growth(), diagnosis.spurious))
+        found.append(cause.linearisation(agreement, run, diagnosis.growth(), diagnosis.spurious()))
     found += causes
     return ("disagree" if found else "agree"), found
 

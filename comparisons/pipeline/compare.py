@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.arrays import Array
+from comparisons.audit.own_filter import run_events
+from comparisons.audit.spurious import learnt
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import ROUNDING, Agreement
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
 from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
-from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading, spurious_heading
+from comparisons.checks.learnt import Learnt
 from comparisons.checks.qualifiers import TruthGap, measurement_scale, qualified, truth_gap
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig
@@ -80,8 +82,8 @@ class Comparison:
         gaps: The chain of estimates from the EKF to the smoother.
         dead_reckoned: (K, 3) poses where the odometry alone leads.
         consistency: NEES, NIS, whiteness, filter against smoother; it has no say in the verdict.
-        spurious_heading: What the filter learnt of its global heading from measurements that cannot
-            tell it; None where landmarks are surveyed.
+        spurious: What the filter learnt of its global heading from measurements that cannot tell
+            it; None where landmarks are surveyed.
         assessment: Errors of each estimate against truth, where the log has it.
         findings: Of the extensions that took part, by name.
         verdict: Outcome, causes (the most important first) and remarks.
@@ -92,7 +94,7 @@ class Comparison:
     gaps: Gaps
     dead_reckoned: Array
     consistency: Consistency
-    spurious_heading: SpuriousHeading | None
+    spurious: Learnt | None
     assessment: Assessment
     findings: Mapping[str, Finding]
     verdict: Verdict
@@ -209,7 +211,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         consistency = check_consistency(
             log, run, smoothed, labelled=labelled, robust=options.robust
         )
-        spurious = spurious_heading(gaps.recorded, run)
+        spurious = learnt(run_events(run))
         fixes = _rejected_fixes(run, smoothed)
         verdict = judge(
             gaps.agreement,
@@ -236,7 +238,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             gaps=gaps,
             dead_reckoned=reckoned,
             consistency=consistency,
-            spurious_heading=spurious,
+            spurious=spurious,
             assessment=replace(assessment, truth_gap=gap),
             findings=findings,
             verdict=qualified(
@@ -341,9 +343,7 @@ def run_filter(prepared: Prepared[Any]) -> tuple[EkfRun, FilterSetup]:
     return run, beside
 
 
-def _diagnosis(
-    compared: Compared, consistency: Consistency, spurious: SpuriousHeading | None
-) -> Diagnosis:
+def _diagnosis(compared: Compared, consistency: Consistency, spurious: Learnt | None) -> Diagnosis:
     """What is imported and done only where there is something to explain."""
     log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
 
@@ -368,7 +368,7 @@ def _diagnosis(
         operations=lambda: _repeated(compared.prepared, run),
         known_model_errors=known_model_errors,
         growth=gaps.linearisation_growth,
-        spurious=spurious,
+        spurious=lambda: spurious,
         dropouts=dropouts,
         consistency=consistency,
         log_fits=fits,

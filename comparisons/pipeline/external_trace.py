@@ -16,6 +16,8 @@ from comparisons.adapters.smoother_input import (
 )
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
+from comparisons.audit.own_filter import run_events
+from comparisons.audit.spurious import learnt
 from comparisons.checks.agreement import Agreement, Allowed, Gap, Gaussian
 from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
 from comparisons.checks.diagnosis.known_model_errors import explain
@@ -30,6 +32,7 @@ from comparisons.checks.diagnosis.single_precision import (
     restored_traces,
 )
 from comparisons.checks.grade import Reference
+from comparisons.checks.learnt import Learnt
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
@@ -153,6 +156,9 @@ def _diagnosis(
     def known_model_errors() -> tuple[str, ...]:
         return explain(log, run, rounding, same_steps=same_steps)
 
+    def spurious() -> Learnt | None:
+        return learnt(run_events(run))
+
     ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
     algebra = model = gaps.rounding
     covariance = stored_rounding(ekf.joint_covariance) > 0.0
@@ -162,6 +168,7 @@ def _diagnosis(
         return Diagnosis(
             differences=gaps.model_differences,
             known_model_errors=known_model_errors,
+            spurious=spurious,
             algebra=algebra,
             model=model,
         )
@@ -188,6 +195,7 @@ def _diagnosis(
     return Diagnosis(
         differences=lambda: gaps.model_differences(_stored_differences(run, gaps)),
         known_model_errors=known_model_errors,
+        spurious=spurious,
         single=single,
         algebra=algebra,
         model=model.times(OPERATIONS) if single else model,

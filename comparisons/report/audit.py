@@ -16,7 +16,7 @@ from comparisons.atomic import fresh_folder, known_files
 from comparisons.audit.audit import Audit, Finding, Verdict
 from comparisons.audit.innovations import SensorFigures
 from comparisons.audit.smoothing import Averaged
-from comparisons.audit.spurious import Learnt
+from comparisons.checks.learnt import Learnt
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import document, figures, prose, script
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, Band, Curve, Panel

@@ -627,11 +627,11 @@ class ExternalConsistencyResult(Model):
 
 
 class SpuriousShareResult(Model):
-    """The measurement with which spurious information grew most, in the stretch where it grew most.
+    """The update with which spurious information grew most.
 
     Attributes:
         time_s: its time.
-        landmark: its landmark, in words; empty for a motion step.
+        landmark: the landmark of it that told most, in words; both of a merge.
         information: what it added [1/rad^2].
     """
 
@@ -644,14 +644,14 @@ class SpuriousHeadingResult(Model):
     """What the filter's own equations hold about its global heading, which nothing measured.
 
     Prior, absolute positions and the right sides of the equations play no part. With an ideal
-    linearisation all of it is zero, but for rounding. See graphslam.spurious.
+    linearisation all of it is zero, as is what rounding explains. See comparisons.audit.spurious.
 
     Attributes:
         information: in total [1/rad^2].
         sigma_deg: standard deviation of the heading by this information; None without any.
-        fastest_s: stretch of time in which it grew most.
+        fastest_s: stretch of time, of a hundredth of the updates, in which it grew most.
         fastest: what it gained there [1/rad^2].
-        largest: the measurement with which it grew most there; None for a very large map.
+        largest: the update with which it grew most; None without any.
         time_s: ends of the stretches, from the start.
         growth: information gathered until then [1/rad^2].
     """

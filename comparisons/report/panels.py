@@ -16,6 +16,7 @@ from comparisons.arrays import Array
 from comparisons.checks.consistency.filter_smoother import LEAST_RATIO, FilterAgainstSmoother
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import PoseErrors
+from comparisons.checks.learnt import HEADING
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, Band, Curve, Panel
@@ -79,18 +80,19 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
 
 def _learnt(comparison: Comparison) -> Panel | None:
     """How well the heading seems to be known, from half a turn down, and the filter's own sigma."""
-    spurious, ekf = comparison.spurious_heading, comparison.ekf.estimate
-    if spurious is None or spurious.sigma_rad[-1] > np.pi:
+    spurious, ekf = comparison.spurious, comparison.ekf.estimate
+    if spurious is None or spurious.of(HEADING).sigma > 180.0:
         return None
     unit = 180.0 / np.pi
-    known = np.where(spurious.sigma_rad <= np.pi, unit * spurious.sigma_rad, np.nan)
+    time_s, information = spurious.curve(HEADING)
+    known = unit / np.sqrt(np.where(information >= np.pi**-2, information, np.nan))
     variance = ekf.pose_covariance[:, 2, 2]
     own = unit * np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     return Panel(
         title="spurious knowledge of the heading, sigma [deg]",
         x_label="time [s]",
         curves=(
-            Curve("spurious", SCANS_COLOUR, spurious.time_s, known),
+            Curve("spurious", SCANS_COLOUR, time_s, known),
             Curve("EKF's own", EKF_COLOUR, ekf.time_s, own),
         ),
         bands=(),

@@ -279,8 +279,7 @@ def spurious_rows(found: SpuriousHeadingResult | None) -> list[Row]:
         fastest = f"{begin_s:.1f} to {end_s:.1f} s ({share:.0f} % of it)"
         rows.append(Row(group, "grew fastest", fastest))
         most = found.largest
-        of = most.landmark or "a motion step"
-        rows.append(Row(group, "largest share of that", f"{of} at {most.time_s:.1f} s"))
+        rows.append(Row(group, "most by one update", f"{most.landmark} at {most.time_s:.1f} s"))
     return rows
 
 

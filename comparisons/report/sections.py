@@ -12,6 +12,7 @@ from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.causes import Cause
+from comparisons.checks.learnt import HEADING, Learnt
 from comparisons.config import EkfConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.hashing import log_hash
@@ -40,7 +41,6 @@ from graphslam import smoother
 
 if TYPE_CHECKING:
     from comparisons.checks.association_variants import AssociationCheck
-    from comparisons.checks.diagnosis.spurious_heading import SpuriousHeading
     from comparisons.checks.map_agreement import Pair
     from comparisons.checks.position_gate import RejectedFixes
     from comparisons.checks.qualifiers import TruthGap
@@ -138,24 +138,25 @@ def cause_result(cause: Cause) -> CauseResult:
     return CauseResult(gap=cause.gap, evidence=cause.evidence, hint=cause.hint)
 
 
-def spurious_heading_result(found: SpuriousHeading | None) -> SpuriousHeadingResult | None:
+def spurious_heading_result(found: Learnt | None) -> SpuriousHeadingResult | None:
     """Return what the filter learnt of its heading from what cannot tell it, if it was asked."""
     if found is None:
         return None
-    begin_s, end_s, gained = found.fastest
+    heading, (begin_s, end_s, gained) = found.of(HEADING), found.fastest(HEADING)
+    time_s, information = found.curve(HEADING)
     largest = None
-    if (most := found.largest) is not None:
+    if (most := heading.largest) is not None and most.time_s is not None:
         largest = SpuriousShareResult(
             time_s=most.time_s, landmark=most.seen, information=most.information
         )
     return SpuriousHeadingResult(
-        information=found.total,
-        sigma_deg=finite(float(np.degrees(found.sigma_rad[-1]))),
+        information=heading.information,
+        sigma_deg=finite(heading.sigma),
         fastest_s=(begin_s, end_s),
         fastest=gained,
         largest=largest,
-        time_s=found.time_s.tolist(),
-        growth=found.information.tolist(),
+        time_s=time_s.tolist(),
+        growth=information.tolist(),
     )
 
 

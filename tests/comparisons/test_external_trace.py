@@ -125,6 +125,21 @@ def test_a_right_trace_does_not_stand_for_a_path(
     assert "it has a single pose" in found.causes[0].evidence
 
 
+@pytest.mark.slow
+def test_the_trace_says_what_the_run_says_of_its_heading(
+    tmp_path: Path, victoria_park: Comparison
+) -> None:
+    hand_in(victoria_park.ekf, tmp_path)
+    check = checked(tmp_path, victoria_park.log, EkfConfig())
+    assert check.trace is not None
+    said = [
+        [part for part in cause.evidence.split("; ") if "has learnt its global heading" in part]
+        for cause in (*victoria_park.verdict.causes, *check.trace.verdict.causes)
+    ]
+    assert len(said) == 2
+    assert said[0] == said[1] != []
+
+
 def wrapped(arrays: Arrays) -> None:
     """As a filter that keeps every heading between -pi and pi."""
     for name in (

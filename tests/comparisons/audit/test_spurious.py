@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.replay import Replay
+from comparisons.audit.replay import Layout
 from comparisons.audit.spurious import (
     MOST_POINTS,
-    Learnt,
-    SpuriousInformation,
+    _Stretch,
+    _Whole,
     learnt,
     unit_of,
 )
+from comparisons.checks.learnt import PARTS, Learnt, LearntDirection
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.scenarios.world import World, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, InvariantEkf
@@ -37,6 +38,7 @@ from comparisons.trace.events import (
 from tests.comparisons.montecarlo.worlds import short_world
 
 BLIND = "camera"
+HEADING_ONLY = LearntDirection("heading", "deg", 3.0, {}, None)
 
 
 class Written:
@@ -99,13 +101,14 @@ def test_by_hand() -> None:
     second = step + 0.04 + 0.04
     shares = 0.5**2 / first, (0.01 / first * 0.5) ** 2 / second
     assert np.isclose(found.directions[0].information, sum(shares), rtol=1e-14)
-    assert np.allclose(found.growth[:, 0], np.cumsum(shares), rtol=1e-14)
-    assert found.event.tolist() == [5, 6]
-    assert found.time_s.tolist() == [2.5, 3.0]
+    assert np.allclose(found.growth[:, 0], np.cumsum((0.0, *shares)), rtol=1e-14)
+    assert found.event.tolist() == [1, 5, 6]
+    assert found.time_s.tolist() == [0.5, 2.5, 3.0]
     largest = found.directions[0].largest
     assert largest is not None
     assert largest[:3] == (5, 2.5, BLIND)
     assert np.isclose(largest.information, shares[0], rtol=1e-14)
+    assert largest.blocks == ("pose", "a")
     assert found.directions[0].unit == "m"
     assert np.isclose(found.directions[0].sigma, sum(shares) ** -0.5, rtol=1e-14)
 
@@ -121,7 +124,10 @@ def test_neither_what_was_rejected_nor_what_can_tell_counts() -> None:
 
 
 def random_trace(seed: int, directions: int = 2) -> Written:
-    """Every kind of event, of no particular meaning: all of it tells of the directions."""
+    """Every kind of event, of no particular meaning: all of it tells of the directions.
+
+    A name that has become free is used again, for a block of another size.
+    """
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(5, 5))
     trace = Written({"pose": 3, "bias": 2}, root @ root.T)
@@ -129,7 +135,7 @@ def random_trace(seed: int, directions: int = 2) -> Written:
     trace.directions(rng.normal(size=(3, directions)), names, ("pose",))
     both = ("pose", "bias")
     for k in range(3):
-        name, copy = f"point {k}", f"clone {k}"
+        name, copy = f"point {k}", "point 0" if k else "clone"
         spread = np.diag(rng.uniform(0.1, 1.0, 2))
         trace.add(Augment, name, both, rng.normal(size=(2, 5)), rng.normal(size=(2, 2)), spread)
         trace.add(Predict, both, rng.normal(size=(5, 5)), np.diag(rng.uniform(0.1, 1.0, 5)))
@@ -148,8 +154,9 @@ class Definition:
     Every block is followed as a function of alpha and of every noise there ever was, its columns.
     """
 
-    def __init__(self, prior: Prior, directions: Directions) -> None:
+    def __init__(self, prior: Prior, directions: Directions, noises: int) -> None:
         self.d, self.free = directions.basis.shape[1], directions.basis.shape[1]
+        self.columns, self.blind = self.d + len(prior.covariance) + noises, directions.blind
         n = np.zeros((len(prior.covariance), self.d))
         n[: len(directions.basis)] = directions.basis
         inside = np.linalg.inv(n.T @ np.linalg.inv(prior.covariance) @ n)
@@ -161,7 +168,7 @@ class Definition:
     def noise(self, covariance: Array) -> Array:
         """Return columns of their own for a noise."""
         values, axes = np.linalg.eigh(covariance)
-        columns = np.zeros((len(covariance), 200))
+        columns = np.zeros((len(covariance), self.columns))
         columns[:, self.free : self.free + len(values)] = axes * np.sqrt(np.maximum(values, 0.0))
         self.free += len(values)
         return columns
@@ -171,6 +178,8 @@ class Definition:
         if isinstance(event, Clone):
             self.of[event.name] = self.of[event.source]
         if not isinstance(event, Predict | Reset | Augment | Update):
+            return
+        if isinstance(event, Update) and event.sensor not in self.blind:
             return
         parts = [self.of[b] for b in event.blocks]
         moved: Array = event.jacobian @ np.vstack(parts)
@@ -197,14 +206,20 @@ def by_definition(events: Sequence[Event]) -> Array:
     prior, directions, *others = events
     assert isinstance(prior, Prior)
     assert isinstance(directions, Directions)
-    model = Definition(prior, directions)
+    noisy = [e for e in others if isinstance(e, Predict | Augment | Update)]
+    model = Definition(prior, directions, sum(len(e.noise) for e in noisy))
     for event in others:
         model.take(event)
     return model.information()
 
 
+@pytest.mark.parametrize("most", [1, 2, 4, 1000])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_recursion_is_the_definition(seed: int) -> None:
+def test_the_recursion_is_the_definition(
+    seed: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many blocks a stretch may touch."""
+    monkeypatch.setattr("comparisons.audit.spurious.MOST_BLOCKS", most)
     trace = random_trace(seed)
     found, expected = trace.learnt(), by_definition(trace.events)
     assert np.allclose(found.information, expected, rtol=1e-9, atol=1e-9 * expected.max())
@@ -217,30 +232,86 @@ def test_the_recursion_is_the_definition(seed: int) -> None:
     assert np.isclose(yaw.by_sensor[BLIND], expected[0, 0], rtol=1e-9)
 
 
-class NoAlphaAfterUpdates(SpuriousInformation):
+def test_the_curve_and_the_largest_share_are_those_of_what_there_was_until_then() -> None:
+    """By brute force: what the trace holds until each update, less what it held before."""
+    trace = random_trace(1)
+    found = trace.learnt()
+    held = [by_definition(trace.events[: number + 1]) for number in found.event[1:]]
+    marginal = [1.0 / np.diag(np.linalg.inv(one)) for one in held[1:]]
+    assert np.allclose(found.growth[2:], marginal, rtol=1e-8)
+    gained = np.diff([np.diag(one) for one in held], axis=0, prepend=0.0)
+    for i, one in enumerate(found.directions):
+        assert one.largest is not None
+        assert one.largest.event == found.event[1 + gained[:, i].argmax()]
+        assert np.isclose(one.largest.information, gained[:, i].max(), rtol=1e-9)
+
+
+def test_the_measurement_that_told_most_is_named() -> None:
+    """Three landmarks in one update, the last of them taken for twice as far."""
+    one, landmarks = np.eye(1), ("a", "b", "c")
+    trace = Written({"pose": 1}, one)
+    trace.directions(one, ("shift",), ("pose",))
+    for name in landmarks:
+        trace.add(Augment, name, ("pose",), one, one, 0.04 * one)
+    h = np.column_stack((-np.ones(3), np.diag([1.0, 1.0, 2.0])))
+    trace.update(h, 0.04 * np.eye(3), ("pose", *landmarks))
+    largest = trace.learnt().directions[0].largest
+    assert largest is not None
+    assert largest.blocks == ("pose", "c")
+    assert largest.seen == "c"
+
+
+def test_the_part_in_which_most_was_learnt() -> None:
+    told = np.concatenate((np.zeros(1001), np.linspace(0.0, 2.0, 41), np.linspace(2, 3, 959)))
+    growth: Array = told[:, None]
+    number, time_s = np.arange(len(growth)), 0.5 * np.arange(len(growth), dtype=np.float64)
+    found = Learnt((HEADING_ONLY,), np.eye(1), number, time_s, growth)
+    time_s, information = found.curve("heading")
+    assert len(time_s) == PARTS + 1
+    assert (information[0], information[-1]) == (0.0, 3.0)
+    begin_s, end_s, gained = found.fastest("heading")
+    assert 500.0 <= begin_s < end_s <= 520.5
+    assert end_s - begin_s == 10.0
+    assert np.isclose(gained, 1.0)
+    alone = Learnt((HEADING_ONLY,), np.eye(1), number[:1], np.zeros(1), np.zeros((1, 1)))
+    assert alone.fastest("heading") == (0.0, 0.0, 0.0)
+
+
+class NoAlphaAfterUpdates(_Stretch):
     """Broken: what an update has told is not taken from the rest."""
 
-    def _update(self, event: Update) -> None:
-        u = self._u
-        super()._update(event)
-        self._u = u
+    def fuse(self, event: Update) -> tuple[Array, Array] | None:
+        alpha = slice(self.size, self.fixed)
+        u = self.rows[:, alpha].copy()
+        found = super().fuse(event)
+        self.rows[:, alpha] = u
+        return found
 
 
-class PriorKept(SpuriousInformation):
+class NothingToOthers(_Whole):
+    """Broken: blocks that a stretch does not touch learn nothing of it."""
+
+    def take_over(self, stretch: _Stretch) -> None:
+        stretch.told.clear()
+        super().take_over(stretch)
+
+
+class PriorKept(_Whole):
     """Broken: the prior tells the directions, too."""
 
-    def __init__(self, directions: Directions, replay: Replay) -> None:
-        super().__init__(directions, replay)
-        self._replay.covariance = replay.covariance.copy()
+    def __init__(self, layout: Layout, covariance: Array, u: Array) -> None:
+        super().__init__(layout, covariance + u @ u.T, u)
 
 
-@pytest.mark.parametrize("broken", [NoAlphaAfterUpdates, PriorKept])
+@pytest.mark.parametrize("broken", [NoAlphaAfterUpdates, NothingToOthers, PriorKept])
 def test_broken_recursions_are_rejected(
-    broken: type[SpuriousInformation], monkeypatch: pytest.MonkeyPatch
+    broken: type[_Stretch | _Whole], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trace = random_trace(0)
     expected = by_definition(trace.events)
-    monkeypatch.setattr("comparisons.audit.spurious.SpuriousInformation", broken)
+    monkeypatch.setattr("comparisons.audit.spurious.MOST_BLOCKS", 1)
+    assert np.allclose(trace.learnt().information, expected, rtol=1e-9)
+    monkeypatch.setattr(f"comparisons.audit.spurious.{broken.__mro__[1].__name__}", broken)
     assert not np.allclose(trace.learnt().information, expected, rtol=1e-3)
 
 
@@ -300,7 +371,7 @@ def test_the_curve_is_bounded_and_ends_with_all() -> None:
     for _ in range(3 * MOST_POINTS + 7):
         trace.update(np.array([1.0]), one, ("pose",))
     found = trace.learnt()
-    assert MOST_POINTS / 2 <= len(found.event) <= MOST_POINTS
+    assert MOST_POINTS / 2 <= len(found.event) - 1 <= MOST_POINTS
     assert found.event[-1] == len(trace.events) - 1
     assert np.isclose(found.growth[-1, 0], 3 * MOST_POINTS + 7)
     assert (np.diff(found.event) > 0).all()
