@@ -17,6 +17,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.event_arrays import event_arrays
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
+from comparisons.trace.reader import OUTDATED, Trace
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import (
     VEHICLE,
@@ -65,16 +66,16 @@ _WHOLE = ("step", "measurement", "landmark", "number")
 
 @dataclass(frozen=True)
 class TraceFile:
-    """A filter's trace with the time (N,) at which each step ends, and where it was read.
+    """A filter's trace with the time (N,) at which each step ends, and remarks on the file.
 
     Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
     the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
     done to the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
     """
 
-    path: Path
     step_time_s: Array
     trace: TraceArrays
+    remarks: tuple[str, ...]
     rounding: float = 0.0
 
 
@@ -83,8 +84,12 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
 
     Raises InputError naming the event, or the array of a trace of 0.2.
     """
-    found = _former_arrays(path) if path.suffix == ".npz" else event_arrays(path)
-    return _checked(path, found, landmark_id)
+    if path.suffix == ".npz":
+        found, remarks = _former_arrays(path), (f"{path.name} {OUTDATED}",)
+    else:
+        trace = Trace(path)
+        found, remarks = event_arrays(trace), trace.remarks
+    return _checked(path, found, landmark_id, remarks)
 
 
 def _former_arrays(path: Path) -> dict[str, Array]:
@@ -114,7 +119,12 @@ def _former_arrays(path: Path) -> dict[str, Array]:
     return found
 
 
-def _checked(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]) -> TraceFile:
+def _checked(
+    path: Path,
+    found: dict[str, Array],
+    landmark_id: NDArray[np.int64],
+    remarks: tuple[str, ...],
+) -> TraceFile:
     """Return arrays as a trace, once their contents are checked."""
     rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
     _check_contents(path, found, rounding)
@@ -122,7 +132,6 @@ def _checked(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]
     landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
     none_of_poses = stack_records([], POSE.width, POSE)
     return TraceFile(
-        path,
         found["step_time_s"],
         TraceArrays(
             prior_pose=found["prior_pose"],
@@ -145,6 +154,7 @@ def _checked(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]
             merges=none_of_poses,
             removals=removal_records([]),
         ),
+        remarks,
         rounding,
     )
 
