@@ -85,11 +85,10 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
     Raises InputError naming the event, or the array of a trace of 0.2.
     """
     if path.suffix == ".npz":
-        found, remarks = _former_arrays(path), (f"{path.name} {OUTDATED}",)
-    else:
-        trace = Trace(path)
-        found, remarks = event_arrays(trace), trace.remarks
-    return _checked(path, found, landmark_id, remarks)
+        outdated = (f"{path.name} {OUTDATED}",)
+        return _checked(path, _former_arrays(path), landmark_id, outdated)
+    trace = Trace(path)
+    return _checked(path, event_arrays(trace), landmark_id, trace.remarks)
 
 
 def _former_arrays(path: Path) -> dict[str, Array]:
