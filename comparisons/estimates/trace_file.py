@@ -66,13 +66,15 @@ _WHOLE = ("step", "measurement", "landmark", "number")
 
 @dataclass(frozen=True)
 class TraceFile:
-    """A filter's trace with the time (N,) at which each step ends, and remarks on the file.
+    """A filter's trace with the time (N,) at which each step ends, and where it was read.
 
     Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
     the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
     done to the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
+    remarks: on the file.
     """
 
+    path: Path
     step_time_s: Array
     trace: TraceArrays
     remarks: tuple[str, ...]
@@ -131,6 +133,7 @@ def _checked(
     landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
     none_of_poses = stack_records([], POSE.width, POSE)
     return TraceFile(
+        path,
         found["step_time_s"],
         TraceArrays(
             prior_pose=found["prior_pose"],
