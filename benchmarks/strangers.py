@@ -1,4 +1,4 @@
-"""Logs and EKF-SLAM filters of a stranger: numpy and the pages docs/formats.md tells, no more.
+"""Logs and EKF-SLAM filters of a stranger: numpy, docs/formats.md and slamcheck.Recorder, no more.
 
 A drive is simulated and written as a log folder. A filter reads the folder and writes an estimate
 folder. `Ekf` is the textbook's filter: one update by all known landmarks of a scan, linearised at
@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import csv
 import tomllib
-from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from slamcheck import Recorder
 
 Array = NDArray[Any]
 WHEELBASE_M = 2.0
@@ -192,15 +193,15 @@ class Ekf:
         prior, noise = log.meta["prior"], log.meta["odometry"]["noise"]
         self.x: Array = np.array(prior["pose"], self.dtype)
         self.p: Array = self.prior(np.array(prior["covariance"])).astype(self.dtype)
-        self.started = self.x.astype(float), self.p.astype(float)
         turned = np.diag([noise["sigma_speed_mps"], noise["sigma_turn"]]) ** 2
         self.control_noise = self.of_control(turned)
         self.rates = np.diag(
             [noise["variance_rate_position"]] * 2 + [noise["variance_rate_heading"]]
         )
         self.v, self.index = np.arange(3), dict[int, Array]()
-        self.trace: dict[str, list[Array]] = defaultdict(list)
+        self.calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
         self.path: list[tuple[float, Array, Array]] = []
+        self.note("prior", {"pose": 3}, self.p.copy(), point=self.x.copy())
 
     def fed(self, log: Log) -> Log:
         """Return the log that the filter works on."""
@@ -214,10 +215,9 @@ class Ekf:
         """Return the covariance of speed and turn."""
         return covariance
 
-    def note(self, part: str, **values: Any) -> None:
-        """Write down what was linearised where."""
-        for name, value in values.items():
-            self.trace[f"{part}_{name}"].append(np.array(value, float))
+    def note(self, call: str, *matrices: Any, **more: Any) -> None:
+        """Keep what a recorder will be told: what was linearised where."""
+        self.calls.append((call, matrices, more))
 
     # Prediction
 
@@ -251,13 +251,14 @@ class Ekf:
 
     def predict(self, number: int, dt: float, end_s: float) -> None:
         """Drive by a sample of the odometry for dt."""
-        departed = self.x[self.v]
+        before = self.x[self.v]
         u, noise = self.control(number)
-        arrived, f, b = self.motion(departed, u, dt)
+        arrived, f, b = self.motion(before, u, dt)
         q = self.process(b, noise, dt)
         self.x[self.v] = arrived
         self.carry(f, q)
-        self.note("step", time_s=end_s, departed=departed, arrived=self.x[self.v], f=f, q=q)
+        self.note("at", end_s)
+        self.note("predict", f, q, ["pose"], point=before, after=self.x[self.v])
 
     # Measurements
 
@@ -280,30 +281,29 @@ class Ekf:
         """Return R of a measurement that initialises a landmark."""
         return self.noise(k)
 
-    def linearised(self, ks: Array, x: Array) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
-        """Return H, innovation and R of measurements at a state, and what a trace says of each."""
+    def linearised(self, ks: Array, x: Array) -> tuple[Array, Array, Array]:
+        """Return H, innovation and R of measurements at a state."""
         h, nu = np.zeros((2 * len(ks), len(x))), np.zeros(2 * len(ks))
-        r, notes = np.zeros((2 * len(ks),) * 2), []
+        r = np.zeros((2 * len(ks),) * 2)
         for at, k in enumerate(ks):
             rows, index = slice(2 * at, 2 * at + 2), self.index[self.log.label[k]]
             expected, hv, hl = self.expected(x[self.v], x[index])
             h[rows, self.v], h[rows, index] = hv, hl
             nu[rows], r[rows, rows] = self.residual(self.log.z[k], expected), self.noise(k)
-            seen = self.used(k) | {"pose": x[self.v], "point": x[index], "noise": r[rows, rows]}
-            seen |= {"innovation": nu[rows], "jacobian_pose": hv, "jacobian_landmark": hl}
-            notes.append(seen)
-        return h, nu, r, notes
+        return h, nu, r
 
-    def used(self, k: int) -> dict[str, Any]:
-        """Return when a measurement is used, for the trace."""
-        steps = len(self.trace["step_f"])
-        return {"step": steps, "measurement": self.log.row[k], "landmark": self.log.label[k]}
+    def note_update(self, ks: Array, x: Array, h: Array, nu: Array, r: Array) -> None:
+        """Keep what was linearised at a state."""
+        labels = dict.fromkeys(self.log.label[ks].tolist())
+        rows = np.concatenate((self.v, *(self.index[label] for label in labels)))
+        blocks = ["pose", *(f"landmark {label}" for label in labels)]
+        told = {"point": x[rows], "numbers": self.log.row[ks]}
+        self.note("update", "landmarks", nu, h[:, rows], r, blocks, **told)
 
     def update(self, ks: Array) -> None:
         """Update by measurements of known landmarks, at once."""
-        h, nu, r, notes = self.linearised(ks, self.x)
-        for one in notes:
-            self.note("update", **one)
+        h, nu, r = self.linearised(ks, self.x)
+        self.note_update(ks, self.x, h, nu, r)
         self.correct(h, nu, r)
 
     def gain(self, h: Array, r: Array) -> Array:
@@ -335,11 +335,12 @@ class Ekf:
         point, gx, gz = self.place(pose, self.log.z[k])
         g: Array = np.vstack((np.eye(n), np.zeros((2, n)))).astype(self.dtype)
         g[n:, self.v] = gx
-        seen = self.used(k) | {"pose": pose, "point": point, "noise": r}
-        self.note("initialise", **seen, jacobian_pose=gx, jacobian_measurement=gz)
+        label = int(self.log.label[k])
+        told = {"point": pose, "after": point, "numbers": self.log.row[k]}
+        self.note("augment", f"landmark {label}", gx, gz, r, ["pose"], **told)
         self.x, self.p = np.append(self.x, point).astype(self.dtype), g @ self.p @ g.T
         self.p[n:, n:] += gz @ r @ gz.T
-        self.index[int(self.log.label[k])] = np.array([n, n + 1])
+        self.index[label] = np.array([n, n + 1])
 
     def fuse(self, ks: Array) -> None:
         """Use a scan: landmarks that are known first, then the new ones."""
@@ -406,13 +407,9 @@ class Ekf:
         text = f'version = 1\ninformation = "filtered"\nestimator = "{self.kind}"\n'
         (folder / "estimate.toml").write_text(text)
         if traced:
-            whole = ("step", "measurement", "landmark")
-            arrays: dict[str, Array] = {
-                name: np.array(rows, int if name.split("_", 1)[1] in whole else float)
-                for name, rows in self.trace.items()
-            }
-            arrays |= {"prior_pose": self.started[0], "prior_covariance": self.started[1]}
-            np.savez(folder / "trace.npz", **arrays)  # type: ignore[arg-type]
+            with Recorder(folder / "filter.trace") as record:
+                for call, matrices, more in self.calls:
+                    getattr(record, call)(*matrices, **more)
 
 
 # Sound filters
@@ -505,11 +502,11 @@ class Iterated(Ekf):
         """Linearise again at the estimate."""
         start, at = self.x, self.x
         for _ in range(self.iterations):
-            h, nu, r, notes = self.linearised(ks, at)
-            moved = nu + h @ (at - start)
+            point = at
+            h, nu, r = self.linearised(ks, point)
+            moved = nu + h @ (point - start)
             at = start + self.gain(h, r) @ moved
-        for one in notes:
-            self.note("update", **one)
+        self.note_update(ks, point, h, nu, r)
         self.correct(h, moved, r)
 
 
@@ -588,15 +585,14 @@ class FirstEstimates(Ekf):
         self.first[len(self.x)] = point
         return point, gx, gz
 
-    def linearised(self, ks: Array, x: Array) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
+    def linearised(self, ks: Array, x: Array) -> tuple[Array, Array, Array]:
         """H at first estimates, the innovation at the last."""
-        h, nu, r, notes = super().linearised(ks, x)
+        h, nu, r = super().linearised(ks, x)
         for at, k in enumerate(ks):
             rows, index = slice(2 * at, 2 * at + 2), self.index[self.log.label[k]]
             _, hv, hl = self.expected(self.before, self.first[index[0]])
             h[rows, self.v], h[rows, index] = hv, hl
-            notes[at] |= {"jacobian_pose": hv, "jacobian_landmark": hl}
-        return h, nu, r, notes
+        return h, nu, r
 
 
 class LandmarksFirst(Ekf):

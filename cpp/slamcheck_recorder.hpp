@@ -815,4 +815,102 @@ class Recorder {
   std::size_t size_ = 0;
 };
 
+namespace detail {
+
+template <class F, class = void>
+struct HasStateMethods : std::false_type {};
+template <class F>
+struct HasStateMethods<F, std::void_t<decltype(std::declval<const F&>().x()),
+                                      decltype(std::declval<const F&>().P())>> : std::true_type {};
+
+}  // namespace detail
+
+// A filter that is recorded without a change in it: call predict and update of this instead.
+//
+//   slamcheck::Recorded filter(mine, "run.trace", {{"position", 2}, {"velocity", 2}});
+//   filter.record.at(time_s);
+//   filter.predict(dt);
+//   filter.update("gps", z);
+//
+// The filter has x and P, as members or as methods, predict and update, and as methods F and Q,
+// which are given what predict is, and H, R and residual, which are given what update is, each
+// before it. A snapshot of P follows each call. The error is added to x. The filter must outlive it.
+template <class Filter>
+class Recorded {
+ public:
+  Recorder record;
+
+  // blocks: names and dimensions of the state's parts; without any, one, `state`.
+  Recorded(Filter& filter, const std::string& path,
+           std::vector<std::pair<std::string, std::size_t>> blocks = {},
+           const std::vector<Sensor>& sensors = {})
+      : record(path, sensors), filter_(filter) {
+    const Matrix P = covariance();
+    if (blocks.empty()) blocks.emplace_back("state", P.row_count());
+    record.prior(blocks, P, state());
+    snapshot();
+  }
+
+  template <class... Given>
+  auto predict(const Given&... given) {
+    const Matrix F = filter_.F(given...), Q = filter_.Q(given...);
+    About about;
+    about.point = state();
+    return followed([&] { return filter_.predict(given...); }, [&] {
+      about.after = state();
+      record.predict(F, Q, {}, about);
+    });
+  }
+
+  // sensor: its name; the filter's update is given what follows it.
+  template <class... Given>
+  auto update(const std::string& sensor, const Given&... given) {
+    const Matrix H = filter_.H(given...), R = filter_.R(given...);
+    const Vector residual = filter_.residual(given...);
+    About about;
+    about.point = state();
+    return followed([&] { return filter_.update(given...); }, [&] {
+      std::vector<double> added = state().values();
+      for (std::size_t i = 0; i < added.size(); ++i) added[i] -= about.point.values()[i];
+      record.update(sensor, residual, H, R, {}, added, {}, about);
+    });
+  }
+
+ private:
+  // Calls the filter, then records, and returns what the filter does.
+  template <class Call, class Then>
+  auto followed(const Call& call, const Then& then) {
+    if constexpr (std::is_void_v<decltype(call())>) {
+      call();
+      then();
+      snapshot();
+    } else {
+      auto found = call();
+      then();
+      snapshot();
+      return found;
+    }
+  }
+
+  void snapshot() { record.snapshot(covariance(), {}, state()); }
+
+  Vector state() const {
+    if constexpr (detail::HasStateMethods<Filter>::value) {
+      return filter_.x();
+    } else {
+      return filter_.x;
+    }
+  }
+
+  Matrix covariance() const {
+    if constexpr (detail::HasStateMethods<Filter>::value) {
+      return filter_.P();
+    } else {
+      return filter_.P;
+    }
+  }
+
+  Filter& filter_;
+};
+
 }  // namespace slamcheck

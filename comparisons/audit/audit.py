@@ -101,6 +101,7 @@ class Audit:
     Attributes:
         trace: The file.
         counts: Its events, updates and snapshots.
+        remarks: On the file.
         blocks: Dimensions of all blocks that there ever were, by name.
         tolerance: What rounding explains, in standard deviations.
         findings: Faults first, each kind in the order of time.
@@ -119,6 +120,7 @@ class Audit:
 
     trace: Path
     counts: TraceCounts
+    remarks: tuple[str, ...]
     blocks: Mapping[str, int]
     tolerance: float
     findings: tuple[Finding, ...]
@@ -214,6 +216,7 @@ class _Pass:
         return Audit(
             trace=self.trace.path,
             counts=self.trace.counts,
+            remarks=self.trace.remarks,
             blocks=self.blocks,
             tolerance=self.tolerance,
             findings=self._ordered(),

@@ -295,10 +295,9 @@ def check_gain(
         tolerance: Relative to what a measurement of one sigma corrects.
     """
     found = []
-    root: Array = np.asarray(np.linalg.inv(fused.inverse_root), dtype=np.float64)
     unit = np.where(sigma > 0.0, sigma, 1.0)
     if event.gain is not None:
-        found += _gain(event, fused, root, unit, layout, tolerance)
+        found += _gain(event, fused, unit, layout, tolerance)
     if event.correction is not None:
         gain = fused.gain if event.gain is None else event.gain
         found += _correction(event, gain @ event.residual, unit, layout, tolerance)
@@ -306,10 +305,11 @@ def check_gain(
 
 
 def _gain(
-    event: Update, fused: Fused, root: Array, unit: Array, layout: Layout, tolerance: float
+    event: Update, fused: Fused, unit: Array, layout: Layout, tolerance: float
 ) -> list[Unlike]:
     """The columns are compared times the innovation's root, in sigmas of the state."""
     assert event.gain is not None  # noqa: S101 - asked for above
+    root: Array = np.asarray(np.linalg.inv(fused.inverse_root), dtype=np.float64)
     given, right = ((k @ root) / unit[:, None] for k in (event.gain, fused.gain))
     if not np.abs(given - right).max() > tolerance:
         return []

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -64,15 +63,15 @@ _COLUMNS = {
 }
 
 
-def event_arrays(path: Path) -> dict[str, Array]:
+def event_arrays(trace: Trace) -> dict[str, Array]:
     """Return a trace's columns by name, as `trace.npz` of 0.2 had them.
 
     Raises:
         InputError: The file is no trace, or an event is none of such a filter, or lacks its point
             or the numbers of its measurements.
     """
-    reading = _Reading(path)
-    for event in Trace(path):
+    reading = _Reading(trace)
+    for event in trace:
         reading.take(event)
     return reading.arrays()
 
@@ -80,8 +79,8 @@ def event_arrays(path: Path) -> dict[str, Array]:
 class _Reading:
     """Columns in the making."""
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.made = path, 0
+    def __init__(self, trace: Trace) -> None:
+        self.path, self.made = trace.path, 0
         self.prior: Prior
         self.rows: defaultdict[str, list[Any]] = defaultdict(list)
         self.ids: dict[str, int] = {}

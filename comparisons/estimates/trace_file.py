@@ -17,6 +17,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.event_arrays import event_arrays
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
+from comparisons.trace.reader import OUTDATED, Trace
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import (
     VEHICLE,
@@ -70,11 +71,13 @@ class TraceFile:
     Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
     the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
     done to the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
+    remarks: on the file.
     """
 
     path: Path
     step_time_s: Array
     trace: TraceArrays
+    remarks: tuple[str, ...]
     rounding: float = 0.0
 
 
@@ -83,8 +86,11 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
 
     Raises InputError naming the event, or the array of a trace of 0.2.
     """
-    found = _former_arrays(path) if path.suffix == ".npz" else event_arrays(path)
-    return _checked(path, found, landmark_id)
+    if path.suffix == ".npz":
+        outdated = (f"{path.name} {OUTDATED}",)
+        return _checked(path, _former_arrays(path), landmark_id, outdated)
+    trace = Trace(path)
+    return _checked(path, event_arrays(trace), landmark_id, trace.remarks)
 
 
 def _former_arrays(path: Path) -> dict[str, Array]:
@@ -114,7 +120,12 @@ def _former_arrays(path: Path) -> dict[str, Array]:
     return found
 
 
-def _checked(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]) -> TraceFile:
+def _checked(
+    path: Path,
+    found: dict[str, Array],
+    landmark_id: NDArray[np.int64],
+    remarks: tuple[str, ...],
+) -> TraceFile:
     """Return arrays as a trace, once their contents are checked."""
     rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
     _check_contents(path, found, rounding)
@@ -145,6 +156,7 @@ def _checked(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]
             merges=none_of_poses,
             removals=removal_records([]),
         ),
+        remarks,
         rounding,
     )
 

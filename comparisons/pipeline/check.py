@@ -643,11 +643,8 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
         )
     if found.last is None:
         remarks.append("the estimate ends before the log, so its last pose was not compared")
-    if given.trace is not None and given.trace.path.suffix == ".npz":
-        remarks.append(
-            f"{given.trace.path.name} is of slamcheck 0.2, and the next release will not read it: "
-            "record the filter with slamcheck.Recorder"
-        )
+    if given.trace is not None:
+        remarks += given.trace.remarks
     if given.trace is not None and given.joint_covariance is None:
         remarks.append(
             "the trace has no last_pose_and_landmarks beside it, so the algebra is not checked"

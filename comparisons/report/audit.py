@@ -159,6 +159,7 @@ class AuditResult(Model):
         events: how many.
         updates: of them.
         snapshots: of them.
+        remarks: on the file.
         blocks: dimensions of all blocks that there ever were, by name; at most 200.
         tolerance: largest difference that counts as rounding, in standard deviations.
         verdict: `sound`, `faulty` or `nothing checked`.
@@ -180,6 +181,7 @@ class AuditResult(Model):
     events: int
     updates: int
     snapshots: int
+    remarks: list[str]
     blocks: dict[str, int]
     tolerance: float
     verdict: Verdict
@@ -205,6 +207,7 @@ def build_audit_result(audit: Audit) -> AuditResult:
         events=audit.counts.events,
         updates=audit.counts.updates,
         snapshots=audit.counts.snapshots,
+        remarks=list(audit.remarks),
         blocks=dict(list(audit.blocks.items())[:200]),
         tolerance=audit.tolerance,
         verdict=audit.verdict,
@@ -301,7 +304,7 @@ def audit_summary(audit: Audit) -> Summary:
         headline=headline,
         style=STYLES[_STYLES[audit.verdict]],
         reasons=[_LACKING] if audit.verdict == "nothing checked" else wrong,
-        remarks=named,
+        remarks=[*audit.remarks, *named],
         lines=lines,
         rows=audit_rows(audit),
     )

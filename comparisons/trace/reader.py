@@ -16,13 +16,17 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from comparisons.errors import InputError, check_regular, note, printable
+from comparisons.errors import InputError, check_regular, printable
 from comparisons.trace.batch import unpack
 from comparisons.trace.events import CHARTS, Event, Sensor
 from comparisons.trace.rows import MOST_ENTRIES, EventReader, batch_rows, distinct, shown
 
 APPLICATION = 0x534C4154
 VERSION = 2
+OUTDATED = (
+    "is of slamcheck 0.2, and the next release will not read it: record the filter with "
+    "slamcheck.Recorder"
+)
 _SENSOR = "CREATE TABLE sensor (name TEXT PRIMARY KEY, gate REAL, components TEXT)"
 TABLES = {
     "batch": (
@@ -43,6 +47,7 @@ _COUNTS = {
     1: "SELECT COUNT(*), SUM(kind = 'update'), SUM(kind = 'snapshot') FROM event",
     VERSION: "SELECT SUM(events), SUM(updates), SUM(snapshots) FROM batch",
 }
+_CUT_OFF = "ends within a batch, as where its recording was killed; that batch is left out"
 RAW = b"slamcheck events"
 """Begins a file of batches without SQLite."""
 _RAW_HEAD = struct.Struct("<2q")
@@ -80,17 +85,22 @@ class Stored(NamedTuple):
 class Trace:
     """A trace that is read; iterate over its events in order.
 
-    sensors: those that were described. Raises InputError, with the event's number, where the file
-    is no trace, is damaged, or an event cannot be what it says. It may be recorded meanwhile.
+    sensors: those that were described. remarks: what a reader should know of the file. Raises
+    InputError, with the event's number, where the file is no trace, is damaged, or an event cannot
+    be what it says. It may be recorded meanwhile.
     """
 
     def __init__(self, path: Path) -> None:
         """Open a file and check what it is, not yet its events."""
         self.path = path
         self.sensors: dict[str, Sensor] = {}
+        self.remarks: tuple[str, ...] = ()
         if _is_raw(path):
             self._version = 0
-            self.counts, described = _RawFile(path).summary()
+            raw = _RawFile(path)
+            self.counts, described = raw.summary()
+            if raw.cut_off:
+                self.remarks = (f"{path.name} {_CUT_OFF}",)
         else:
             with self._open() as file:
                 self._version = self._check(file)
@@ -100,7 +110,7 @@ class Trace:
         for name, gate, components in described:
             self.sensors[name] = self._sensor(name, gate, components)
         if self._version == 1:
-            note(f"{path}: is of format 1, of slamcheck 0.2, which the next release will not read")
+            self.remarks = (f"{path.name} {OUTDATED}",)
 
     def __iter__(self) -> Iterator[Event]:
         """Yield every event."""
@@ -246,7 +256,7 @@ class _RawFile:
     """A file of batches, one after the other. The last one may be cut off, as by a kill."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.cut_off = path, False
 
     def summary(self) -> tuple[TraceCounts, list[Any]]:
         """Return the counts, and what is known of sensors. Raises InputError."""
@@ -302,7 +312,7 @@ class _RawFile:
                 raise InputError(f"{self.path}: a batch has sizes that none has")
             if file.tell() + found[4] + found[5] <= self._size:
                 return found
-        note(f"{self.path}: ends within a batch, as where its recording was killed; it is left out")
+        self.cut_off = True
         return ()
 
 

@@ -106,6 +106,7 @@ class Recorder:
         self._time_s = math.nan
         self._rows: list[bytes] = []
         self._matrices: dict[bytes, int] = {}
+        self._last: dict[str, bytes] = {}
         self._texts: dict[str, int] = {}
         self._sensors: dict[str, int] = {}
         self._bytes = self._updates = self._snapshots = 0
@@ -307,7 +308,7 @@ class Recorder:
         more: Measured,
     ) -> None:
         text, n = self._size(blocks)
-        m = np.size(residual)
+        m = residual.size if type(residual) is np.ndarray else np.size(residual)
         if not m:
             self._refuse("residual is empty")
         z = self._vector("residual", residual, m)
@@ -528,10 +529,17 @@ class Recorder:
         return int(dim)
 
     def _blob(self, name: str, matrix: ArrayLike, shape: tuple[int, int]) -> bytes:
-        """Return a matrix as it is stored; a number stands for 1 x 1. Raises InputError."""
-        if type(matrix) is np.ndarray and matrix.dtype is _DTYPE and matrix.shape == shape:
-            return matrix.tobytes()
-        return self._fitting(name, matrix, shape).tobytes()
+        """Return a matrix as it is stored; a number stands for 1 x 1. Raises InputError.
+
+        One that repeats the last of its name is the same object, whose hash is known.
+        """
+        if not (type(matrix) is np.ndarray and matrix.dtype is _DTYPE and matrix.shape == shape):
+            matrix = self._fitting(name, matrix, shape)
+        found, last = matrix.tobytes(), self._last.get(name)
+        if found == last:
+            return last
+        self._last[name] = found
+        return found
 
     def _fitting(self, name: str, matrix: ArrayLike, shape: tuple[int, int]) -> Array:
         found = self._numbers(name, matrix)
@@ -546,6 +554,8 @@ class Recorder:
 
     def _vector(self, name: str, vector: ArrayLike, size: int) -> bytes:
         """Return a vector as it is stored; it may be a column or a row."""
+        if type(vector) is np.ndarray and vector.dtype is _DTYPE and vector.shape == (size,):
+            return vector.tobytes()
         found = self._numbers(name, vector)
         if found.size != size or (found.ndim > 1 and max(found.shape) != size):
             actual = " x ".join(map(str, found.shape)) or "a number"

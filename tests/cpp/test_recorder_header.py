@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
+from comparisons.audit.audit import audit
 from comparisons.errors import InputError
 from comparisons.trace.events import Event, Snapshot, Update
 from comparisons.trace.reader import Trace
 from comparisons.trace.recorder import Recorder
+from comparisons.trace.wrapping import record
 
 CPP = Path(__file__).resolve().parents[2] / "cpp"
 COMPILER = shutil.which("c++") or shutil.which("g++")
@@ -202,17 +204,18 @@ def test_a_recording_without_sqlite_is_the_same(example: Path, raw: Path) -> Non
     assert differences(example, raw) == []
 
 
-def test_a_recording_without_sqlite_is_read_to_its_last_batch(
-    raw: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_without_sqlite_is_read_to_its_last_batch(raw: Path, tmp_path: Path) -> None:
     """Cut off anywhere, or with any byte changed: whole batches, or a refusal in one line."""
     whole, short = raw.read_bytes(), tmp_path / "short.events"
+    assert Trace(raw).remarks == ()
+    short.write_bytes(whole[:-1])
+    (said,) = Trace(short).remarks
+    assert said.startswith("short.events ends within a batch, as where its recording was killed")
     for length in range(0, len(whole), len(whole) // 97):
         short.write_bytes(whole[:length])
         with pytest.raises(InputError):
             list(Trace(short))
-    assert "ends within a batch, as where its recording was killed" in capfd.readouterr().err
-    draw, said = random.Random(5), []  # noqa: S311
+    draw, refused = random.Random(5), []  # noqa: S311
     for _ in range(300):
         damaged = bytearray(whole)
         damaged[draw.randrange(300)] = draw.randrange(256)
@@ -220,9 +223,9 @@ def test_a_recording_without_sqlite_is_read_to_its_last_batch(
         try:
             list(Trace(short))
         except InputError as error:
-            said.append(str(error))
-    assert len(said) > 100
-    assert all(one.isprintable() for one in said)
+            refused.append(str(error))
+    assert len(refused) > 100
+    assert all(one.isprintable() for one in refused)
 
 
 def test_the_example_is_a_sound_filter(example: Path) -> None:
@@ -257,6 +260,160 @@ def test_a_wrong_header_is_noticed(
     except ValueError as error:
         found = [str(error)]
     assert found
+
+
+WRAPPED = r"""
+#include "slamcheck_recorder.hpp"
+using namespace slamcheck;
+
+// A body with drag, of which the square of its position is measured.
+class Drag {
+ public:
+  Vector x() const { return {p, v}; }
+  Matrix P() const { return {{pp, pv}, {pv, vv}}; }
+  Matrix F(double dt) const { return {{1.0, dt}, {0.0, 1.0 - 0.2 * dt * v}}; }
+  Matrix Q(double dt) const { return {{0.0, 0.0}, {0.0, 0.1 * dt}}; }
+  Matrix H(double) const { return {{2.0 * p, 0.0}}; }
+  Matrix R(double) const { return {{0.25}}; }
+  Vector residual(double z) const { return {z - p * p}; }
+  void predict(double dt) {
+    const double f = 1.0 - 0.2 * dt * v;
+    p += dt * v;
+    v -= 0.1 * dt * v * v;
+    pp += 2.0 * dt * pv + dt * dt * vv;
+    pv = f * (pv + dt * vv);
+    vv = f * f * vv + 0.1 * dt;
+  }
+  bool update(double z) {
+    const double h = 2.0 * p, s = h * h * pp + 0.25, nu = z - p * p;
+    const double a = pp * h / s, b = pv * h / s;
+    p += a * nu;
+    v += b * nu;
+    vv -= b * h * pv;
+    pv -= a * h * pv;
+    pp -= a * h * pp;
+    return true;
+  }
+
+ private:
+  double p = 1.0, v = 3.0, pp = 0.5, pv = 0.0, vv = 0.5;
+};
+
+// The same, with its state as members.
+struct Open {
+  Vector x = inner().x();
+  Matrix P = inner().P();
+  Drag filter;
+  static Drag inner() { return {}; }
+  Matrix F(double dt) const { return filter.F(dt); }
+  Matrix Q(double dt) const { return filter.Q(dt); }
+  Matrix H(double z) const { return filter.H(z); }
+  Matrix R(double z) const { return filter.R(z); }
+  Vector residual(double z) const { return filter.residual(z); }
+  void predict(double dt) { filter.predict(dt); keep(); }
+  void update(double z) { filter.update(z); keep(); }
+  void keep() { x = filter.x(); P = filter.P(); }
+};
+
+int main(int, char** words) {
+  Drag drag;
+  Open open;
+  Recorded filter(drag, words[1], {{"position", 1}, {"speed", 1}}, {{"square", 0.99, {}}});
+  Recorded other(open, words[2]);
+  for (int step = 1; step <= 20; ++step) {
+    filter.record.at(0.1 * step);
+    filter.predict(0.1);
+    other.predict(0.1);
+    if (step % 4 == 0) {
+      if (!filter.update("square", 2.0 * step)) return 1;
+      other.update("square", 2.0 * step);
+    }
+  }
+  filter.record.close();
+}
+"""
+
+
+class Drag:
+    """The same filter."""
+
+    def __init__(self) -> None:
+        self.x, self.P = np.array([1.0, 3.0]), np.diag([0.5, 0.5])
+
+    def F(self, dt: float) -> Array:  # noqa: N802
+        return np.array([[1.0, dt], [0.0, 1.0 - 0.2 * dt * self.x[1]]])
+
+    def Q(self, dt: float) -> Array:  # noqa: N802
+        return np.diag([0.0, 0.1 * dt])
+
+    def H(self, z: float) -> Array:  # noqa: N802
+        return np.array([[2.0 * self.x[0], 0.0]])
+
+    def R(self, z: float) -> Array:  # noqa: N802
+        return np.array([[0.25]])
+
+    def residual(self, z: float) -> Array:
+        return np.array([z - self.x[0] ** 2])
+
+    def predict(self, dt: float) -> None:
+        f = self.F(dt)
+        self.x = self.x + [dt * self.x[1], -0.1 * dt * self.x[1] ** 2]
+        self.P = f @ self.P @ f.T + self.Q(dt)
+
+    def update(self, z: float) -> None:
+        h, nu = self.H(z), self.residual(z)
+        gain = self.P @ h.T / (h @ self.P @ h.T + 0.25)
+        self.x = self.x + gain @ nu
+        self.P = self.P - gain @ h @ self.P
+
+
+@pytest.fixture(scope="module")
+def wrapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `slamcheck.record` of Python writes of it."""
+    path, drag = tmp_path_factory.mktemp("wrapped") / "python.trace", Drag()
+    with record(drag, path, blocks={"position": 1, "speed": 1}, sensor="square") as recorder:
+        for step in range(1, 21):
+            recorder.at(0.1 * step)
+            drag.predict(0.1)
+            if step % 4 == 0:
+                drag.update(2.0 * step)
+    return path
+
+
+def test_a_cpp_filter_is_recorded_without_a_change_in_it(
+    build: Build, wrapped: Path, tmp_path: Path
+) -> None:
+    here, other = tmp_path / "methods.trace", tmp_path / "members.events"
+    subprocess.run((build(WRAPPED), here, other), check=True, timeout=60)
+    assert differences(here, wrapped) == []
+    assert Trace(here).sensors == {"square": (0.99, ())}
+    assert Trace(here).counts == Trace(other).counts == (52, 5, 26)
+    audited = audit(here)
+    assert audited.largest is not None
+    assert max(audited.largest[2:]) < 1e-9
+    for one, of_members in zip(Trace(here), Trace(other), strict=True):
+        assert of_members.time_s is None
+        if isinstance(one, Snapshot):
+            assert isinstance(of_members, Snapshot)
+            np.testing.assert_array_equal(of_members.covariance, one.covariance)
+            assert of_members.blocks == ("state",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("about.after = state();", "about.point = about.after = state();"),
+        ("added[i] -= about", "added[i] += about"),
+    ],
+    ids=["its point is where it leads", "no correction"],
+)
+def test_a_filter_that_is_recorded_wrongly_is_noticed(
+    build: Build, wrapped: Path, tmp_path: Path, old: str, new: str
+) -> None:
+    here = tmp_path / "wrong.trace"
+    program = build(WRAPPED, old, new)
+    subprocess.run((program, here, tmp_path / "members.events"), check=True, timeout=60)
+    assert differences(here, wrapped)
 
 
 CALLS = r"""

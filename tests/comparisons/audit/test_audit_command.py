@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ from comparisons.report.audit import AuditResult, audit_panels, build_audit_resu
 from tests.commands import slamcheck as command
 from tests.comparisons.audit.test_audit import once, stays
 from tests.comparisons.audit.toy_filter import Toy
+from tests.comparisons.trace.test_reader import KEPT
 
 
 def traces(folder: Path) -> tuple[Path, Path]:
@@ -52,6 +56,25 @@ def test_what_is_no_trace_is_one_line(tmp_path: Path, name: str, text: str) -> N
     assert len(done.stderr.splitlines()) == 1
     assert text in done.stderr
     assert not list(tmp_path.glob("slamcheck-audit*"))
+
+
+def test_a_trace_of_an_earlier_version_is_a_remark_and_a_damaged_one_is_one_line(
+    tmp_path: Path,
+) -> None:
+    shutil.copy(KEPT / "toy.trace", tmp_path / "old.trace")
+    done = command("audit", "old.trace", "--json", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    (said,) = AuditResult.model_validate(json.loads(done.stdout)).remarks
+    assert said.startswith("old.trace is of slamcheck 0.2, and the next release will not read it")
+    shown = command("audit", "old.trace", cwd=tmp_path)
+    assert said in " ".join(shown.stdout.split())
+    with closing(sqlite3.connect(tmp_path / "old.trace")) as file:
+        file.execute("UPDATE event SET kind = 'x' WHERE number = 5")
+        file.commit()
+    damaged = command("audit", "old.trace", cwd=tmp_path)
+    assert (damaged.returncode, damaged.stdout) == (2, "")
+    (line,) = damaged.stderr.splitlines()
+    assert "old.trace, event 5: kind 'x', expected one of" in line
 
 
 def test_a_page_shows_what_file_names_say_as_text(tmp_path: Path) -> None:
