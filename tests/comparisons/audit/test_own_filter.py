@@ -114,7 +114,7 @@ def test_a_sensor_that_is_left_out_changes_the_recursion() -> None:
     """Merges that are not taken for blind: the batch form has them, the recursion has not."""
     c = framed()
     events = [
-        event._replace(blind=("landmarks", "scan landmarks"))
+        event._replace(blind=("measurements", "scan landmarks"))
         if isinstance(event, Directions)
         else event
         for event in run_events(c.ekf)
@@ -127,7 +127,7 @@ def test_a_sensor_that_is_left_out_changes_the_recursion() -> None:
 
 def test_every_kind_of_event_is_there() -> None:
     sensors = {e.sensor for e in run_events(framed().ekf) if isinstance(e, Update)}
-    assert sensors == {"landmarks", "scan landmarks", "merges"}
+    assert sensors == {"measurements", "scan landmarks", "merges"}
     gone = [e for e in run_events(framed().ekf) if isinstance(e, Remove)]
     assert [e.blocks[0][:14] for e in gone] == ["scan landmark "]
     names = [e.name for e in run_events(sound().ekf) if isinstance(e, Augment)]
