@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtri, gammaincinv
+from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 
 from comparisons.arrays import Array, Index
 
@@ -26,6 +26,8 @@ _LEAST_EIGENVALUE = 1e-13
 """Of the correlation matrix; below it the covariance is singular, or worse."""
 CLEAR = 0.05
 """Least share of the filter's variance that the future took away, in a direction that is judged."""
+_LEAST_VARIANCE = 1e-12
+"""Eigenvalue of a correlation matrix, relative to the largest, of a direction that counts."""
 LAGS = 10
 _LEAST_PAIRS = 20
 """An autocorrelation from fewer products is not looked at."""
@@ -45,6 +47,11 @@ def chi2_quantile(probability: Any, dof: Any) -> Any:
 def chi2_tail(value: float, dof: int) -> float:
     """Probability that a chi-square variable exceeds a value of at least 0."""
     return float(chdtrc(dof, value))
+
+
+def two_sided(value: float, dof: float) -> float:
+    """Probability that a chi-square variable is as far out as this, on either side."""
+    return float(min(1.0, 2.0 * min(chdtr(dof, value), chdtrc(dof, value))))
 
 
 def f_quantile(probability: float, dof: float, dof_below: float) -> float:
@@ -251,3 +258,71 @@ def independent(values: Array) -> float:
     cancelled = np.flatnonzero(pairs <= 0.0)
     lasting = pairs[: cancelled[0]] if len(cancelled) else pairs
     return n / max(2.0 * float(lasting.sum()) - 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """Squared errors per degree of freedom: 1 is right.
+
+    band: that 95 % of sound runs keep, by the effective number of independent ones. p_value: the
+    same, two-sided. count: how many. worst: number of the one that is largest.
+    """
+
+    mean: float
+    band: Band
+    p_value: float
+    count: int
+    worst: int
+
+
+def averaged(squared: Array, dof: Index, number: Index) -> Averaged | None:
+    """Average squared errors (n,) of dof (n,) directions each, in the order of time.
+
+    number: (n,) what each is called. None where none has a direction.
+    """
+    some = dof > 0
+    if not some.any():
+        return None
+    squared, dof = squared[some], dof[some]
+    per, each = squared / dof, float(dof.mean())
+    count, mean = independent(per - 1.0), float(squared.sum() / dof.sum())
+    low, high = mean_band(count, each)
+    return Averaged(
+        mean=mean,
+        band=Band(low / each, high / each),
+        p_value=two_sided(mean * count * each, count * each),
+        count=len(per),
+        worst=int(number[some][np.argmax(per)]),
+    )
+
+
+def normalised_difference(
+    difference: Array, filtered: Array, smoothed: Array
+) -> tuple[Array, Index, Array]:
+    """Return d^T (P_f - P_s)^-1 d over clear directions, their numbers, and least P_f over P_s.
+
+    A direction is clear in which the future took away at least 5 % of the filter's variance.
+
+    Args:
+        difference: (n, d) filtered minus smoothed.
+        filtered: (n, d, d) covariances; one may be singular, as of a clone.
+        smoothed: (n, d, d) likewise.
+
+    Returns:
+        (n,) each; the ratio is 1 along directions without variance.
+    """
+    sigma = np.sqrt(np.maximum(np.einsum("nii->ni", filtered), 0.0))
+    unit = np.where(sigma > 0.0, sigma, 1.0)
+    scale = unit[:, :, None] * unit[:, None, :]
+    values, axes = np.linalg.eigh(filtered / scale)
+    some = values > _LEAST_VARIANCE * values[:, -1:]
+    white = np.where(some[:, None, :], axes / np.sqrt(np.where(some, values, 1.0))[:, None], 0.0)
+    share = white.transpose(0, 2, 1) @ (smoothed / scale) @ white
+    share += np.where(some, 0.0, 1.0)[:, :, None] * np.eye(share.shape[-1])
+    left, turn = np.linalg.eigh(0.5 * (share + share.transpose(0, 2, 1)))
+    gained = 1.0 - left
+    clear = gained > CLEAR
+    scaled = (difference / unit)[:, :, None]
+    along = (turn.transpose(0, 2, 1) @ (white.transpose(0, 2, 1) @ scaled))[:, :, 0]
+    squared = np.where(clear, along**2 / np.where(clear, gained, 1.0), 0.0).sum(axis=1)
+    return squared, clear.sum(axis=1), 1.0 / left[:, -1]

@@ -248,7 +248,7 @@ def test_nothing_stands_on_experiments() -> None:
 
 LAYERS = {
     "arrays": 0, "errors": 0, "choices": 0, "atomic": 0, "archive": 0, "words": 0, "statistics": 0,
-    "trace": 0,
+    "trace": 0, "innovations": 0,
     "logs": 1, "options": 1,
     "config": 2, "estimates": 2,
     "documented": 3, "settings": 3, "adapters": 3, "logs.transforms": 3,

@@ -21,6 +21,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
+from comparisons.trace.events import Sensor
 from ekf_reference.core.ekf import Ekf, PoseReading
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
@@ -68,6 +69,18 @@ class EkfRun:
     breakdown: str | None = None
     pose_landmarks: PoseLandmarkMeasurements = field(default_factory=PoseLandmarkMeasurements)
     deactivated: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    @property
+    def sensors(self) -> dict[str, Sensor]:
+        """What the filter fuses, with the components of one measurement."""
+        point = ("forward", "left") if self.own_axes else ("range", "bearing")
+        pose = ("forward", "left", "heading")
+        return {
+            "measurements": Sensor(None, point),
+            "positions": Sensor(None, ("east", "north")),
+            "scan landmarks": Sensor(None, pose),
+            "merges": Sensor(None, pose),
+        }
 
     @property
     def pose_landmark_places(self) -> Array:

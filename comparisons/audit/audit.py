@@ -7,7 +7,6 @@ fault is found where it happens.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.audit.innovations import InnovationLog, SensorFigures
+from comparisons.audit.consistency import Anchors, EventInnovations, departures
 from comparisons.audit.localise import Cause, localise, name_of
 from comparisons.audit.replay import (
     ROUNDING,
@@ -27,10 +26,10 @@ from comparisons.audit.replay import (
     covariance_gap,
     units,
 )
-from comparisons.audit.smoothing import Anchors, Averaged, averaged
 from comparisons.audit.spurious import SpuriousInformation
 from comparisons.checks.learnt import Learnt
-from comparisons.statistics import faults
+from comparisons.innovations import SensorInnovations
+from comparisons.statistics import Averaged, averaged, faults
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -41,7 +40,6 @@ from comparisons.trace.events import (
     Prior,
     Remove,
     Reset,
-    Sensor,
     Snapshot,
     Update,
 )
@@ -51,7 +49,6 @@ from graphslam.event_smoother import EventSmoother
 
 FALSE_ALARMS = 1e-3
 """Share of sound traces that any of the statistical checks calls faulty."""
-NO_SENSOR = Sensor(None, ())
 MOST_SEARCHED = 20
 """Faults of the algebra whose cause is sought; more of other causes are counted."""
 MOST_KEPT = 5_000
@@ -130,7 +127,7 @@ class Audit:
     agreement: float
     compared: int
     gains: int
-    sensors: tuple[SensorFigures, ...]
+    sensors: tuple[SensorInnovations, ...]
     smoother: Averaged | None
     nees: Averaged | None
     spurious: Learnt | None
@@ -171,7 +168,7 @@ class _Pass:
         self.trace, self.tolerance = trace, tolerance
         self.replay: Replay
         self.smoother: EventSmoother
-        self.logs: defaultdict[str, InnovationLog] = defaultdict(InnovationLog)
+        self.innovations = EventInnovations(trace.sensors)
         self.anchors = Anchors()
         self.nees: list[tuple[int, float, int]] = []
         self.blocks: dict[str, int] = {}
@@ -199,18 +196,14 @@ class _Pass:
                 progress("events", event.number, total)
             self._do(event)
         self._confirm(None)
-        level = FALSE_ALARMS / (len(self.logs) + 2)
-        described = self.trace.sensors
-        sensors = tuple(
-            log.figures(name, described.get(name, NO_SENSOR), level)
-            for name, log in self.logs.items()
-        )
+        sensors = self.innovations.figures()
+        level = FALSE_ALARMS / (len(sensors) + 2)
         smoother = self.anchors.against_smoother()
         nees = self._nees()
         spurious = None if self.spurious is None else self.spurious.result()
         self._name_spurious(spurious)
         for figures in sensors:
-            self._judge_innovations(figures)
+            self._judge_innovations(figures, level)
         self._judge_average("smoother", "filter minus smoother", smoother, level)
         self._judge_average("nees", "NEES per degree of freedom", nees, level)
         return Audit(
@@ -272,6 +265,7 @@ class _Pass:
                 noise = g @ event.noise @ g.T
                 self.smoother.augment(event.name, event.blocks, event.jacobian, noise)
                 self.blocks[event.name] = len(event.jacobian)
+                self.innovations.begin(event)
             case Clone():
                 self.smoother.clone(event.source, event.name)
                 self.blocks[event.name] = self.blocks[event.source]
@@ -280,7 +274,7 @@ class _Pass:
 
     def _update(self, event: Update) -> None:
         fused = self.replay.update(event)
-        self.logs[event.sensor].add(event.number, event.time_s, fused.whitened, event.used)
+        self.innovations.add(event, fused, self.replay.layout)
         if not event.used:
             return
         self.smoother.measure(event.blocks, event.jacobian, event.noise, event.residual)
@@ -428,12 +422,12 @@ class _Pass:
         event, squared, dof = (np.array(column) for column in zip(*self.nees, strict=True))
         return averaged(squared, dof, event)
 
-    def _judge_innovations(self, figures: SensorFigures) -> None:
+    def _judge_innovations(self, figures: SensorInnovations, level: float) -> None:
         name = figures.sensor
         if figures.unusable:
             text = f"sensor `{name}`: {figures.unusable:,} innovations have no valid covariance"
             self._add(Finding("innovations", True, text, None, name, ()), "unusable")
-        for one in figures.departures:
+        for one in departures(figures, level):
             text = f"sensor `{name}`: {one.what} (p = {one.p_value:.1g})"
             if not self.optimal:
                 text += "; its bands are those of Kalman's gain"

@@ -1,10 +1,10 @@
 """A run of the reference EKF as the events of an audit.
 
 Blocks are `pose`, `landmark 17` by the estimate's ids, and `scan landmark 3` by index; sensors are
-`landmarks`, `scan landmarks`, `merges` and `positions`. A filter's trace keeps the order in time,
-and of an instant that of each kind: landmarks are initialised, then measured, then positions are
-fused, then scan landmarks initialised, measured and merged, and landmarks removed. A landmark is
-initialised after the others are measured in truth; the linear problem is the same.
+`measurements`, `scan landmarks`, `merges` and `positions`. A filter's trace keeps the order in
+time, and of an instant that of each kind: landmarks are initialised, then measured, then positions
+are fused, then scan landmarks initialised, measured and merged, and landmarks removed. A landmark
+is initialised after the others are measured in truth; the linear problem is the same.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from comparisons.trace.recorder import Begun, Measured, Recorder
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.core.trace import MeasurementRecords
 
-SENSORS = {POINT: "landmarks", POSE: "scan landmarks"}
+SENSORS = {POINT: "measurements", POSE: "scan landmarks"}
 POSITIONS, MERGES = "positions", "merges"
 _PLANAR = 3
 
@@ -62,7 +62,8 @@ def write_run(run: EkfRun, path: Path) -> None:
     Raises:
         InputError: The file exists already, or cannot be written.
     """
-    with Recorder(path) as record:
+    components = {name: sensor.components for name, sensor in run.sensors.items()}
+    with Recorder(path, components=components) as record:
         for event in run_events(run):
             if event.time_s is not None:
                 record.at(event.time_s)

@@ -93,15 +93,21 @@ class Layout:
 class Fused(NamedTuple):
     """What an update came to.
 
-    whitened: (m,) L^-1 nu, S = L L^T, nu the residual without the estimate's known error; NaN where
-    S is not positive definite. gain: (n, m) Kalman's. applied: (n,) the correction, as recorded or
-    by the gain; zero for a rejected measurement. inverse_root: (m, m) L^-1.
+    innovation: (m,) nu, the residual without the estimate's known error. spread: (m, m) S = L L^T.
+    inverse_root: (m, m) L^-1; NaN where S is not positive definite. gain: (n, m) Kalman's. applied:
+    (n,) the correction, as recorded or by the gain; zero for a rejected measurement.
     """
 
-    whitened: Array
+    innovation: Array
+    spread: Array
     gain: Array
     applied: Array
     inverse_root: Array
+
+    @property
+    def whitened(self) -> Array:
+        """(m,) L^-1 nu."""
+        return self.inverse_root @ self.innovation
 
 
 class Replay:
@@ -170,16 +176,15 @@ class Replay:
         )
         across = p[:, at] @ h.T
         s = h @ across[at] + r
+        innovation = event.residual - h @ self.mean[at]
         root, fault = dpotrf(s, lower=1, clean=1)
         if fault:
             nothing = np.zeros_like(across)
             applied = np.zeros(len(p)) if event.correction is None else event.correction
-            nan = np.full_like(s, np.nan)
-            return Fused(np.full(len(s), np.nan), nothing, applied, nan)
+            return Fused(innovation, s, nothing, applied, np.full_like(s, np.nan))
         inverse_root: Array = dtrtrs(root, np.eye(len(s)), lower=1)[0]
         gain = across @ inverse_root.T @ inverse_root
-        innovation = event.residual - h @ self.mean[at]
-        fused = Fused(inverse_root @ innovation, gain, np.zeros(len(p)), inverse_root)
+        fused = Fused(innovation, s, gain, np.zeros(len(p)), inverse_root)
         if not event.used:
             return fused
         used = gain if event.gain is None else event.gain

@@ -14,15 +14,22 @@ from pydantic import Field
 
 from comparisons.atomic import fresh_folder, known_files
 from comparisons.audit.audit import Audit, Finding, Verdict
-from comparisons.audit.innovations import SensorFigures
-from comparisons.audit.smoothing import Averaged
 from comparisons.checks.learnt import Learnt
+from comparisons.innovations import SensorInnovations
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import document, figures, prose, script
-from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, Band, Curve, Panel
-from comparisons.report.model import Model, finite, package_versions
+from comparisons.report.marks import (
+    EKF_COLOUR,
+    SCANS_COLOUR,
+    SMOOTHER_COLOUR,
+    Curve,
+    Panel,
+    nis_panel,
+)
+from comparisons.report.model import InnovationResult, Model, finite, package_versions
 from comparisons.report.picture import blank, draw_panel, save
 from comparisons.report.terminal import STYLES, Summary
+from comparisons.statistics import Averaged
 from comparisons.words import Row
 
 RESULT = "audit.json"
@@ -93,39 +100,15 @@ class AveragedResult(Model):
     snapshots: int
 
 
-class NisFigure(Model):
-    """An average of normalised innovations squared.
+class SensorResult(InnovationResult):
+    """One sensor's innovations, and what its gate rejected.
 
     Attributes:
-        name: sensor or component.
-        dof: degrees of freedom of one.
-        count: how many.
-        mean: their average.
-        band: of 95 % of sound runs.
-    """
-
-    name: str
-    dof: int
-    count: int
-    mean: float
-    band: tuple[float, float]
-
-
-class SensorResult(Model):
-    """One sensor.
-
-    Attributes:
-        sensor: its name.
-        nis: of the whole vector, and of each component.
-        whiteness: p-values of the Ljung-Box statistic, by component.
         measured: measurements with a valid innovation covariance.
         rejected: those of them that the filter's gate rejected.
         nominal_rejected: the share that it rejects of sound ones, if it has a gate.
     """
 
-    sensor: str
-    nis: list[NisFigure]
-    whiteness: dict[str, float]
     measured: int
     rejected: int
     nominal_rejected: float | None
@@ -254,24 +237,17 @@ def _averaged(one: Averaged | None) -> AveragedResult | None:
         mean=finite(one.mean),
         band=one.band,
         p_value=finite(one.p_value),
-        snapshots=one.snapshots,
+        snapshots=one.count,
     )
 
 
-def _sensor(one: SensorFigures) -> SensorResult:
-    nis = [
-        NisFigure(
-            name=n.name, dof=n.dof, count=n.count, mean=n.mean, band=(n.band.low, n.band.high)
-        )
-        for n in one.nis
-    ]
+def _sensor(one: SensorInnovations) -> SensorResult:
+    gating = one.gating
     return SensorResult(
-        sensor=one.sensor,
-        nis=nis,
-        whiteness={w.component: w.p_value for w in one.whiteness},
-        measured=one.measured,
-        rejected=one.rejected,
-        nominal_rejected=None if one.nominal is None else 1.0 - one.nominal,
+        **vars(InnovationResult.of(one)),
+        measured=len(gating.event),
+        rejected=gating.count,
+        nominal_rejected=None if gating.passes is None else 1.0 - gating.passes,
     )
 
 
@@ -341,13 +317,13 @@ def _gains_line(audit: Audit) -> str:
     return f"{audit.gains:,} compared, {'all Kalman' if not unlike else 'some are not Kalman'}'s"
 
 
-def _sensor_line(one: SensorFigures) -> str:
+def _sensor_line(one: SensorInnovations) -> str:
     if not one.nis:
         return f"{one.sensor}: no innovation"
-    nis = one.nis[0]
+    nis, gating = one.nis[0], one.gating
     text = f"{one.sensor}: NIS {nis.mean:.3g} ({nis.band.low:.3g} to {nis.band.high:.3g} expected)"
-    if one.rejected or one.nominal is not None:
-        text += f", {one.rejected:,} of {one.measured:,} rejected"
+    if gating.count or gating.passes is not None:
+        text += f", {gating.count:,} of {len(gating.event):,} rejected"
     return text
 
 
@@ -384,31 +360,23 @@ def audit_rows(audit: Audit) -> list[Row]:
     return rows
 
 
-def _sensor_rows(one: SensorFigures) -> list[Row]:
-    group = f"Sensor {one.sensor}"
-    rows = [
-        Row(
-            group,
-            f"NIS of {nis.name} ({nis.dof})",
-            f"{nis.mean:.4g}",
-            f"{nis.band.low:.4g} to {nis.band.high:.4g}",
-            nis.band.holds(nis.mean),
-        )
-        for nis in one.nis
-    ]
+def _sensor_rows(one: SensorInnovations) -> list[Row]:
+    group, gating = f"Sensor {one.sensor}", one.gating
+    rows = InnovationResult.of(one).nis_rows(group)
     rows += [
-        Row(group, f"{w.component}: p of whiteness", f"{w.p_value:.2g}", "at least 0.001",
-            w.p_value >= 0.001)
+        Row(group, f"{w.component}: p of whiteness by {w.order}", f"{w.p_value:.2g}",
+            "at least 0.001", w.p_value >= 0.001)
         for w in one.whiteness
     ]  # fmt: skip
-    rejected = f"{one.rejected:,} of {one.measured:,}"
-    if one.rejected_band is None:
-        return [*rows, Row(group, "rejected by the gate", rejected)]
-    low, high = (100.0 * x for x in one.rejected_band)
-    share = one.rejected / max(one.measured, 1)
-    inside = one.rejected_band[0] <= share <= one.rejected_band[1]
-    band = f"{low:.2g} to {high:.2g} %"
-    return [*rows, Row(group, "rejected by the gate", rejected, band, inside)]
+    count = len(gating.event)
+    rejected, limits, inside = f"{gating.count:,} of {count:,}", "", None
+    if gating.band is not None:
+        low, high = gating.band
+        limits, inside = (
+            f"{100.0 * low:.2g} to {100.0 * high:.2g} %",
+            low <= gating.count / count <= high,
+        )
+    return [*rows, Row(group, "rejected by the gate", rejected, limits, inside)]
 
 
 def audit_panels(audit: Audit) -> list[Panel]:
@@ -433,7 +401,11 @@ def audit_panels(audit: Audit) -> list[Panel]:
                 level=float(np.log10(max(audit.tolerance, _LEAST))),
             )
         )
-    panels += [_nis_panel(one) for one in audit.sensors if len(one.windows) > 1]
+    panels += [
+        nis_panel(one, EKF_COLOUR, one.windows.event, _EVENT)
+        for one in audit.sensors
+        if len(one.windows.event) > 1
+    ]
     if audit.spurious is not None and len(audit.spurious.event) > 1:
         panels.append(_spurious_panel(audit.spurious))
     return panels
@@ -448,20 +420,6 @@ def _spurious_panel(found: Learnt) -> Panel:
     )
     return Panel(
         title="spurious information", x_label=_EVENT, curves=tuple(curves), bands=(), level=0.0
-    )
-
-
-def _nis_panel(one: SensorFigures) -> Panel:
-    first, last, mean, low, high = (
-        np.array(x, dtype=float) for x in zip(*one.windows, strict=True)
-    )
-    event = 0.5 * (first + last)
-    return Panel(
-        title=f"NIS of {one.sensor}",
-        x_label=_EVENT,
-        curves=(Curve("mean of a window", EKF_COLOUR, event, mean),),
-        bands=(Band("95 %", "#999999", event, low, high),),
-        level=float(one.nis[0].dof) if one.nis else None,
     )
 
 

@@ -9,17 +9,14 @@ import numpy as np
 
 from comparisons.checks.consistency.consistency import Consistency, ExternalConsistency
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
-from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.report.model import InnovationResult
 from comparisons.report.models import (
     ConsistencyResult,
     ExternalConsistencyResult,
     FilterAgainstSmootherResult,
-    InnovationResult,
     NeesResult,
-    NisResult,
     TruthConsistencyResult,
-    WhitenessResult,
 )
 from comparisons.report.rows import band
 from comparisons.statistics import Normalised
@@ -35,7 +32,7 @@ def consistency_result(c: Consistency) -> ConsistencyResult:
     return ConsistencyResult(
         ekf=_truth(c.ekf),
         smoother=_truth(c.smoother),
-        innovations=[_innovations(sensor) for sensor in c.sensors],
+        innovations=[InnovationResult.of(sensor) for sensor in c.sensors],
         filter_against_smoother=_smoothed(c.smoothed),
     )
 
@@ -84,30 +81,6 @@ def external_consistency_result(c: ExternalConsistency) -> ExternalConsistencyRe
     )
 
 
-def _innovations(s: SensorInnovations) -> InnovationResult:
-    return InnovationResult(
-        sensor=s.sensor,
-        nis=[
-            NisResult(name=n.name, dof=n.dof, count=n.count, mean=n.mean, band=n.band,
-                      reading=n.reading)
-            for n in s.nis
-        ],
-        whiteness=[
-            WhitenessResult(
-                component=w.component,
-                order=w.order,
-                autocorrelation=w.coefficient.tolist(),
-                band=w.band.tolist(),
-                p_value=w.p_value,
-                mean=w.mean,
-                mean_band=w.mean_band,
-            )
-            for w in s.whiteness
-        ],
-        unusable=s.unusable,
-    )  # fmt: skip
-
-
 def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | None:
     if f is None:
         return None
@@ -130,16 +103,7 @@ def consistency_rows(c: ConsistencyResult) -> list[Row]:
     rows = [*nees_rows("EKF", c.ekf, _NEES_BANDS), *nees_rows("Smoother", c.smoother)]
     for sensor in c.innovations:
         group = f"Innovations of {sensor.sensor} ({_NIS_BANDS})"
-        rows += [
-            Row(
-                group,
-                f"NIS of {n.name}, mean (expected {n.dof})",
-                f"{n.mean:.3g}",
-                band(f"{n.band[0]:.3g}", f"{n.band[1]:.3g}"),
-                n.band[0] <= n.mean <= n.band[1],
-            )
-            for n in sensor.nis
-        ]
+        rows += sensor.nis_rows(group)
         rows += [
             Row(
                 group,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.innovations import SensorInnovations
 
 EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"
@@ -60,3 +61,16 @@ class Panel:
     bands: tuple[Band, ...]
     logarithmic: bool = False
     level: float | None = None
+
+
+def nis_panel(sensor: SensorInnovations, colour: str, at: Array, x_label: str) -> Panel:
+    """Return the averages over stretches of a run. at: (n,) where each is drawn."""
+    w, dof = sensor.windows, sensor.nis[0].dof
+    return Panel(
+        title=f"NIS of {sensor.sensor} ({dof} dof)",
+        x_label=x_label,
+        curves=(Curve(f"{sensor.sensor}, averaged", colour, at, w.mean),),
+        bands=(Band("95 % band", "#999999", at, w.low, w.high),),
+        logarithmic=True,
+        level=float(dof),
+    )

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import ConfigDict, Field
 
 from comparisons.checks.agreement import ROUNDING
-from comparisons.report.model import Model
+from comparisons.report.model import InnovationResult, Model
 from comparisons.report.settings import SettingsResult
 
 
@@ -502,68 +502,6 @@ class TruthConsistencyResult(Model):
     distance: NeesResult | None
     distances: NeesResult | None
     too_short: int
-
-
-class NisResult(Model):
-    """An average of normalised innovations squared, with its own 95 % band.
-
-    Attributes:
-        name: sensor or component.
-        dof: degrees of freedom of a value.
-        count: number of innovations.
-        mean: average; `dof` is right.
-        band: 95 % band of the average.
-        reading: what the average says, in words.
-    """
-
-    name: str
-    dof: int
-    count: int
-    mean: float
-    band: tuple[float, float]
-    reading: str
-
-
-class WhitenessResult(Model):
-    """Autocorrelation of one component's innovations.
-
-    See comparisons.statistics.Whiteness.
-
-    Attributes:
-        component: component of the innovation.
-        order: by time, or by landmark.
-        autocorrelation: coefficients, by lag from 1.
-        band: half widths of their bands, by lag.
-        p_value: chance of such coefficients for white innovations.
-        mean: average of the standardised innovations; 0 is right.
-        mean_band: half width of its 95 % band.
-    """
-
-    component: str
-    order: str
-    autocorrelation: list[float]
-    band: list[float]
-    p_value: float
-    mean: float
-    mean_band: float
-
-
-class InnovationResult(Model):
-    """One sensor's innovations.
-
-    See comparisons.checks.consistency.innovations.
-
-    Attributes:
-        sensor: name of the sensor.
-        nis: the sensor as a whole, then its components.
-        whiteness: each component, by time and by landmark.
-        unusable: innovations that could not be whitened.
-    """
-
-    sensor: str
-    nis: list[NisResult]
-    whiteness: list[WhitenessResult]
-    unusable: int
 
 
 class FilterAgainstSmootherResult(Model):

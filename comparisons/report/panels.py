@@ -14,12 +14,20 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.checks.consistency.filter_smoother import LEAST_RATIO, FilterAgainstSmoother
-from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import PoseErrors
 from comparisons.checks.learnt import HEADING
 from comparisons.estimates.estimate import Estimate
+from comparisons.innovations import SensorInnovations
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, Band, Curve, Panel
+from comparisons.report.marks import (
+    EKF_COLOUR,
+    SCANS_COLOUR,
+    SMOOTHER_COLOUR,
+    Band,
+    Curve,
+    Panel,
+    nis_panel,
+)
 from comparisons.statistics import mean_band
 
 if TYPE_CHECKING:
@@ -61,7 +69,10 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
     """The pose's error by truth, or else by the smoother, and the filter's innovations."""
     c = comparison.consistency
     reported, errors, squared = _poses(comparison)
-    nis = tuple(_nis(s, colour) for s, colour in zip(c.sensors, _COLOURS, strict=False))
+    nis = tuple(
+        nis_panel(sensor, colour, sensor.windows.time_s, "time [s]")
+        for sensor, colour in zip(c.sensors, _COLOURS, strict=False)
+    )
     apart = None
     if more := further_estimates(comparison):
         estimates = [("EKF", EKF_COLOUR, comparison.ekf.estimate), *more]
@@ -252,18 +263,6 @@ def _errors(time_s: Array, error: Array, sigma: Array, name: str) -> tuple[Panel
             Panel(title=label, x_label="time [s]", curves=(curve,), bands=bands, level=0.0)
         )
     return tuple(panels)
-
-
-def _nis(sensor: SensorInnovations, colour: str) -> Panel:
-    w, name = sensor.windows, f"{sensor.sensor}, averaged"
-    return Panel(
-        title=f"NIS of {sensor.sensor} (2 dof)",
-        x_label="time [s]",
-        curves=(Curve(name, colour, w.time_s, w.mean),),
-        bands=(Band("95 % band", "#999999", w.time_s, w.low, w.high),),
-        logarithmic=True,
-        level=2.0,
-    )
 
 
 def _whiteness(sensors: tuple[SensorInnovations, ...]) -> Panel | None:

@@ -10,11 +10,11 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.checks.causes import Cause
-from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.config import JobConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
+from comparisons.innovations import SensorInnovations
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.compare import Comparison

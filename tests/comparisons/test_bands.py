@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from comparisons import statistics
-from comparisons.checks.consistency import consistency, innovations
+from comparisons import innovations, statistics
+from comparisons.checks.consistency import consistency
 from comparisons.checks.consistency.consistency import check_consistency
 from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,

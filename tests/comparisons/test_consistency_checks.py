@@ -14,9 +14,11 @@ from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
 )
-from comparisons.checks.consistency.innovations import SensorInnovations, sensor, whiten
 from comparisons.checks.consistency.nees import distances, map_errors, pose_errors, spanning_tree
+from comparisons.innovations import SensorInnovations, whiten_alone
 from comparisons.statistics import Nis, Whiteness, independent, mean_band, normalise, whiteness
+from comparisons.trace.events import Sensor
+from tests.comparisons.drawn_innovations import drawn_sensor
 from tests.comparisons.linear_world import STEPS, Runs, simulate
 from tests.helpers import Array, central_difference, relative_error
 
@@ -152,9 +154,16 @@ def test_coloured_innovations_are_found_in_the_order_in_which_they_are_coloured(
 
 def test_an_innovation_covariance_that_is_none_is_marked() -> None:
     spread = np.array([np.eye(2), -np.eye(2), 4.0 * np.eye(2)])
-    standard, bad = whiten(np.full((3, 2), 2.0), spread)
-    assert bad.tolist() == [False, True, False]
-    assert standard.tolist() == [[2.0, 2.0], [0.0, 0.0], [1.0, 1.0]]
+    standard = whiten_alone(np.full((3, 2), 2.0), spread, spread, np.ones(3))
+    assert standard[[0, 2]].tolist() == [[2.0, 2.0], [1.0, 1.0]]
+    assert np.isnan(standard[1]).all()
+
+
+def test_a_part_is_whitened_as_if_it_were_whole() -> None:
+    p, r, weight = 3.0 * np.eye(2), np.diag((1.0, 6.0)), 0.25
+    part = whiten_alone(np.full((1, 2), 6.0), p + (r / weight)[None], (r / weight)[None],
+                        np.array([weight]))  # fmt: skip
+    assert part.tolist() == [[3.0, 2.0]]
 
 
 def innovations(runs: Runs) -> SensorInnovations:
@@ -163,8 +172,8 @@ def innovations(runs: Runs) -> SensorInnovations:
     count = len(standard)
     epoch = np.arange(count) // 2
     landmark_index = 2 * (np.arange(count) // (2 * STEPS)) + np.arange(count) % 2
-    return sensor(
-        "measurements", ("range", "bearing"), standard, epoch.astype(float), epoch, landmark_index
+    return drawn_sensor(
+        Sensor(None, ("range", "bearing")), standard, epoch.astype(float), landmark_index
     )
 
 

@@ -14,7 +14,7 @@ from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.consistency.innovations import check_innovations
+from comparisons.checks.consistency.consistency import check_innovations
 from comparisons.config import EkfConfig
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions

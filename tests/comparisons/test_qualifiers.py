@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from comparisons.checks.consistency.consistency import Consistency
-from comparisons.checks.consistency.innovations import sensor
 from comparisons.checks.qualifiers import (
     TRUTH_GAP,
     UNCHECKED,
@@ -34,7 +33,9 @@ from comparisons.pipeline import second_association
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
 from comparisons.settings import run_config
+from comparisons.trace.events import Sensor
 from tests.commands import slamcheck
+from tests.comparisons.drawn_innovations import drawn_sensor
 from tests.helpers import compared, first_seconds, simulated
 
 AGREE = Verdict(outcome="agree", causes=(), remarks=())
@@ -160,13 +161,9 @@ def test_an_inconsistent_filter_is_said_and_fails_only_when_asked(sound: Compari
 def drawn(rng: np.random.Generator) -> Consistency:
     """Of two sensors that are as the filter believes, and nothing else."""
     sensors = tuple(
-        sensor(
-            name,
-            ("first", "second"),
-            rng.standard_normal((200, 2)),
-            np.arange(200.0),
-            np.arange(200),
-            None,
+        replace(
+            drawn_sensor(Sensor(None, ("first", "second")), rng.standard_normal((200, 2))),
+            sensor=name,
         )
         for name in ("measurements", "positions")
     )

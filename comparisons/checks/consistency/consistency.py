@@ -13,12 +13,13 @@ from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
 )
-from comparisons.checks.consistency.innovations import SensorInnovations, check_innovations
 from comparisons.checks.consistency.nees import TruthConsistency, against_truth
 from comparisons.estimates.estimate import Estimate
+from comparisons.innovations import InnovationLog, SensorInnovations, whiten_alone
 from comparisons.logs.log import Log
 from comparisons.statistics import WORDS, Band, Nis
 from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.landmark_types import POINT
 
 if TYPE_CHECKING:
     from comparisons.checks.grade import Reference
@@ -97,6 +98,26 @@ class Consistency:
             f"{band.high:.3g}, is {meaning} (of {nis.count:,} innovations; the band is that of "
             f"99.9 % for the run's {self.bands} bands together)"
         )
+
+
+def check_innovations(run: EkfRun) -> tuple[SensorInnovations, ...]:
+    """Of all measurements of mapped landmarks, and of the positions fused, where there are any."""
+    line, trace, found = run.timeline, run.trace, []
+    new = trace.initialisations[POINT]
+    initialised = np.full(int(new.landmark_index.max(initial=-1)) + 1, -1, dtype=np.intp)
+    initialised[new.landmark_index] = new.number
+    for name, r, epoch in (
+        ("measurements", trace.measurements[POINT], line.measurement_epoch),
+        ("positions", trace.positions, line.position_epoch),
+    ):
+        alone = whiten_alone(r.innovation, r.spread, r.noise, r.weight)
+        whitened = np.where((r.weight < 1.0)[:, None], alone, r.whitened).ravel()
+        time_s, rows = line.epoch_time_s[epoch[r.number]], np.arange(len(r.number))
+        log = InnovationLog(name, run.sensors[name])
+        if len(rows):
+            log.add(rows, time_s, whitened, number=r.number, landmark=r.landmark_index)
+            found.append(log.judge(initialised))
+    return tuple(one for one in found if one.nis)
 
 
 def check_consistency(

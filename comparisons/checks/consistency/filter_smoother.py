@@ -15,13 +15,12 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.statistics import (
-    CLEAR,
     Band,
+    averaged,
     chi2_quantile,
     counted,
     faults,
-    independent,
-    mean_band,
+    normalised_difference,
 )
 from ekf_reference.core.geometry import wrap_angle
 
@@ -57,12 +56,8 @@ class FilterAgainstSmoother:
     @property
     def band(self) -> Band | None:
         """95 % of mean_per_dof, by the effective number of independent epochs."""
-        clear = self.dof > 0
-        if not clear.any():
-            return None
-        dof = float(self.dof[clear].mean())
-        band = mean_band(independent(self.squared[clear] / self.dof[clear] - 1.0), dof)
-        return Band(band.low / dof, band.high / dof)
+        found = averaged(self.squared, self.dof, np.arange(len(self.dof)))
+        return None if found is None else found.band
 
     @property
     def inside(self) -> float | None:
@@ -94,19 +89,15 @@ def filter_against_smoother(
     e = filtered[row] - smoothed[row]
     e[:, 2] = wrap_angle(e[:, 2])
     gap = filtered_covariance[row] - smoothed_covariance[row]
-    inverse_root = np.linalg.inv(np.linalg.cholesky(filtered_covariance[row]))
-    share = inverse_root @ smoothed_covariance[row] @ inverse_root.transpose(0, 2, 1)
-    left, axes = np.linalg.eigh(share)
-    gained = 1.0 - left
-    clear = gained > CLEAR
-    along = np.einsum("nji,nj->ni", axes, np.einsum("nij,nj->ni", inverse_root, e))
-    squared = np.where(clear, along**2 / np.where(clear, gained, 1.0), 0.0).sum(axis=1)
+    squared, dof, ratio = normalised_difference(
+        e, filtered_covariance[row], smoothed_covariance[row]
+    )
     return FilterAgainstSmoother(
         time_s=time_s[row],
         error=e,
         sigma=np.sqrt(np.maximum(np.einsum("nii->ni", gap), 0.0)),
         squared=squared,
-        dof=clear.sum(axis=1),
-        ratio=1.0 / left[:, -1],
+        dof=dof,
+        ratio=ratio,
         faults=counted(fault),
     )

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import stats
 
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
-from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.innovations import SensorInnovations
 from comparisons.pipeline.compare import Comparison
 from comparisons.statistics import Normalised, Whiteness, mean_band
 from graphslam.optimum import ChiSquareTest

@@ -109,7 +109,7 @@ def test_what_a_run_learnt_is_what_its_equations_hold(name: str) -> None:
 def test_a_sensor_that_is_left_out_changes_what_was_learnt() -> None:
     """Merges that are not taken for blind."""
     events = [
-        event._replace(blind=("landmarks", "scan landmarks"))
+        event._replace(blind=("measurements", "scan landmarks"))
         if isinstance(event, Directions)
         else event
         for event in run_events(framed().ekf)
@@ -122,7 +122,7 @@ def test_a_sensor_that_is_left_out_changes_what_was_learnt() -> None:
 
 def test_every_kind_of_event_is_there() -> None:
     sensors = {e.sensor for e in run_events(framed().ekf) if isinstance(e, Update)}
-    assert sensors == {"landmarks", "scan landmarks", "merges"}
+    assert sensors == {"measurements", "scan landmarks", "merges"}
     gone = [e for e in run_events(framed().ekf) if isinstance(e, Remove)]
     assert [e.blocks[0][:14] for e in gone] == ["scan landmark "]
     names = [e.name for e in run_events(sound().ekf) if isinstance(e, Augment)]
