@@ -251,17 +251,9 @@ def test_the_gate_holds_what_it_says() -> None:
         measurement = seen(z, np.array([[rng.normal(0.4, np.hypot(0.1, 0.1))]]), 0.1)
         passed += rule.assign(state, MODEL, measurement).tolist() == [0]
         nis = memory.distances(np.zeros(1, dtype=np.intp), measurement).nis[0, 0]
-        misgated += nis + position_nis(state, measurement) <= gate
+        misgated += nis + pair(state.local_map(1e3), measurement, [(0, 0)]) <= gate
     assert expected_share(0.9, passed)
     assert not expected_share(0.9, misgated)
-
-
-def position_nis(state: KalmanState, measurement: Measurements) -> float:
-    local = state.local_map(1e3)
-    zero = np.zeros(1, dtype=np.intp)
-    spread = pair_covariance(local, MODEL, measurement, zero, zero)
-    nu = MODEL.innovation(measurement.z, MODEL.predict(local.pose, local.landmark).z)[0]
-    return float(nu @ np.linalg.solve(spread, nu))
 
 
 def test_bounds_of_one_probability() -> None:

@@ -87,12 +87,6 @@ def test_each_landmark_is_taken_once_in_a_scan() -> None:
     assert landmark_indices.tolist() == [AMBIGUOUS, 0]
 
 
-def test_empty_map_makes_everything_new() -> None:
-    state = KalmanState(np.zeros(3), np.eye(3))
-    seen = measurements([(1, 1), (2, 2)])
-    assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0, 1]
-
-
 def test_labels_map_to_landmark_indices_in_order_of_arrival() -> None:
     state = KalmanState(np.zeros(3), np.eye(3))
     seen = measurements([(1, 1), (2, 2), (3, 3), (1, 1)], (40, 7, -1, 40))
@@ -120,18 +114,6 @@ def test_euclidean_distance_decides() -> None:
         0,
     ]  # the fourth is nearer to the first landmark
     assert NearestNeighbour().assign(state, MODEL, seen).tolist()[1] != 1
-
-
-def test_the_printed_transformation_of_misono_is_no_rotation() -> None:
-    """Eq. 16 as printed maps right and forward to the same half plane; corrected, it rotates."""
-    xi, eta = np.cos(0.7), np.sin(0.7)
-    printed, corrected = np.array(((eta, -xi), (-xi, eta))), np.array(((eta, xi), (-xi, eta)))
-    right_forward = np.array((-np.sin(0.4), np.cos(0.4))) * 5.0  # bearing 0.4, range 5
-    point = MODEL.invert(np.array((0.0, 0.0, 0.7)), np.array([[5.0, 0.4]])).landmark[0]
-    assert np.allclose(corrected @ right_forward, point)
-    assert not np.allclose(printed @ right_forward, point, atol=0.5)
-    assert np.allclose(corrected.T @ corrected, np.eye(2))
-    assert not np.allclose(printed.T @ printed, np.eye(2), atol=0.1)
 
 
 def test_a_lost_vehicle_searches_farther() -> None:

@@ -6,7 +6,6 @@ lines. Where the landmarks hang together, regions come at once; where not, retur
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -227,27 +226,6 @@ def test_returns_vanish_when_the_two_landmarks_of_their_frame_become_one_place()
     assert accounted(dense)
 
 
-def test_a_scan_outside_every_region_is_outside() -> None:
-    dense = dense_map(*LAYERS)
-    drive(dense, view(SQUARE), wall())
-    fused, far = dense.tally.fused, POSE + (300.0, 0.0, 0.0)
-    drive(dense, view(SQUARE, far), wall(far))
-    assert dense.tally.fused == fused
-    assert accounted(dense)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 0.0, -3.0])
-def test_what_is_no_range_is_no_return(bad: float) -> None:
-    ranges = np.full(len(BEARING), 12.0)
-    ranges[::2] = bad
-    half = Scan.of_ranges(POSE, BEARING, ranges, SENSOR)
-    dense, other = dense_map(*LAYERS, waiting=room()), dense_map(*LAYERS, waiting=room())
-    drive(dense, view(SQUARE), half)
-    drive(other, view(SQUARE), Scan.of_ranges(POSE, BEARING[1::2], ranges[1::2], SENSOR))
-    assert dense.tally.returns == len(BEARING) // 2
-    assert content(dense, view(SQUARE)) == content(other, view(SQUARE))
-
-
 @pytest.mark.parametrize("names", [LAYERS, ()], ids=["every layer", "no layer"])
 def test_an_empty_scan_is_counted_and_changes_nothing_else(names: tuple[str, ...]) -> None:
     dense = dense_map(*names, waiting=room())
@@ -299,18 +277,6 @@ def test_layers_do_not_feel_each_other(name: str) -> None:
     assert alone.tally.late > 0
     placed = alone.place(view(SQUARE[:3]))
     assert held_by(alone.layers[name], placed) == held_by(among.layers[name], placed)
-
-
-def test_the_map_moves_with_the_landmarks_and_no_layer_hears_of_it() -> None:
-    dense = dense_map(*LAYERS)
-    drive(dense, view(SQUARE), wall())
-    kept = pickle.dumps(dense.layers)
-    shift = np.array((3.0, -40.0))
-    before = [s.samples(dense.place(view(SQUARE))).point for s in dense.layers.values()]
-    placed = dense.place(view(SQUARE + shift))
-    for was, each in zip(before, dense.layers.values(), strict=True):
-        assert np.allclose(each.samples(placed).point, was + shift, atol=1e-9, rtol=0.0)
-    assert pickle.dumps(dense.layers) == kept
 
 
 def random_drive(seed: int, dense: DenseMap) -> FilterView:

@@ -131,8 +131,6 @@ def test_what_is_fused_is_known_better() -> None:
     assert np.abs(error[:2]).max() > 0.1
     DuplicateMerging(slam).step(sink.ekf, sink)
     moved = frame_in_frame(sink.ekf.state.places(POSE)[1], sink.ekf.state.pose)
-    DuplicateMerging(slam).step(sink.ekf, sink)
-    moved = frame_in_frame(sink.ekf.state.places(POSE)[1], sink.ekf.state.pose)
     seen = frame_in_frame(frames[1], MOVED)
     assert np.abs(moved - seen)[:2].max() < 0.1
     # The second was initialised with the vehicle's error, which is gone by what the first knows.
