@@ -87,17 +87,6 @@ def test_every_start_reaches_the_same_optimum(problem: SlamProblem) -> None:
     assert np.allclose(result.poses, truth.poses, atol=1e-5)
 
 
-def test_a_point_beside_the_optimum_is_no_stationary_point(problem: SlamProblem) -> None:
-    result = smooth(problem, {})
-    beside = to_values(
-        result.poses + (1e-3, 0.0, 0.0), result.landmarks, np.unique(problem.measurement_landmark)
-    )
-    found = stationarity(result.graph, beside)
-    assert found.definite
-    assert found.decrement > 1e-3
-    assert not found.holds
-
-
 def test_whole_turns_between_poses_are_counted(problem: SlamProblem) -> None:
     """A robot that spins once between two measurements keeps a continuous heading."""
     spun = problem.increment.copy()
