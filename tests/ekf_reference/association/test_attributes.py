@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -17,7 +17,6 @@ from ekf_reference.association.attributes import (
 )
 from ekf_reference.association.joint_compatibility import JointCompatibility, pair_covariance
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
 from ekf_reference.core.measurements import (
     AMBIGUOUS,
     NOT_MEASURED,
@@ -26,6 +25,7 @@ from ekf_reference.core.measurements import (
 )
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.association import scenes
 
 MODEL = RangeBearing()
 SIGMA = (0.05, 0.005)
@@ -33,21 +33,14 @@ ANYTHING = 1e9
 TRIALS = 2000
 
 
-def mapped(points: list[tuple[float, float]], pose_covariance: np.ndarray) -> KalmanState:
-    state = KalmanState(np.zeros(3), pose_covariance)
-    for point in points:
-        state.augment(
-            NewLandmarks.independent(np.array([point]), 3),
-            1e-6 * np.eye(2)[None],
-        )
-    return state
+def mapped(points: scenes.Points, pose_covariance: np.ndarray) -> KalmanState:
+    return scenes.mapped(points, pose_covariance, 1e-3)
 
 
 def seen(z: np.ndarray, value: np.ndarray, sigma: float | np.ndarray) -> Measurements:
     """Measurements (m, 2) with attributes (m, A)."""
-    noise = diagonal_noise(np.tile(SIGMA, (len(z), 1)))
     reported = MeasuredAttributes(value, np.broadcast_to(np.square(sigma), value.shape))
-    return Measurements(z, noise, np.full(len(z), -1), attributes=reported)
+    return replace(scenes.measurements(z, SIGMA), attributes=reported)
 
 
 def remembered(mean: np.ndarray, sigma: np.ndarray, repeats: float = 1.0) -> AttributeEstimates:
