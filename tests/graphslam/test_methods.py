@@ -15,7 +15,7 @@ from graphslam.initialisation import extension
 from graphslam.marginals import SingularProblemError
 from graphslam.observability import explain_singularity
 from graphslam.optimisers import OPTIMISERS
-from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
+from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, smooth
 from tests.graphslam import worlds
 from tests.graphslam.numerics import angle, relative_error
@@ -237,31 +237,6 @@ def test_any_block_has_a_covariance(problem: SlamProblem) -> None:
     assert relative_error(joint[3:6, 3:6], poses[40]) < 1e-8
     assert relative_error(joint[6:8, 6:8], marginal[9:11, 9:11]) < 1e-8
     assert relative_error(joint[:3, 8:], marginal[:3, 3:5]) < 1e-8
-
-
-def test_pose_landmarks_are_solved_for(problem: SlamProblem) -> None:
-    """Landmarks with a place and a direction, seen without error, are found and tighten the map."""
-    rng = np.random.default_rng(0)
-    plain = smooth(problem, {})
-    true = np.column_stack((plain.landmarks[:3] + 2.0, rng.uniform(-3.0, 3.0, 3)))
-    pose = rng.integers(0, problem.pose_count, 30)
-    which = np.arange(30) % 3
-    measured = []
-    for k, j in zip(pose.tolist(), which.tolist(), strict=True):
-        seen = gtsam.Pose2(*plain.poses[k]).between(gtsam.Pose2(*true[j]))
-        measured.append((seen.x(), seen.y(), seen.theta()))
-    covariance = np.broadcast_to(np.diag((0.01, 0.01, 1e-4)), (30, 3, 3))
-    pose_landmarks = PoseLandmarkMeasurements(pose, which, np.array(measured), covariance)
-    more = replace(problem, pose_landmarks=pose_landmarks)
-    result = smooth(more, {})
-    assert result.optimality.verified
-    assert result.rank == more.state_dimension == problem.state_dimension + 9
-    found = result.pose_landmarks()
-    assert np.abs(found[:, :2] - true[:, :2]).max() < 0.01
-    assert np.abs(angle(found[:, 2] - true[:, 2])).max() < 0.001
-    before, after = (r.pose_covariances()[:, 2, 2] for r in (plain, result))
-    assert np.all(after < before * (1.0 + 1e-9))
-    assert len(more.prefix(50).pose_landmarks.pose) == np.count_nonzero(pose < 50)
 
 
 @pytest.mark.parametrize("lag", [1, 5])

@@ -129,16 +129,6 @@ def test_no_two_places_no_region(landmark: Array, waits: bool) -> None:
     assert accounted(dense)
 
 
-def test_two_landmarks_get_regions_with_virtual_corners_only_after_a_wait() -> None:
-    dense, never = dense_map("points", waiting=room()), dense_map("points")
-    for each in (dense, never):
-        drive(each, view(SQUARE[:2]), *[wall()] * (PATIENCE + 6))
-        assert accounted(each)
-    assert len(dense.regions.base) == len(dense.regions.virtual.depth) > 0
-    assert dense.tally.late > 0
-    assert not len(never.regions.base)
-
-
 def test_waiting_and_virtual_corners_can_be_left_out_each() -> None:
     """Returns that may not wait are outside in the end; what waits still shows where corners go."""
     dense, neither, real = (
