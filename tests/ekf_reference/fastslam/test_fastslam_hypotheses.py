@@ -51,10 +51,7 @@ KNOWN_POSES = World(
 """The ambiguous measurement was of the second landmark, as two precise ones show later."""
 UNCERTAIN_MOTION = World(
     0.02,
-    (
-        Scan(np.array([[5.0, 0.4]]), 0.05, 0.6),
-        Scan(np.array([[12.0, -4.6]]), 0.02, 0.0),
-    ),
+    (Scan(np.array([[5.0, 0.4]]), 0.05, 0.6), Scan(np.array([[12.0, -4.6]]), 0.02, 0.0)),
 )
 """The vehicle went 0.6 m to the left, as a landmark shows later that stands alone."""
 CROWDED = World(
