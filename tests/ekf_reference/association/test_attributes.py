@@ -129,16 +129,27 @@ def tree_drive(
 
 
 @dataclass
-class LeftOut:
-    """Broken: a landmark without the attribute goes without the term."""
+class Broken:
+    """Another n of what was found."""
 
     memory: AttributeEstimates
+    n: Callable[[AttributeDistances], np.ndarray]
 
     def distances(
         self, landmark_index: np.ndarray, measurements: Measurements
     ) -> AttributeDistances:
         found = self.memory.distances(landmark_index, measurements)
-        return found._replace(n=np.where(found.dof > 0, found.n, 0.0))
+        return found._replace(n=self.n(found))
+
+
+def left_out(found: AttributeDistances) -> np.ndarray:
+    """A landmark without the attribute goes without the term."""
+    return np.where(found.dof > 0, found.n, 0.0)
+
+
+def unnormalised(found: AttributeDistances) -> np.ndarray:
+    """The exponent alone, which is least for a landmark of which little is known."""
+    return found.nis
 
 
 @pytest.mark.parametrize("kind", [NearestNeighbour, JointCompatibility])
@@ -147,7 +158,7 @@ def test_the_unit_does_not_matter(kind: type) -> None:
     diameter = np.array([np.nan if k % 2 else 0.3 + 0.05 * k for k in range(7)])[:, None]
     for rule, same in (
         (lambda memory: kind(attributes=memory), True),
-        (lambda memory: kind(attributes=LeftOut(memory)), False),
+        (lambda memory: kind(attributes=Broken(memory, left_out)), False),
     ):
         metres, millimetres = (
             tree_drive(rule, remembered(u * diameter, np.full((7, 1), 0.02 * u)), u)
@@ -193,19 +204,6 @@ def test_two_trees_are_told_apart_as_often_as_theory_says() -> None:
     assert both - alone > 0.2
 
 
-@dataclass
-class Unnormalised:
-    """Broken: the exponent alone, which is least for a landmark of which little is known."""
-
-    memory: AttributeEstimates
-
-    def distances(
-        self, landmark_index: np.ndarray, measurements: Measurements
-    ) -> AttributeDistances:
-        found = self.memory.distances(landmark_index, measurements)
-        return found._replace(n=found.nis)
-
-
 def test_a_vague_landmark_is_not_preferred() -> None:
     """Trees at one place, one of them hardly known: right in half the integral of the larger."""
     memory = remembered(np.array([[0.3], [0.5]]), np.array([[0.01], [0.4]]))
@@ -215,7 +213,7 @@ def test_a_vague_landmark_is_not_preferred() -> None:
     ]
     best = 0.5 * float(np.maximum(*densities).sum() * (grid[1] - grid[0]))
     shares = []
-    for attributes in (memory, Unnormalised(memory)):
+    for attributes in (memory, Broken(memory, unnormalised)):
         rng, right = np.random.default_rng(3), 0
         state = mapped([(10.0, 0.0), (10.0, 0.0)], 1e-4 * np.eye(3))
         rule = NearestNeighbour(ANYTHING, ANYTHING, attributes)
