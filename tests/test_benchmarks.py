@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import datetime
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -35,41 +37,114 @@ def run(*arguments: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-@pytest.mark.slow
-def test_map_size_benchmark_runs(tmp_path: Path) -> None:
-    picture = tmp_path / "cost.png"
-    lines = run(
-        "benchmarks/map_size.py", "--sizes", "30", "70", "--scans", "3", "--plot", str(picture)
-    )
-    assert [line.split()[0] for line in lines[2:]] == ["30", "70"]
-    assert picture.read_bytes().startswith(b"\x89PNG")
+class Benchmark(NamedTuple):
+    """command: FOLDER is an empty one. lines: those printed that must begin so, by rows."""
+
+    command: str
+    rows: slice
+    lines: tuple[str, ...]
+    pictures: int = 0
+
+
+BENCHMARKS = (
+    Benchmark(
+        "map_size --sizes 30 70 --scans 3 --plot FOLDER/a.png", slice(2, None), ("30", "70"), 1
+    ),
+    Benchmark(
+        "main_job --repeat 1 simulated-loop",
+        slice(5),
+        ("wall", "peak MiB", "read", "ekf", "frozen"),
+    ),
+    Benchmark(
+        "startup --repeat 1",
+        slice(None),
+        (
+            ".* all beside report share$",
+            "python -c pass",
+            *("slamcheck --help", "slamcheck --version", "slamcheck logs"),
+            "slamcheck run ten-seconds.*%$",
+        ),
+    ),
+    Benchmark(
+        "waypoint_run --seeds 1 --plot FOLDER/a.png",
+        slice(1, None),
+        (
+            *("dead reckoning median", "misono median", "misono-full median"),
+            *("misono, aided median", "misono-full, aided median"),
+        ),
+        pictures=1,
+    ),
+    Benchmark(
+        "layer_values --seeds 1 --loops 0.08", slice(3, 6), ("nn off", "nn layer", "nn mixed")
+    ),
+    Benchmark(
+        "attributes --seeds 1 --loops 0.3 --lost 2 --every 5",
+        slice(1, 8),
+        (
+            *("nn attributes off", "nn attributes on"),
+            *("jcbb attributes off", "jcbb attributes on"),
+            *("simulated-loop, blind", "2 s off", "2 s on"),
+        ),
+    ),
+    Benchmark(
+        "smoother --quick",
+        slice(1, None),
+        (
+            *("graph", "solution", "all marginals", "together", "with its default", "iSAM2"),
+            *("from nothing", "with the evidence", "errors: ours"),
+        ),
+    ),
+    Benchmark(
+        "neglected_change --seeds 1 --figures FOLDER",
+        slice(1, None),
+        ("scan-loop ", "scan-loop-fine", "occupancy-loop", "its", "simulated-loop"),
+        pictures=3,
+    ),
+    Benchmark(
+        "dense_maps --only layers size --scans 3 --sizes 10 20",
+        slice(None),
+        (
+            *("361 returns, 40 regions in view", "", ""),
+            *("points", "occupancy", "particles", "sog", "all four ", "all four, "),
+            *("", "", "", r"\S+ 12\b", r"\S+ 24\b"),
+        ),
+    ),
+    Benchmark("high_level --searches 1 --sizes 11 20 --only size", slice(2, None), ("11", "20")),
+    Benchmark(
+        "defects --only steering --seeds 2 --loop-s 20",
+        slice(1, 4),
+        (
+            "steering sign",
+            "1 of 1 caught, 1 with the right first cause$",
+            ".*0 of 2 flagged, 0.0 to 84.2 %",
+        ),
+    ),
+    Benchmark("trust_bands --quick", slice(2, None), (r".*\| yes \|$",) * 9),
+    Benchmark(
+        "dynamic_regions --seeds 1 --seconds 6",
+        slice(None),
+        (
+            *("lanes:", "places:", "lanes, nothing moving:", "places, nothing moving:"),
+            "landmark on a vehicle:",
+        ),
+    ),
+    Benchmark(
+        "audit_speed --events 3000 --rounds 1 --reset --keep FOLDER/ins.trace --audit",
+        slice(1, None),
+        ("filter alone:", "recorded:", "overhead:", "file:", "read:", "audit:.*sound$"),
+    ),
+)
 
 
 @pytest.mark.slow
-def test_main_job_benchmark_runs() -> None:
-    lines = run("benchmarks/main_job.py", "--repeat", "1", "simulated-loop")
-    names = [line.split("  ")[0].strip() for line in lines]
-    assert names[0] == "wall"
-    assert "frozen" in names
-
-
-@pytest.mark.slow
-def test_startup_benchmark_runs() -> None:
-    header, bare, *rows = run("benchmarks/startup.py", "--repeat", "1")
-    assert header.split()[-4:] == ["all", "beside", "report", "share"]
-    assert bare.startswith("python -c pass")
-    assert rows[-1].split()[:3] == ["slamcheck", "run", "ten-seconds"]
-    assert rows[-1].endswith("%")
-
-
-@pytest.mark.slow
-def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
-    picture = tmp_path / "run.png"
-    lines = run("benchmarks/waypoint_run.py", "--seeds", "1", "--plot", str(picture))
-    names = [line.split("  ")[0].removesuffix(" median") for line in lines[1:]]
-    aided = ["misono, aided", "misono-full, aided"]
-    assert names == ["dead reckoning", "misono", "misono-full", *aided]
-    assert picture.read_bytes().startswith(b"\x89PNG")
+@pytest.mark.parametrize("one", BENCHMARKS, ids=lambda one: one.command.split()[0])
+def test_a_benchmark_runs(one: Benchmark, tmp_path: Path) -> None:
+    name, *arguments = one.command.replace("FOLDER", str(tmp_path)).split()
+    printed = [" ".join(line.split()) for line in run(f"benchmarks/{name}.py", *arguments)]
+    for line, begins in zip(printed[one.rows], one.lines, strict=True):
+        assert re.match(begins, line), line
+    pictures = [path.read_bytes()[:4] for path in tmp_path.glob("*.png")]
+    assert pictures == [b"\x89PNG"] * one.pictures
 
 
 @pytest.mark.slow
@@ -83,34 +158,6 @@ def test_spurious_information_benchmark_runs(tmp_path: Path) -> None:
     assert [row[:2] for row in rows] == [[name, k] for name in names for k in ("100", "120")]
     assert [row[3] == "none" for row in rows] == [row[0] != "ekf" for row in rows]
     assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-def test_layer_values_benchmark_runs() -> None:
-    lines = run("benchmarks/layer_values.py", "--seeds", "1", "--loops", "0.08")
-    assert [line.split()[:2] for line in lines[3:6]] == [
-        ["nn", k] for k in ("off", "layer", "mixed")
-    ]
-
-
-@pytest.mark.slow
-def test_attributes_benchmark_runs() -> None:
-    few = ("--seeds", "1", "--loops", "0.3", "--lost", "2", "--every", "5")
-    lines = run("benchmarks/attributes.py", *few)
-    assert [line.split()[2] for line in lines[-3:-1]] == ["off", "on"]
-    assert [line.split()[:3:2] for line in lines[1:5]] == [
-        ["nn", "off"],
-        ["nn", "on"],
-        ["jcbb", "off"],
-        ["jcbb", "on"],
-    ]
-
-
-@pytest.mark.slow
-def test_smoother_benchmark_runs() -> None:
-    lines = run("benchmarks/smoother.py", "--quick")
-    assert lines[1].startswith("graph ")
-    assert lines[-1].startswith("errors: ours ")
 
 
 @pytest.mark.slow
@@ -131,38 +178,6 @@ def test_matchers_benchmark_runs(tmp_path: Path) -> None:
     assert [line.split()[2] for line in lines[2:-1]] == names
     assert "with covariance" in lines[-1]
     assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-def test_neglected_change_benchmark_runs(tmp_path: Path) -> None:
-    lines = run("benchmarks/neglected_change.py", "--seeds", "1", "--figures", str(tmp_path))
-    assert [line.split()[0] for line in lines[1:]] == [
-        "scan-loop",
-        "scan-loop-fine",
-        "occupancy-loop",
-        "its",
-        "simulated-loop",
-    ]
-    assert len(list(tmp_path.glob("*.png"))) == 3
-
-
-@pytest.mark.slow
-def test_dense_maps_benchmark_runs() -> None:
-    lines = run(
-        "benchmarks/dense_maps.py",
-        "--only",
-        "layers",
-        "size",
-        "--scans",
-        "3",
-        "--sizes",
-        "10",
-        "20",
-    )
-    assert lines[0].startswith("361 returns, 40 regions in view")
-    names = [line[:10].strip() for line in lines[3:9]]
-    assert names == ["points", "occupancy", "particles", "sog", "all four", "all four,"]
-    assert [line.split()[1] for line in lines[12:]] == ["12", "24"]
 
 
 @pytest.mark.slow
@@ -188,13 +203,6 @@ def test_dense_maps_benchmark_rules() -> None:
 
 
 @pytest.mark.slow
-def test_high_level_benchmark_runs() -> None:
-    few = ("--searches", "1", "--sizes", "11", "20", "--only", "size")
-    lines = run("benchmarks/high_level.py", *few)
-    assert [line.split()[0] for line in lines[2:]] == ["11", "20"]
-
-
-@pytest.mark.slow
 def test_enriched_templates_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "basin.png"
     few = ("--seeds", "1", "--draws", "1", "--errors", "0.25", "--figure", str(picture))
@@ -203,43 +211,6 @@ def test_enriched_templates_benchmark_runs(tmp_path: Path) -> None:
     assert error == 0.25
     assert enriched > bare > 20.0
     assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
-def test_defects_benchmark_runs() -> None:
-    lines = run("benchmarks/defects.py", "--only", "steering", "--seeds", "2", "--loop-s", "20")
-    assert lines[1].startswith("steering sign ")
-    assert lines[2] == "1 of 1 caught, 1 with the right first cause"
-    assert "0 of 2 flagged, 0.0 to 84.2 %" in lines[3]
-
-
-@pytest.mark.slow
-def test_trust_bands_benchmark_runs() -> None:
-    lines = run("benchmarks/trust_bands.py", "--quick")
-    assert len(lines) == 11
-    assert all(line.endswith("| yes |") for line in lines[2:])
-
-
-@pytest.mark.slow
-def test_dynamic_regions_benchmark_runs() -> None:
-    lines = run("benchmarks/dynamic_regions.py", "--seeds", "1", "--seconds", "6")
-    assert [line.split(":")[0] for line in lines] == [
-        "lanes",
-        "places",
-        "lanes, nothing moving",
-        "places, nothing moving",
-        "landmark on a vehicle",
-    ]
-
-
-@pytest.mark.slow
-def test_audit_speed_benchmark_runs(tmp_path: Path) -> None:
-    """The filter that is recorded is a sound one."""
-    few = ("--events", "3000", "--rounds", "1", "--reset", "--keep", str(tmp_path / "ins.trace"))
-    lines = run("benchmarks/audit_speed.py", *few, "--audit")
-    names = [line.split(":")[0] for line in lines[1:]]
-    assert names == ["filter alone", "recorded", "overhead", "file", "read", "audit"]
-    assert lines[-1].endswith("sound")
 
 
 @pytest.mark.slow

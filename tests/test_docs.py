@@ -56,7 +56,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_page_is_built(site: Path) -> None:
     for page in (ROOT / "docs").glob("*.md"):
         assert (site / f"{page.stem}.html").exists(), page
-        assert f" {page.name}" in (ROOT / "mkdocs.yml").read_text(), f"{page}: not in the menu"
     api = (site / "api.html").read_text()
     assert [name for name in slamcheck.__all__ if f"slamcheck.{name}" not in api] == []
     commands = (site / "command-line.html").read_text()

@@ -80,45 +80,41 @@ def log_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def checked(program: Path, log: Path) -> ExternalCheck:
+OWN = (EXAMPLES / "own_filter" / "my_ekf.py").read_text()
+
+
+def checked(source: str, folder: Path, log: Path) -> ExternalCheck:
     """What `slamcheck check --require like` finds of an own filter's output."""
-    out = program.parent / "out"
+    program, out = folder / "my_ekf.py", folder / "out"
+    program.write_text(source)
     alone = (sys.executable, "-I", str(program), str(log), str(out))
-    subprocess.run(alone, check=True, cwd=program.parent, timeout=120)
+    subprocess.run(alone, check=True, cwd=folder, timeout=120)
     return check(read_log_folder(log), read_external(out), CheckConfig(require="like"))
 
 
 def test_the_own_filter_is_like_ours(log_folder: Path, tmp_path: Path) -> None:
-    source = (EXAMPLES / "own_filter" / "my_ekf.py").read_text()
-    assert all(name not in source for name in ("import comparisons", "from comparisons", "gtsam"))
-    assert len([one for one in source.splitlines() if one.strip()]) < 120
-    program = tmp_path / "my_ekf.py"
-    program.write_text(source)
-    found = checked(program, log_folder)
+    assert all(name not in OWN for name in ("import comparisons", "from comparisons", "gtsam"))
+    assert len([one for one in OWN.splitlines() if one.strip()]) < 120
+    found = checked(OWN, tmp_path, log_folder)
     assert (found.outcome, found.grade.value) == ("agree", "equal")
     assert found.trace is not None
+
+
+SEEN = 'seen["bearing_rad"][k]'
 
 
 @pytest.mark.parametrize(
     ("old", "new", "gaps", "reported"),
     [
-        (
-            'seen["bearing_rad"][k]',
-            '-seen["bearing_rad"][k]',
-            ["fault", "model"],
-            "bearings are clockwise",
-        ),
+        (SEEN, f"-{SEEN}", ["fault", "model"], "bearings are clockwise"),
         ("self.p[:, :3] @ f.T", "self.p[:, :3] @ f", ["algebra"], ""),
     ],
-)  # fmt: skip
+)
 def test_a_broken_own_filter_is_wrong(
     log_folder: Path, tmp_path: Path, old: str, new: str, gaps: list[str], reported: str
 ) -> None:
-    source = (EXAMPLES / "own_filter" / "my_ekf.py").read_text()
-    assert old in source
-    program = tmp_path / "my_ekf.py"
-    program.write_text(source.replace(old, new))
-    found = checked(program, log_folder)
+    assert old in OWN
+    found = checked(OWN.replace(old, new), tmp_path, log_folder)
     assert found.outcome == "disagree"
     assert found.grade.value == "wrong"
     assert [one.gap for one in found.causes[: len(gaps)]] == gaps

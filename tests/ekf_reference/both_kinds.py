@@ -65,6 +65,12 @@ def relative(base: Array, frame: Array) -> Array:
     return np.array([place.real, place.imag, np.angle(np.exp(1j * (frame[2] - base[2])))])
 
 
+def composed(base: Array, shift: Array) -> Array:
+    """A frame in `base`, both (3,), in the frame that `base` is in."""
+    place = base[0] + 1j * base[1] + (shift[0] + 1j * shift[1]) * np.exp(1j * base[2])
+    return np.array([place.real, place.imag, base[2] + shift[2]])
+
+
 def covariance_of(rng: np.random.Generator) -> Array:
     """A measurement's, correlated."""
     root = np.diag((0.03, 0.04, 0.004)) @ (np.eye(3) + 0.4 * rng.uniform(-1.0, 1.0, (3, 3)))

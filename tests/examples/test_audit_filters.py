@@ -33,6 +33,13 @@ ROUNDING, LAST_BITS, SEEN = 1e-9, 1e-14, 1e-5
 SEED = 3
 
 
+def needs(name: str) -> None:
+    """Skip a test of a filter whose package, of the extra, is not installed."""
+    package = PACKAGES.get(name)
+    if package is not None and find_spec(package) is None:
+        pytest.skip(f"{package} is not installed (the extra audit-examples)")
+
+
 class Recorded(NamedTuple):
     """A filter's traces: the sound one, and by fault with where it is."""
 
@@ -47,9 +54,7 @@ class Recorded(NamedTuple):
 def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Traces of a filter; the test is skipped where its package is not installed."""
     name = request.param
-    package = PACKAGES.get(name)
-    if package is not None and find_spec(package) is None:
-        pytest.skip(f"{package} is not installed (the extra audit-examples)")
+    needs(name)
     module: Any = import_module(f"examples.audit.{name}")
     folder = tmp_path_factory.mktemp(name)
     assert module.record(folder / "sound", SEED) is None

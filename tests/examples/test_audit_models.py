@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from comparisons.trace.events import Predict, Update
 from comparisons.trace.reader import Trace
 from examples.audit import gtsam_filters, msckf
 from examples.audit.navlie_groups import SE3
+from tests.examples.test_audit_filters import needs
 
 STEP = 1e-6
 
@@ -25,14 +25,8 @@ def differences(g: Callable[[Array], Array], n: int) -> Array:
     return np.column_stack([(g(d) - g(-d)) / (2.0 * STEP) for d in STEP * np.eye(n)])
 
 
-def needs(package: str) -> None:
-    """Skip a test where a package of the extra is not installed."""
-    if find_spec(package) is None:
-        pytest.skip(f"{package} is not installed (the extra audit-examples)")
-
-
 def test_radar() -> None:
-    needs("filterpy")
+    needs("filterpy_ekf")
     from examples.audit.filterpy_ekf import radar, radar_jacobian
 
     x = np.array([300.0, 700.0, -3.0, 4.0, 2.0, 0.01])
@@ -85,7 +79,7 @@ def test_the_groups_that_stand_in_for_pylie() -> None:
 
 
 def test_navlies_motion() -> None:
-    needs("navlie")
+    needs("navlie_se3")
     from examples.audit import navlie_se3
 
     x = navlie_se3.start().plus(0.1 * np.arange(9.0))
@@ -98,7 +92,7 @@ def test_navlies_motion() -> None:
 
 @pytest.mark.parametrize("sensor", ["gps", "landmark"])
 def test_navlies_sensors(sensor: str) -> None:
-    needs("navlie")
+    needs("navlie_se3")
     from examples.audit import navlie_se3
 
     x = navlie_se3.start().plus(0.1 * np.arange(9.0))
@@ -109,7 +103,7 @@ def test_navlies_sensors(sensor: str) -> None:
 
 def test_a_ukf_leaves_over_no_less_than_the_sensors_noise(tmp_path: Path) -> None:
     """What is not linear adds to it; of the speed, which is linear, H and R are the model's."""
-    needs("filterpy")
+    needs("filterpy_ukf")
     from examples.audit import filterpy_ukf
 
     filterpy_ukf.record(tmp_path / "trace", 3)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from comparisons.audit.audit import audit
 from comparisons.report.audit import audit_summary
 from comparisons.report.terminal import print_summary
 from examples.audit.__main__ import FILTERS, main
-from tests.examples.test_audit_filters import PACKAGES
+from tests.examples.test_audit_filters import needs
 from tests.test_own_project import missing, steps
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "audit-third-parties.md"
@@ -39,9 +38,7 @@ def printed(command: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> s
 def test_commands_print_what_the_page_shows(
     name: str, block: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    package = PACKAGES.get(name)
-    if package is not None and find_spec(package) is None:
-        pytest.skip(f"{package} is not installed (the extra audit-examples)")
+    needs(name)
     assert f"examples.audit {name} " in block
     for step in steps(block):
         assert missing(step.shown, printed(step.command, tmp_path, capsys)) == [], step.command

@@ -133,17 +133,26 @@ def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
         given_in = {path.name for path in folder.iterdir()}
         for damage in hurt:
             damage.apply(folder)
-        code, reported = outcome(
-            lambda: run_main([str(folder / w.lower()) if w.isupper() else w for w in words])
-        )
-        left = {path.name for path in folder.iterdir()} - given_in
+        code, reported = outcome(lambda: run_main(words_in(folder, COMMANDS[name])))
         assert code in (0, 1, 2, 3), reported[-3000:]
-        assert left <= {"out"}
+        left = assert_whole_or_absent(folder, given_in)
         if code == 2:
             assert_one_line(code, reported, folder)
             assert not left
-        for path in folder.glob("out/*.json"):
-            json.loads(path.read_text(), parse_constant=pytest.fail)
+
+
+def words_in(folder: Path, command: str) -> list[str]:
+    """The words of a command, those in capitals as paths in a folder."""
+    return [str(folder / word.lower()) if word.isupper() else word for word in command.split()]
+
+
+def assert_whole_or_absent(folder: Path, given_in: set[str]) -> set[str]:
+    """Return what a command left beside what was there: nothing, or an output of finite figures."""
+    left = {path.name for path in folder.iterdir()} - given_in
+    assert left <= {"out"}
+    for path in folder.glob("out/*.json"):
+        json.loads(path.read_text(), parse_constant=pytest.fail)
+    return left
 
 
 def run_main(arguments: list[str]) -> Any:

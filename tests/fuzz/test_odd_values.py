@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
@@ -31,7 +31,13 @@ from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
 from tests.fuzz.damage import cases, counted
 from tests.fuzz.subjects import SCENARIO, SUBJECTS, Subject
-from tests.fuzz.test_hostile_files import outcome, run_main
+from tests.fuzz.test_hostile_files import (
+    QUIET,
+    assert_whole_or_absent,
+    outcome,
+    run_main,
+    words_in,
+)
 from tests.helpers import first_seconds, simulated
 
 SECONDS, MEMORY_BYTES = 60, 2 * 2**30
@@ -54,7 +60,6 @@ COMMANDS = {
     "convert": "convert LOG OUT",
     "convert a simulation": "convert simulated-loop OUT",
 }
-QUIET = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much)
 
 
 def few_scans(seconds: float = 12.0) -> Log:
@@ -63,16 +68,9 @@ def few_scans(seconds: float = 12.0) -> Log:
     scans = log.scans
     assert scans is not None
     m = int(np.searchsorted(scans.time_s, seconds))
-    return replace(
-        log,
-        scans=replace(
-            scans,
-            time_s=scans.time_s[:m],
-            range_m=scans.range_m[:m],
-            intensity=scans.intensity[:m],
-        ),
-        truth=Truth(),
-    )
+    names = ("time_s", "range_m", "intensity")
+    few = replace(scans, **{name: getattr(scans, name)[:m] for name in names})
+    return replace(log, scans=few, truth=Truth())
 
 
 def everything(folder: Path) -> None:
@@ -171,17 +169,10 @@ def assert_clean(code: int, reported: str) -> None:
 
 
 def arguments(command: str, folder: Path, given_values: list[tuple[str, str]]) -> list[str]:
-    words = [str(folder / w.lower()) if w.isupper() else w for w in COMMANDS[command].split()]
+    words = words_in(folder, COMMANDS[command])
     for name, value in given_values:
         words += [name, value] if name.startswith("--") else ["--set", f"{name}={value}"]
     return words
-
-
-def assert_whole_or_absent(folder: Path, given_in: set[str], code: int) -> None:
-    left = {path.name for path in folder.iterdir()} - given_in
-    assert left <= {"out"}
-    for path in folder.glob("out/*.json"):
-        json.loads(path.read_text(), parse_constant=pytest.fail)
 
 
 def odd(command: str, given_values: list[tuple[str, str]]) -> tuple[int, str]:
@@ -193,7 +184,7 @@ def odd(command: str, given_values: list[tuple[str, str]]) -> tuple[int, str]:
         words = arguments(command, folder, given_values)
         code, reported = in_child(lambda: outcome(lambda: run_main(words)))
         assert_clean(code, f"{given_values}\n{reported}" if code == 70 else reported)
-        assert_whole_or_absent(folder, given_in, code)
+        assert_whole_or_absent(folder, given_in)
         return code, reported
 
 

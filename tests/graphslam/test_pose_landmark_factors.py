@@ -158,18 +158,7 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
     seen = PoseLandmarkMeasurements(
         np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit
     )
-    problem = SlamProblem(
-        prior_pose=np.zeros(3),
-        prior_covariance=np.eye(3),
-        increment=np.zeros((0, 3)),
-        increment_covariance=np.zeros((0, 3, 3)),
-        measurement_pose=nothing,
-        measurement_landmark=nothing,
-        z=np.zeros((0, 2)),
-        sigma=np.zeros((0, 2)),
-        landmark_count=0,
-        pose_landmarks=seen,
-    )
+    problem = worlds.chain(np.zeros((0, 3)), np.zeros((0, 3, 3)), pose_landmarks=seen)
     points = LinearisationPoints(
         departed=first,
         arrived=first,

@@ -366,16 +366,10 @@ def test_a_step_that_nothing_measured_is_no_blind_stretch() -> None:
     spread = np.tile(np.diag((1e-4, 1e-4, 0.09)), (7, 1, 1))
     spread[1] = np.nan
     tight = 1e-4 * np.eye(3)
-    problem = SlamProblem(
-        prior_pose=np.zeros(3),
+    problem = worlds.chain(
+        np.tile((1.0, 0.0, 0.0), (7, 1)),
+        spread,
         prior_covariance=tight,
-        increment=np.tile((1.0, 0.0, 0.0), (7, 1)),
-        increment_covariance=spread,
-        measurement_pose=np.zeros(0, dtype=np.intp),
-        measurement_landmark=np.zeros(0, dtype=np.intp),
-        z=np.zeros((0, 2)),
-        sigma=np.zeros((0, 2)),
-        landmark_count=0,
         loop_closures=LoopClosures(
             np.array([0, 3]),
             np.array([3, 7]),

@@ -15,7 +15,7 @@ from graphslam.graph_builder import (
     to_tangent,
     to_values,
 )
-from graphslam.layout import POINT
+from graphslam.layout import POINT, Layout
 from graphslam.linear_problem import solve
 from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global
 from graphslam.optimum import (
@@ -87,15 +87,20 @@ def test_every_start_reaches_the_same_optimum(problem: SlamProblem) -> None:
     assert np.allclose(result.poses, truth.poses, atol=1e-5)
 
 
-def test_a_point_beside_the_optimum_is_no_stationary_point(problem: SlamProblem) -> None:
-    result = smooth(problem, {})
-    beside = to_values(
-        result.poses + (1e-3, 0.0, 0.0), result.landmarks, np.unique(problem.measurement_landmark)
-    )
-    found = stationarity(result.graph, beside)
-    assert found.definite
-    assert found.decrement > 1e-3
-    assert not found.holds
+def test_entries_are_those_of_the_kinds() -> None:
+    layout = Layout(2, 3, 2)
+    assert layout.size == 18
+    assert layout.point.tolist() == [6, 8, 10]
+    assert layout.frame.tolist() == [0, 3, 12, 15]
+    assert Layout(1, pose_landmarks=1).frame.tolist() == [0, 3]
+
+
+def test_a_problem_has_as_many_unknowns_as_its_graph() -> None:
+    world = worlds.loop(1)
+    seen = np.unique(world.problem.measurement_landmark)
+    values = to_values(world.poses, world.landmarks, seen)
+    assert values.dim() == world.problem.state_dimension
+    assert build_graph(world.problem).linearize(values).jacobian()[0].shape[1] == values.dim()
 
 
 def test_whole_turns_between_poses_are_counted(problem: SlamProblem) -> None:

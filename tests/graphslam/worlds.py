@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,24 @@ class World:
     poses: Array
     landmarks: Array
     frames: Array
+
+
+def chain(increment: Array, covariance: Array, **more: Any) -> SlamProblem:
+    """A drive from the origin by increments (K, 3) and their covariances (K, 3, 3), blind.
+
+    more: fields of the problem in place of these.
+    """
+    nothing = np.zeros(0, dtype=np.intp)
+    given: dict[str, Any] = {
+        "prior_pose": np.zeros(3),
+        "prior_covariance": np.eye(3),
+        "measurement_pose": nothing,
+        "measurement_landmark": nothing,
+        "z": np.zeros((0, 2)),
+        "sigma": np.zeros((0, 2)),
+        "landmark_count": 0,
+    }
+    return SlamProblem(increment=increment, increment_covariance=covariance, **{**given, **more})
 
 
 def path(count: int) -> Array:

@@ -239,7 +239,3 @@ def outcome(read: Callable[[Path], Log], expected: str, folder: Path) -> str:
 def test_a_foreign_file(name: str, tmp_path: Path) -> None:
     read, expected = FILES[name]
     assert expected in outcome(read, expected, tmp_path)
-
-
-def test_there_are_fifteen() -> None:
-    assert len(FILES) == 15

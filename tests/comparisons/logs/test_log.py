@@ -29,46 +29,34 @@ def measurements(**changes: object) -> LandmarkMeasurements:
     return LandmarkMeasurements(**{**base, **changes})  # type: ignore[arg-type]
 
 
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"range_m": (3.0, NAN, 5.0)}, "row 1: range_m is nan, expected a finite number"),
+        ({"diameter_m": (1.0, INF, NAN)}, "row 1: diameter_m is inf"),
+        ({"intensity": (1.0, NAN, INF)}, "row 2: intensity is inf"),
+        ({"time_s": (1.0, 2.0, 1.5)}, "row 2: time 1.500000 s follows 2.000000 s"),
+        ({"range_m": (0.0, 0.0, 0.0)}, "row 0: range_m is 0.0, expected above"),
+        ({"bearing_rad": (0.0, 45.0, 0.0)}, "row 1: bearing_rad is 45.0, expected between"),
+        ({"landmark": (0, -7, 1)}, "row 1: landmark is -7"),
+        ({"range_m": (3.0, 1e300, 5.0)}, "row 1: range_m is 1e.300"),
+        ({"sigma_range_m": (1e-200,) * 3}, "row 0: sigma_range_m is 1e-200, expected between"),
+        ({"landmark": (0.0, 1.5, 2.0)}, "row 1: landmark is 1.5, expected a whole number"),
+        ({"landmark": (0, 2**60, 1)}, "row 1: landmark is 11"),
+    ],
+)
+def test_faults_of_measurements_name_row_value_and_expectation(
+    changes: dict[str, tuple[float, ...]], message: str
+) -> None:
+    with pytest.raises(InputError, match=f"measurements, {message}"):
+        measurements(**{name: np.array(values) for name, values in changes.items()})
+
+
 FAULTS: dict[str, tuple[Callable[[], object], str]] = {
-    "nan": (
-        lambda: measurements(range_m=np.array((3.0, np.nan, 5.0))),
-        "measurements, row 1: range_m is nan, expected a finite number",
-    ),
-    "infinite diameter": (
-        lambda: measurements(diameter_m=np.array((1.0, np.inf, np.nan))),
-        "row 1: diameter_m is inf",
-    ),
-    "infinite intensity": (
-        lambda: measurements(intensity=np.array((1.0, np.nan, np.inf))),
-        "row 2: intensity is inf",
-    ),
-    "time backwards": (
-        lambda: measurements(time_s=np.array((1.0, 2.0, 1.5))),
-        "measurements, row 2: time 1.500000 s follows 2.000000 s",
-    ),
-    "zero range": (
-        lambda: measurements(range_m=np.zeros(3)),
-        "row 0: range_m is 0.0, expected above",
-    ),
-    "degrees": (
-        lambda: measurements(bearing_rad=np.array((0.0, 45.0, 0.0))),
-        "row 1: bearing_rad is 45.0, expected between",
-    ),
-    "bad id": (lambda: measurements(landmark=np.array((0, -7, 1))), "row 1: landmark is -7"),
     "length": (lambda: measurements(range_m=np.ones(2)), r"range_m has shape \(2,\), expected"),
-    "huge": (lambda: measurements(range_m=np.array((3.0, 1e300, 5.0))), "row 1: range_m is 1e.300"),
-    "tiny sigma": (
-        lambda: measurements(sigma_range_m=np.full(3, 1e-200)),
-        "row 0: sigma_range_m is 1e-200, expected between",
-    ),
-    "fractional id": (
-        lambda: measurements(landmark=np.array((0.0, 1.5, 2.0))),
-        "row 1: landmark is 1.5, expected a whole number",
-    ),
-    "id beyond 2^53": (
-        lambda: measurements(landmark=np.array((0, 2**60, 1))),
-        "row 1: landmark is 11",
-    ),
     "negative landmark covariance": (
         lambda: Landmarks(np.array([4]), np.zeros((1, 2)), -EYE[None]),
         "landmarks, row 0: covariance is not positive definite",
@@ -80,16 +68,16 @@ FAULTS: dict[str, tuple[Callable[[], object], str]] = {
         "steering odometry, row 0: steering_rad is 1.4, expected a smaller",
     ),
     "antenna": (
-        lambda: Positions(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, float("inf"))),
+        lambda: Positions(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, INF)),
         "antenna_m is",
     ),
-    "label gate": (lambda: measurements(label_gate=float("nan")), "label_gate is nan"),
+    "label gate": (lambda: measurements(label_gate=NAN), "label_gate is nan"),
     "indefinite prior": (
         lambda: Prior(0.0, np.zeros(3), np.diag((1.0, 1.0, -1.0))),
         "prior, row 0: covariance is not positive definite",
     ),
     "prior shape": (lambda: Prior(0.0, np.zeros(2), np.eye(3)), r"prior: pose must hold \(3,\)"),
-    "prior time": (lambda: Prior(float("inf"), np.zeros(3), np.eye(3)), "prior: time_s"),
+    "prior time": (lambda: Prior(INF, np.zeros(3), np.eye(3)), "prior: time_s"),
     "indefinite increment": (
         lambda: RelativePoses(
             np.array((1.0, 2.0)), np.zeros((2, 3)), np.array((np.eye(3), np.zeros((3, 3))))
@@ -106,7 +94,7 @@ FAULTS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "wheelbase": (lambda: Ackermann(0.0), "wheelbase_m is 0.0, expected at least 0.01"),
     "vehicle nan": (
-        lambda: Ackermann(1.0, float("nan")),
+        lambda: Ackermann(1.0, NAN),
         "encoder_offset_m is nan, expected at most 1000 m",
     ),
     "stabilisation": (

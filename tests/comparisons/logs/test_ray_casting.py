@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,13 +47,7 @@ def moved(solids: Solids, pose: Array) -> Solids:
     turn = np.array([[cos, sin], [-sin, cos]])
     ends = solids.segment.reshape(-1, 2) @ turn + pose[:2]
     disc = np.column_stack((solids.disc[:, :2] @ turn + pose[:2], solids.disc[:, 2]))
-    return Solids(
-        ends.reshape(-1, 4),
-        solids.outline,
-        solids.outline_height_m,
-        disc,
-        solids.disc_height_m,
-    )
+    return replace(solids, segment=ends.reshape(-1, 4), disc=disc)
 
 
 def scalar_range(x: float, y: float, direction: float, solids: Solids) -> float:
@@ -96,15 +91,9 @@ def test_beams_from_poses_of_their_own_among_discs_that_move() -> None:
     angle = rng.uniform(-np.pi, np.pi, 60)
     pose = rng.normal(0.0, 0.5, (60, 3))
     disc = still.disc + rng.normal(0.0, 0.2, (60, 1, 1)) * (1.0, 1.0, 0.0)
-    together = cast(
-        angle,
-        pose,
-        Solids(still.segment, still.outline, still.outline_height_m, disc, still.disc_height_m),
-    )
+    together = cast(angle, pose, replace(still, disc=disc))
     for k in range(60):
-        alone = Solids(
-            still.segment, still.outline, still.outline_height_m, disc[k], still.disc_height_m
-        )
+        alone = replace(still, disc=disc[k])
         assert cast(angle[k : k + 1], pose[k], alone)[0] == together[k]
 
 
@@ -148,12 +137,12 @@ def test_the_level_ring_is_the_planar_scan_of_what_is_high_enough(seed: int) -> 
     angle = np.linspace(-np.pi, np.pi, 300)
     wall = solids.outline_height_m[solids.outline] >= SENSOR_M
     pole = solids.disc_height_m >= SENSOR_M
-    high = Solids(
-        solids.segment[wall],
-        solids.outline[wall],
-        solids.outline_height_m,
-        solids.disc[pole],
-        solids.disc_height_m[pole],
+    high = replace(
+        solids,
+        segment=solids.segment[wall],
+        outline=solids.outline[wall],
+        disc=solids.disc[pole],
+        disc_height_m=solids.disc_height_m[pole],
     )
     level = cast_rings(angle, np.zeros(1), SENSOR_M, pose, solids)[:, 0]
     np.testing.assert_allclose(level, cast(angle, pose, high), rtol=1e-12)

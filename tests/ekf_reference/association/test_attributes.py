@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -17,7 +17,6 @@ from ekf_reference.association.attributes import (
 )
 from ekf_reference.association.joint_compatibility import JointCompatibility, pair_covariance
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
 from ekf_reference.core.measurements import (
     AMBIGUOUS,
     NOT_MEASURED,
@@ -26,6 +25,7 @@ from ekf_reference.core.measurements import (
 )
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.association import scenes
 
 MODEL = RangeBearing()
 SIGMA = (0.05, 0.005)
@@ -33,21 +33,14 @@ ANYTHING = 1e9
 TRIALS = 2000
 
 
-def mapped(points: list[tuple[float, float]], pose_covariance: np.ndarray) -> KalmanState:
-    state = KalmanState(np.zeros(3), pose_covariance)
-    for point in points:
-        state.augment(
-            NewLandmarks.independent(np.array([point]), 3),
-            1e-6 * np.eye(2)[None],
-        )
-    return state
+def mapped(points: scenes.Points, pose_covariance: np.ndarray) -> KalmanState:
+    return scenes.mapped(points, pose_covariance, 1e-3)
 
 
 def seen(z: np.ndarray, value: np.ndarray, sigma: float | np.ndarray) -> Measurements:
     """Measurements (m, 2) with attributes (m, A)."""
-    noise = diagonal_noise(np.tile(SIGMA, (len(z), 1)))
     reported = MeasuredAttributes(value, np.broadcast_to(np.square(sigma), value.shape))
-    return Measurements(z, noise, np.full(len(z), -1), attributes=reported)
+    return replace(scenes.measurements(z, SIGMA), attributes=reported)
 
 
 def remembered(mean: np.ndarray, sigma: np.ndarray, repeats: float = 1.0) -> AttributeEstimates:
@@ -136,16 +129,27 @@ def tree_drive(
 
 
 @dataclass
-class LeftOut:
-    """Broken: a landmark without the attribute goes without the term."""
+class Broken:
+    """Another n of what was found."""
 
     memory: AttributeEstimates
+    n: Callable[[AttributeDistances], np.ndarray]
 
     def distances(
         self, landmark_index: np.ndarray, measurements: Measurements
     ) -> AttributeDistances:
         found = self.memory.distances(landmark_index, measurements)
-        return found._replace(n=np.where(found.dof > 0, found.n, 0.0))
+        return found._replace(n=self.n(found))
+
+
+def left_out(found: AttributeDistances) -> np.ndarray:
+    """A landmark without the attribute goes without the term."""
+    return np.where(found.dof > 0, found.n, 0.0)
+
+
+def unnormalised(found: AttributeDistances) -> np.ndarray:
+    """The exponent alone, which is least for a landmark of which little is known."""
+    return found.nis
 
 
 @pytest.mark.parametrize("kind", [NearestNeighbour, JointCompatibility])
@@ -154,7 +158,7 @@ def test_the_unit_does_not_matter(kind: type) -> None:
     diameter = np.array([np.nan if k % 2 else 0.3 + 0.05 * k for k in range(7)])[:, None]
     for rule, same in (
         (lambda memory: kind(attributes=memory), True),
-        (lambda memory: kind(attributes=LeftOut(memory)), False),
+        (lambda memory: kind(attributes=Broken(memory, left_out)), False),
     ):
         metres, millimetres = (
             tree_drive(rule, remembered(u * diameter, np.full((7, 1), 0.02 * u)), u)
@@ -200,19 +204,6 @@ def test_two_trees_are_told_apart_as_often_as_theory_says() -> None:
     assert both - alone > 0.2
 
 
-@dataclass
-class Unnormalised:
-    """Broken: the exponent alone, which is least for a landmark of which little is known."""
-
-    memory: AttributeEstimates
-
-    def distances(
-        self, landmark_index: np.ndarray, measurements: Measurements
-    ) -> AttributeDistances:
-        found = self.memory.distances(landmark_index, measurements)
-        return found._replace(n=found.nis)
-
-
 def test_a_vague_landmark_is_not_preferred() -> None:
     """Trees at one place, one of them hardly known: right in half the integral of the larger."""
     memory = remembered(np.array([[0.3], [0.5]]), np.array([[0.01], [0.4]]))
@@ -222,7 +213,7 @@ def test_a_vague_landmark_is_not_preferred() -> None:
     ]
     best = 0.5 * float(np.maximum(*densities).sum() * (grid[1] - grid[0]))
     shares = []
-    for attributes in (memory, Unnormalised(memory)):
+    for attributes in (memory, Broken(memory, unnormalised)):
         rng, right = np.random.default_rng(3), 0
         state = mapped([(10.0, 0.0), (10.0, 0.0)], 1e-4 * np.eye(3))
         rule = NearestNeighbour(ANYTHING, ANYTHING, attributes)
@@ -251,17 +242,9 @@ def test_the_gate_holds_what_it_says() -> None:
         measurement = seen(z, np.array([[rng.normal(0.4, np.hypot(0.1, 0.1))]]), 0.1)
         passed += rule.assign(state, MODEL, measurement).tolist() == [0]
         nis = memory.distances(np.zeros(1, dtype=np.intp), measurement).nis[0, 0]
-        misgated += nis + position_nis(state, measurement) <= gate
+        misgated += nis + pair(state.local_map(1e3), measurement, [(0, 0)]) <= gate
     assert expected_share(0.9, passed)
     assert not expected_share(0.9, misgated)
-
-
-def position_nis(state: KalmanState, measurement: Measurements) -> float:
-    local = state.local_map(1e3)
-    zero = np.zeros(1, dtype=np.intp)
-    spread = pair_covariance(local, MODEL, measurement, zero, zero)
-    nu = MODEL.innovation(measurement.z, MODEL.predict(local.pose, local.landmark).z)[0]
-    return float(nu @ np.linalg.solve(spread, nu))
 
 
 def test_bounds_of_one_probability() -> None:

@@ -4,36 +4,28 @@ import numpy as np
 
 from ekf_reference.association.consensus import ConsensusAssociation
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.association import scenes
 
 MODEL = RangeBearing()
-POSTS = np.array(((5.0, 0.0), (5.0, 2.0), (5.0, 5.0)))
+POSTS = [(5.0, 0.0), (5.0, 2.0), (5.0, 5.0)]
 
 
-def mapped(points: np.ndarray = POSTS, heading_sigma: float = 0.01) -> KalmanState:
-    state = KalmanState(np.zeros(3), np.diag((1e-4, 1e-4, heading_sigma**2)))
-    for point in points:
-        state.augment(NewLandmarks.independent(point[None], 3), 1e-4 * np.eye(2)[None])
-    return state
+def mapped(points: scenes.Points = POSTS, heading_sigma: float = 0.01) -> KalmanState:
+    return scenes.mapped(points, np.diag((1e-4, 1e-4, heading_sigma**2)), 0.01)
 
 
-def seen(*points: tuple[float, float], heading: float = 0.0, sigma: float = 0.02) -> Measurements:
-    z = MODEL.predict(np.array((0.0, 0.0, heading)), np.array(points)).z
-    noise = diagonal_noise(np.tile((0.05, sigma), (len(z), 1)))
-    return Measurements(z, noise, np.full(len(z), -1))
+def seen(*points: tuple[float, float], heading: float = 0.0) -> Measurements:
+    return scenes.seen(list(points), (0.05, 0.02), heading)
 
 
 def test_known_landmarks_and_new_ones() -> None:
     rule = ConsensusAssociation()
     assert rule.assign(mapped(POSTS[:0]), MODEL, seen((5.0, 0.0), (5.0, 2.0))).tolist() == [0, 1]
-    assert rule.assign(mapped(), MODEL, seen((5.0, 2.0), (5.0, -3.0), (5.0, 0.0))).tolist() == [
-        1,
-        3,
-        0,
-    ]
+    some = seen((5.0, 2.0), (5.0, -3.0), (5.0, 0.0))
+    assert rule.assign(mapped(), MODEL, some).tolist() == [1, 3, 0]
 
 
 def test_a_clump_is_one_landmark() -> None:
@@ -55,7 +47,7 @@ def test_a_measurement_that_fits_two_landmarks_is_ambiguous() -> None:
 def test_two_together_decide_what_one_cannot() -> None:
     """Posts equally far, 0.4 and 0.8 rad apart: one could be any, the gap between two tells."""
     ring = [(6.0 * float(np.cos(b)), 6.0 * float(np.sin(b))) for b in (-0.6, -0.2, 0.6)]
-    lost = mapped(np.array(ring), heading_sigma=0.4)
+    lost = mapped(ring, heading_sigma=0.4)
     rule = ConsensusAssociation()
     for post in ring[:2]:
         assert rule.assign(lost, MODEL, seen(post, heading=-0.25)).tolist() == [AMBIGUOUS]
@@ -72,9 +64,8 @@ def test_higher_odds_decide_less() -> None:
 
 def test_a_crowded_scan_ends_within_its_bound() -> None:
     """Twelve places that fit twelve posts in many ways: the hypotheses followed stay few."""
-    points = np.array([(8.0, 1.2 * k) for k in range(-6, 6)])
-    state = mapped(points, heading_sigma=0.3)
-    scan = seen(*[(8.0, y) for _, y in points.tolist()])
+    points = [(8.0, 1.2 * k) for k in range(-6, 6)]
+    state, scan = mapped(points, heading_sigma=0.3), seen(*points)
     landmark_indices = ConsensusAssociation(most_hypotheses=20).assign(state, MODEL, scan)
     used = landmark_indices[landmark_indices >= 0]
     assert len(used) == len(set(used.tolist()))

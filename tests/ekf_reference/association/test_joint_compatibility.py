@@ -10,27 +10,24 @@ from ekf_reference.association.distances import normalised_distances
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.blocks import stack
-from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.association import scenes
 from tests.ekf_reference.numerics import point_columns
 
 MODEL = RangeBearing()
+SIGMA = (0.05, 0.005)
 
 
 def row_of_posts(heading_sigma: float) -> KalmanState:
     """Posts 0.6 m apart, 10 m ahead; the vehicle is unsure of its heading only."""
-    state = KalmanState(np.zeros(3), np.diag((1e-6, 1e-6, heading_sigma**2)))
-    points = np.array([(10.0, 0.6 * k) for k in range(-3, 4)])
-    for point in points:
-        state.augment(NewLandmarks.independent(point[None], 3), 1e-4 * np.eye(2)[None])
-    return state
+    points = [(10.0, 0.6 * k) for k in range(-3, 4)]
+    return scenes.mapped(points, np.diag((1e-6, 1e-6, heading_sigma**2)), 0.01)
 
 
-def seen_from(heading: float, points: list[tuple[float, float]]) -> Measurements:
-    z = MODEL.predict(np.array((0.0, 0.0, heading)), np.array(points)).z
-    return Measurements(z, diagonal_noise(np.tile((0.05, 0.005), (len(z), 1))), np.full(len(z), -1))
+def seen_from(heading: float, points: scenes.Points) -> Measurements:
+    return scenes.seen(points, SIGMA, heading)
 
 
 def test_a_row_seen_with_a_turned_heading() -> None:
@@ -83,8 +80,6 @@ def test_new_and_ambiguous_as_with_the_nearest_neighbour() -> None:
     state = row_of_posts(0.001)
     seen = seen_from(0.0, [(10.0, 0.6), (20.0, 5.0), (10.0, 0.86)])
     assert JointCompatibility().assign(state, MODEL, seen).tolist() == [4, 7, AMBIGUOUS]
-    empty = KalmanState(np.zeros(3), np.eye(3))
-    assert JointCompatibility().assign(empty, MODEL, seen).tolist() == [0, 1, 2]
 
 
 def test_a_crowded_scan_ends_within_its_bound() -> None:
@@ -120,16 +115,12 @@ def test_the_order_of_measurements_does_not_matter() -> None:
     Three posts far apart and a certain pose: nis 10, 10 and 0 are each within 13.8, and 20
     together within 22.5 for three pairs, though not within 18.5 for two.
     """
-    state = KalmanState(np.zeros(3), 1e-12 * np.eye(3))
-    points = np.array(((10.0, 0.0), (0.0, 12.0), (-9.0, -9.0)))
-    for point in points:
-        state.augment(NewLandmarks.independent(point[None], 3), 1e-12 * np.eye(2)[None])
-    z = MODEL.predict(np.zeros(3), points).z
+    points = [(10.0, 0.0), (0.0, 12.0), (-9.0, -9.0)]
+    state = scenes.mapped(points, 1e-12 * np.eye(3), 1e-6)
+    z = seen_from(0.0, points).z
     z[:2, 0] += np.sqrt(10.0) * 0.05
     for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
-        seen = Measurements(
-            z[order], diagonal_noise(np.tile((0.05, 0.005), (3, 1))), np.full(3, -1)
-        )
+        seen = scenes.measurements(z[order], SIGMA)
         assert JointCompatibility().assign(state, MODEL, seen).tolist() == order
 
 

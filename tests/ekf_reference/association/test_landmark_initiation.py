@@ -1,25 +1,24 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.landmark_initiation import LandmarkInitiation, Reliability
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import CANDIDATE, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.association import scenes
 
 MODEL = RangeBearing()
 STATE = KalmanState(np.zeros(3), 1e-6 * np.eye(3))
 
 
 def seen(time_s: float, *points: tuple[float, float]) -> Measurements:
-    z = MODEL.predict(np.zeros(3), np.array(points)).z
-    return Measurements(
-        z, diagonal_noise(np.full((len(z), 2), 0.01)), np.full(len(z), -1), time_s=time_s
-    )
+    return replace(scenes.seen(list(points), (0.01, 0.01)), time_s=time_s)
 
 
 def managed(**reliability: float) -> LandmarkInitiation:

@@ -1,34 +1,30 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ekf_reference.association.distances import Distances, normalised_distances
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, NearestNeighbour
 from ekf_reference.core.blocks import stack
-from ekf_reference.core.landmark_types import NewLandmarks, diagonal_noise
+from ekf_reference.core.landmark_types import NewLandmarks
 from ekf_reference.core.measurements import AMBIGUOUS, REJECTED, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.association import scenes
 from tests.ekf_reference.numerics import point_columns
 
 MODEL = RangeBearing()
 
 
-def state_with(points: list[tuple[float, float]], sigmas: list[float]) -> KalmanState:
-    state = KalmanState(np.zeros(3), np.diag((1e-4, 1e-4, 1e-6)))
-    for point, sigma in zip(points, sigmas, strict=True):
-        state.augment(
-            NewLandmarks.independent(np.array([point]), 3),
-            sigma**2 * np.eye(2)[None],
-        )
-    return state
+def state_with(points: scenes.Points, sigmas: list[float]) -> KalmanState:
+    return scenes.mapped(points, np.diag((1e-4, 1e-4, 1e-6)), sigmas)
 
 
-def measurements(points: list[tuple[float, float]], labels: tuple[int, ...] = ()) -> Measurements:
-    z = MODEL.predict(np.zeros(3), np.array(points)).z
-    identity = np.array(labels or [-1] * len(z))
-    return Measurements(z, diagonal_noise(np.tile((0.1, 0.01), (len(z), 1))), identity)
+def measurements(points: scenes.Points, labels: tuple[int, ...] = ()) -> Measurements:
+    unlabelled = scenes.seen(points, (0.1, 0.01))
+    return replace(unlabelled, identity=np.array(labels)) if labels else unlabelled
 
 
 def distances(state: KalmanState, seen: Measurements) -> Distances:
@@ -87,12 +83,6 @@ def test_each_landmark_is_taken_once_in_a_scan() -> None:
     assert landmark_indices.tolist() == [AMBIGUOUS, 0]
 
 
-def test_empty_map_makes_everything_new() -> None:
-    state = KalmanState(np.zeros(3), np.eye(3))
-    seen = measurements([(1, 1), (2, 2)])
-    assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0, 1]
-
-
 def test_labels_map_to_landmark_indices_in_order_of_arrival() -> None:
     state = KalmanState(np.zeros(3), np.eye(3))
     seen = measurements([(1, 1), (2, 2), (3, 3), (1, 1)], (40, 7, -1, 40))
@@ -113,33 +103,12 @@ def test_euclidean_distance_decides() -> None:
     state = state_with([(10.0, 0.0), (10.0, 3.0)], [5.0, 0.01])
     seen = measurements([(10.6, 0.0), (10.0, 3.9), (10.0, -1.2), (10.3, 0.3)])
     landmark_indices = EuclideanNeighbour(d_min_m=1.0).assign(state, MODEL, seen)
-    assert landmark_indices.tolist() == [
-        AMBIGUOUS,
-        1,
-        2,
-        0,
-    ]  # the fourth is nearer to the first landmark
+    assert landmark_indices.tolist() == [AMBIGUOUS, 1, 2, 0]  # the fourth is nearer to the first
     assert NearestNeighbour().assign(state, MODEL, seen).tolist()[1] != 1
-
-
-def test_the_printed_transformation_of_misono_is_no_rotation() -> None:
-    """Eq. 16 as printed maps right and forward to the same half plane; corrected, it rotates."""
-    xi, eta = np.cos(0.7), np.sin(0.7)
-    printed, corrected = np.array(((eta, -xi), (-xi, eta))), np.array(((eta, xi), (-xi, eta)))
-    right_forward = np.array((-np.sin(0.4), np.cos(0.4))) * 5.0  # bearing 0.4, range 5
-    point = MODEL.invert(np.array((0.0, 0.0, 0.7)), np.array([[5.0, 0.4]])).landmark[0]
-    assert np.allclose(corrected @ right_forward, point)
-    assert not np.allclose(printed @ right_forward, point, atol=0.5)
-    assert np.allclose(corrected.T @ corrected, np.eye(2))
-    assert not np.allclose(printed.T @ printed, np.eye(2), atol=0.1)
 
 
 def test_a_lost_vehicle_searches_farther() -> None:
     """At loop closing the pose may be off by more than any fixed margin; the gate still decides."""
-    state = KalmanState(np.zeros(3), np.diag((225.0, 1e-4, 1e-8)))
-    state.augment(
-        NewLandmarks.independent(np.array([[28.0, 0.0]]), 3),
-        1e-4 * np.eye(2)[None],
-    )
+    state = scenes.mapped([(28.0, 0.0)], np.diag((225.0, 1e-4, 1e-8)), 0.01)
     seen = measurements([(10.0, 0.0)])  # 18 m short: 1.2 sigma
     assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0]

@@ -9,7 +9,6 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import correlation_coefficients
 from ekf_reference.core.trace import RecordedTrace
-from tests.ekf_reference.numerics import random_covariance
 from tests.ekf_reference.replay import Gaussian, eigenvalue_range, gap, replay
 from tests.ekf_reference.worlds import LOOP_S, build, circuit, follow, followed
 
@@ -46,14 +45,6 @@ def test_a_small_prior_claims_knowledge_that_the_filter_has_not() -> None:
     (exact, _), (small, replayed) = initialised(None), initialised(1.0)
     assert gap(small, replayed) < 1e-6
     assert eigenvalue_range(small.covariance, exact.covariance)[0] < 1.0 - 1e-3
-
-
-def test_correlation_coefficients() -> None:
-    p = random_covariance(np.random.default_rng(0), 5)
-    rho = correlation_coefficients(p)
-    assert np.allclose(np.diag(rho), 1.0)
-    assert np.isclose(rho[1, 3], abs(p[1, 3]) / np.sqrt(p[1, 1] * p[3, 3]))
-    assert rho.max() <= 1.0 + 1e-12
 
 
 def map_correlation(ekf: Ekf) -> float:

@@ -57,24 +57,6 @@ def of_position(state: KalmanState, z: Array) -> Linearised:
     return Linearised(local, jacobian, z - expected)
 
 
-def test_weights_that_do_not_add_up_would_be_seen() -> None:
-    """The broken variant: every part fused with R itself, not R / weight."""
-    covariance, noise = np.diag((9.0, 9.0, 0.1)), np.eye(2)
-    sound, broken = KalmanState(np.zeros(3), covariance), KalmanState(np.zeros(3), covariance)
-    splitter, z = UpdateSplitter(largest_move_m=0.2), np.array((4.0, 4.0))
-    for state, scaled in ((sound, True), (broken, False)):
-
-        def linearise(state: KalmanState = state) -> Linearised:
-            return of_position(state, z)
-
-        for weight, at in splitter.split(linearise, noise):
-            r = noise / weight if scaled else noise
-            state.update(np.arange(3), at.jacobian, at.innovation, r)
-    exact = np.linalg.inv(np.linalg.inv(covariance) + np.diag((1.0, 1.0, 0.0)))
-    assert relative_error(sound.covariance, exact) < 1e-12
-    assert relative_error(broken.covariance, exact) > 0.1
-
-
 def true_minimum(z: Array, r: Array, covariance: Array, model: PositionModel) -> Array:
     """The maximum a posteriori pose, by Gauss-Newton to convergence."""
     pose = np.zeros(3)
@@ -119,12 +101,6 @@ def test_the_gate_decides_just_inside_and_just_outside() -> None:
         ekf = ekf_at(np.zeros(3), np.diag((3.0, 3.0, 1e-6)), PositionFixes())
         z = np.array((np.sqrt(4.0 * nis), 0.0))
         assert ekf.fix_position(z, np.eye(2)) is accepted
-
-
-def test_the_gate_is_the_normalised_innovation() -> None:
-    state = KalmanState(np.zeros(3), np.diag((3.0, 3.0, 0.1)))
-    at = of_position(state, np.array((4.0, 0.0)))
-    assert np.isclose(at.normalised_squared(np.eye(2)), 4.0)
 
 
 def test_a_large_update_at_loop_closing_is_split_too() -> None:

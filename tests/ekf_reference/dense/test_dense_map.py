@@ -6,7 +6,6 @@ lines. Where the landmarks hang together, regions come at once; where not, retur
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -130,16 +129,6 @@ def test_no_two_places_no_region(landmark: Array, waits: bool) -> None:
     assert accounted(dense)
 
 
-def test_two_landmarks_get_regions_with_virtual_corners_only_after_a_wait() -> None:
-    dense, never = dense_map("points", waiting=room()), dense_map("points")
-    for each in (dense, never):
-        drive(each, view(SQUARE[:2]), *[wall()] * (PATIENCE + 6))
-        assert accounted(each)
-    assert len(dense.regions.base) == len(dense.regions.virtual.depth) > 0
-    assert dense.tally.late > 0
-    assert not len(never.regions.base)
-
-
 def test_waiting_and_virtual_corners_can_be_left_out_each() -> None:
     """Returns that may not wait are outside in the end; what waits still shows where corners go."""
     dense, neither, real = (
@@ -227,27 +216,6 @@ def test_returns_vanish_when_the_two_landmarks_of_their_frame_become_one_place()
     assert accounted(dense)
 
 
-def test_a_scan_outside_every_region_is_outside() -> None:
-    dense = dense_map(*LAYERS)
-    drive(dense, view(SQUARE), wall())
-    fused, far = dense.tally.fused, POSE + (300.0, 0.0, 0.0)
-    drive(dense, view(SQUARE, far), wall(far))
-    assert dense.tally.fused == fused
-    assert accounted(dense)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 0.0, -3.0])
-def test_what_is_no_range_is_no_return(bad: float) -> None:
-    ranges = np.full(len(BEARING), 12.0)
-    ranges[::2] = bad
-    half = Scan.of_ranges(POSE, BEARING, ranges, SENSOR)
-    dense, other = dense_map(*LAYERS, waiting=room()), dense_map(*LAYERS, waiting=room())
-    drive(dense, view(SQUARE), half)
-    drive(other, view(SQUARE), Scan.of_ranges(POSE, BEARING[1::2], ranges[1::2], SENSOR))
-    assert dense.tally.returns == len(BEARING) // 2
-    assert content(dense, view(SQUARE)) == content(other, view(SQUARE))
-
-
 @pytest.mark.parametrize("names", [LAYERS, ()], ids=["every layer", "no layer"])
 def test_an_empty_scan_is_counted_and_changes_nothing_else(names: tuple[str, ...]) -> None:
     dense = dense_map(*names, waiting=room())
@@ -299,18 +267,6 @@ def test_layers_do_not_feel_each_other(name: str) -> None:
     assert alone.tally.late > 0
     placed = alone.place(view(SQUARE[:3]))
     assert held_by(alone.layers[name], placed) == held_by(among.layers[name], placed)
-
-
-def test_the_map_moves_with_the_landmarks_and_no_layer_hears_of_it() -> None:
-    dense = dense_map(*LAYERS)
-    drive(dense, view(SQUARE), wall())
-    kept = pickle.dumps(dense.layers)
-    shift = np.array((3.0, -40.0))
-    before = [s.samples(dense.place(view(SQUARE))).point for s in dense.layers.values()]
-    placed = dense.place(view(SQUARE + shift))
-    for was, each in zip(before, dense.layers.values(), strict=True):
-        assert np.allclose(each.samples(placed).point, was + shift, atol=1e-9, rtol=0.0)
-    assert pickle.dumps(dense.layers) == kept
 
 
 def random_drive(seed: int, dense: DenseMap) -> FilterView:

@@ -248,12 +248,3 @@ def test_blocks_hold_each_cell_once_and_lie_around_their_middles() -> None:
         for cells, middle in zip(grid.block, grid.middle, strict=True)
     ]
     assert max(apart) <= 7.5 + 1e-3
-
-
-def test_an_empty_scan_changes_nothing() -> None:
-    landmark, regions = field()
-    placed = regions.placed(landmark)
-    grid, everywhere = OccupancyGrid(0.2), np.arange(len(placed.triangle))
-    empty = Scan.of_ranges(HERE, np.zeros(0), np.zeros(0), SENSOR)
-    grid.fuse(*reported(placed, wall_scan())[:2], empty, everywhere)
-    assert not len(grid.samples(placed).point)

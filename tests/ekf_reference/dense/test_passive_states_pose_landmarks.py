@@ -8,7 +8,6 @@ from ekf_reference.core.geometry import Array
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord
 from ekf_reference.dense.passive_states import PassiveStates, points
-from ekf_reference.dense.view import FilterView
 from tests.ekf_reference.both_kinds import Script, build, drive
 from tests.ekf_reference.numerics import relative_error
 
@@ -69,19 +68,3 @@ def test_equal_to_a_filter_that_has_them_in_its_state() -> None:
 def test_the_equality_rejects_broken_variants() -> None:
     assert gaps(Forgetful) > 1e-4
     assert gaps(WrongColumns) > 1e-4
-
-
-def test_a_view_has_the_points_alone() -> None:
-    """Full and compressed: removed ones are NaN and have no covariance."""
-    for kind in ("full", "compressed"):
-        ekf = build(kind)
-        drive(ekf, 4, SCRIPT)
-        view, layout = FilterView.of(ekf), ekf.state.layout
-        assert np.isnan(view.landmark[1]).all()
-        assert 1 not in view.landmark_index
-        assert len(view.covariance) == 3 + 2 * len(view.landmark_index)
-        chosen = view.landmark_index[[2, 0]]
-        columns = layout.columns(chosen)
-        expected = ekf.state.covariance[np.ix_(columns, columns)]
-        assert relative_error(view.joint(chosen), expected) < 1e-12
-        assert relative_error(view.landmark[chosen], ekf.state.landmarks[chosen]) < 1e-12

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions, overlap
@@ -108,19 +107,6 @@ def test_growing_never_changes_what_there_is() -> None:
         before = regions.base.copy()
     again = regions.extend(landmark, landmark_index, shared(3.0, 0.3, len(landmark_index)))
     assert len(again) == 0  # all that fits is there
-
-
-def test_an_incremental_delaunay_triangulation_changes_what_there_is() -> None:
-    """Why it is not used: most landmarks that arrive take regions away."""
-    landmark = scattered(np.random.default_rng(6), 50)
-    delaunay = Delaunay(landmark[:10], incremental=True)
-    changes = 0
-    for new in landmark[10:]:
-        before = {tuple(sorted(t)) for t in delaunay.simplices.tolist()}
-        delaunay.add_points(new[None])
-        changes += not before <= {tuple(sorted(t)) for t in delaunay.simplices.tolist()}
-    delaunay.close()
-    assert changes > 30
 
 
 def test_no_gap_is_left_that_a_permitted_triple_fills() -> None:

@@ -96,17 +96,6 @@ def test_jacobians_equal_central_differences(seed: int) -> None:
         assert relative_error(outward.by_point[i], exact[:, 6:]) < 1e-7
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_jacobians_of_both_directions_undo_each_other(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    triangle, point = random_triangles(rng, 30), rng.uniform(-40, 40, (30, 2))
-    inward = local_jacobians(triangle, point)
-    outward = global_jacobians(triangle, to_local(triangle, point))
-    assert np.allclose(inward.by_point @ outward.by_point, np.eye(2), atol=1e-10)
-    expected = -inward.by_point @ outward.by_landmarks
-    assert relative_error(inward.by_landmarks, expected) < 1e-10
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_printed_derivative_by_the_second_axis_fails(seed: int) -> None:
     """Equation C.14 is printed (d_x, -d_y) / Delta; C.7 and C.9 hold with (d_y, -d_x)."""

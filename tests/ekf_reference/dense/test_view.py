@@ -13,14 +13,9 @@ from ekf_reference.filters.misono import DirectionCosineEkf
 from tests.ekf_reference.worlds import build, circuit, follow, followed
 
 
-def test_it_shows_pose_landmarks_and_their_joint_covariance() -> None:
+def test_what_it_shows_is_a_copy() -> None:
     ekf = followed(circuit(duration_s=8.0))
     view = FilterView.of(ekf)
-    near = view.near(12.0)
-    assert 2 < len(near) < len(view.landmark)
-    columns = np.concatenate((np.arange(3), (3 + 2 * near[:, None] + (0, 1)).ravel()))
-    assert np.array_equal(view.joint(near), ekf.state.covariance[np.ix_(columns, columns)])
-    assert np.array_equal(view.pose, ekf.state.pose)
     before = ekf.state.mean.copy(), ekf.state.covariance.copy()
     for shown in (view.pose, view.landmark, view.covariance):
         shown[:] = 0.0
@@ -28,7 +23,7 @@ def test_it_shows_pose_landmarks_and_their_joint_covariance() -> None:
     assert np.array_equal(ekf.state.covariance, before[1])
 
 
-@pytest.mark.parametrize("make", [CompressedEkf, DirectionCosineEkf])
+@pytest.mark.parametrize("make", [Ekf, CompressedEkf, DirectionCosineEkf])
 def test_every_filter_is_read_as_pose_and_landmarks(make: type[Ekf]) -> None:
     """The last view of a drive is what the whole state says, pose as x, y, heading."""
     ekf = followed(circuit(duration_s=40.0), build(make))

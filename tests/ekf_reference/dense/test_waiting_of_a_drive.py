@@ -140,10 +140,6 @@ def test_waiting_brings_points_closer_to_where_they_are() -> None:
     assert honest("at once", price=0.0)
     assert closer("DelayedInitialisation")
     assert honest("DelayedInitialisation")
-    """And their variance is honest, at once and afterwards."""
-    assert honest("at once")
-    assert closer("DelayedInitialisation")
-    assert honest("DelayedInitialisation")
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""A sensor for which the Kalman filter is exact."""
+"""A sensor for which the Kalman filter is exact, and clouds that begin at the origin."""
 
 from __future__ import annotations
 
@@ -10,6 +10,14 @@ from ekf_reference.core.landmark_types import (
     NewLandmarks,
     PredictedMeasurements,
 )
+from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions
+from ekf_reference.models.motion import RelativePoseModel
+
+
+def standing(options: FastSlamOptions, seed: int = 0) -> FastSlam:
+    """A cloud at the origin, exactly."""
+    generator = np.random.default_rng(seed)
+    return FastSlam(RelativePoseModel(), np.zeros(3), np.zeros((3, 3)), generator, options)
 
 
 class PlaceDifference(MeasurementModel):

@@ -18,6 +18,7 @@ from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
 from ekf_reference.fastslam.particle_maps import ParticleMaps
 from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.fastslam.linear_sensor import standing
 
 SIGMA = np.array([0.1, 0.02])
 
@@ -28,16 +29,14 @@ def scan(pose: Array, points: Array) -> Measurements:
     return Measurements(z, noise, np.full(len(z), -1, dtype=np.int64))
 
 
-def standing(particles: int, proposal: Proposal = "measurement", loss: float = 0.3) -> FastSlam:
+def watching(particles: int, proposal: Proposal = "measurement", loss: float = 0.3) -> FastSlam:
     options = FastSlamOptions(
         particles=particles,
         proposal=proposal,
         association=PerParticleLikelihood(view=View(20.0, 1.5), loss=loss),
         resample_share=0.0,
     )
-    return FastSlam(
-        RelativePoseModel(), np.zeros(3), np.zeros((3, 3)), np.random.default_rng(0), options
-    )
+    return standing(options)
 
 
 def greedy(score: Array) -> Index:
@@ -67,7 +66,7 @@ def test_best_pairs_equal_a_plain_loop_and_exclude_each_other() -> None:
 def test_particles_at_different_places_take_a_measurement_for_different_landmarks(
     proposal: Proposal,
 ) -> None:
-    slam = standing(2, proposal)
+    slam = watching(2, proposal)
     points = np.array([[6.0, 0.0], [6.0, 3.0]])
     first = slam.observe(scan(np.zeros(3), points))
     assert (first[0] == first[1]).all()
@@ -80,7 +79,7 @@ def test_particles_at_different_places_take_a_measurement_for_different_landmark
 
 
 def test_new_matched_and_ambiguous_measurements() -> None:
-    slam = standing(3)
+    slam = watching(3)
     known = slam.observe(scan(np.zeros(3), np.array([[5.0, 0.0]])))[0, 0]
     points = np.array([[5.05, 0.01], [5.64, 0.0], [5.0, 4.0]])
     found = slam.observe(scan(np.zeros(3), points))
@@ -91,7 +90,7 @@ def test_new_matched_and_ambiguous_measurements() -> None:
 
 
 def test_evidence_removes_a_landmark_that_is_not_seen_again_but_not_one_out_of_view() -> None:
-    slam = standing(4, loss=0.4)
+    slam = watching(4, loss=0.4)
     steady, phantom, behind = [5.0, 0.0], [6.0, 4.0], [-5.0, 1.0]
     slam.observe(scan(np.zeros(3), np.array([steady, phantom, behind])))
     for _ in range(2):
@@ -106,7 +105,7 @@ def test_evidence_removes_a_landmark_that_is_not_seen_again_but_not_one_out_of_v
 
 
 def test_a_landmark_that_no_survivor_has_leaves_the_map() -> None:
-    slam = standing(2)
+    slam = watching(2)
     slam.observe(scan(np.zeros(3), np.array([[5.0, 0.0]])))
     column = slam.maps.allocate(np.array([70]))
     slam.maps.evidence[1, column] = 1.0

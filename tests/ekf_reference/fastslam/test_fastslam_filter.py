@@ -29,7 +29,7 @@ from ekf_reference.models.motion import (
     UnicycleModel,
 )
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.ekf_reference.fastslam.linear_sensor import PlaceDifference
+from tests.ekf_reference.fastslam.linear_sensor import PlaceDifference, standing
 
 PROPOSALS: tuple[Proposal, ...] = ("motion", "measurement")
 PRIOR = np.diag((0.2, 0.1, 0.0))
@@ -124,15 +124,12 @@ def excess(runs: Runs) -> float:
     return min(least, float(chi2.sf(t2, 1)))
 
 
+@pytest.mark.parametrize("seeds", [250, pytest.param(2000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("proposal", PROPOSALS)
-def test_linear_posterior_and_evidence_are_the_kalman_filters(proposal: Proposal) -> None:
-    assert excess(small_runs(proposal, 250)) > LEVEL
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("proposal", PROPOSALS)
-def test_linear_posterior_over_2000_seeds(proposal: Proposal) -> None:
-    assert excess(small_runs(proposal, 2000)) > LEVEL
+def test_linear_posterior_and_evidence_are_the_kalman_filters(
+    proposal: Proposal, seeds: int
+) -> None:
+    assert excess(small_runs(proposal, seeds)) > LEVEL
 
 
 def wide_motion(self: AccumulatedMotion) -> Array:
@@ -394,17 +391,11 @@ def test_paths_by_ancestry_are_those_that_particles_carried() -> None:
 
 
 def test_a_label_that_occurs_twice_in_a_scan_is_fused_twice() -> None:
-    options = FastSlamOptions(particles=5)
-    slam = FastSlam(
-        RelativePoseModel(), np.zeros(3), np.zeros((3, 3)), np.random.default_rng(0), options
-    )
+    slam, once = (standing(FastSlamOptions(particles=5)) for _ in range(2))
     z = np.array([[4.0, 0.1], [4.0, 0.1], [3.0, 0.0]])
     noise, label = diagonal_noise(np.full((3, 2), 0.1)), np.array([3, 3, -1])
     numbers = slam.observe(Measurements(z, noise, label))
     np.testing.assert_array_equal(numbers, np.tile((3, 3, -1), (5, 1)))
-    once = FastSlam(
-        RelativePoseModel(), np.zeros(3), np.zeros((3, 3)), np.random.default_rng(0), options
-    )
     once.observe(Measurements(z[:1], noise[:1], label[:1]))
     np.testing.assert_allclose(
         2.0 * slam.mixture_map().covariance, once.mixture_map().covariance, atol=1e-9
@@ -414,10 +405,7 @@ def test_a_label_that_occurs_twice_in_a_scan_is_fused_twice() -> None:
 def test_a_misread_label_is_not_fused_and_counts_as_at_the_gate() -> None:
     maps = []
     for gate in (20.0, math.inf):
-        options = FastSlamOptions(particles=5, association=KnownIdentities(gate))
-        slam = FastSlam(
-            RelativePoseModel(), np.zeros(3), np.zeros((3, 3)), np.random.default_rng(0), options
-        )
+        slam = standing(FastSlamOptions(particles=5, association=KnownIdentities(gate)))
         noise = diagonal_noise(np.full((1, 2), 0.1))
         for bearing in (0.0, 1.5):
             z = np.array([[4.0, bearing]])

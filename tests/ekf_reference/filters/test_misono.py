@@ -53,25 +53,19 @@ def drive(ekf: Ekf, rng: np.random.Generator) -> None:
             ekf.fix_position(pose[:2] + rng.normal(0.0, 0.3, 2), 0.09 * np.eye(2))
 
 
+def start() -> tuple[UnicycleModel, KnownAssociation, Array, Array]:
+    """What all filters here begin with."""
+    pose, covariance = np.array([1.0, 2.0, 3.0]), np.diag((0.1, 0.2, 0.05))
+    return UnicycleModel(), KnownAssociation(), pose, covariance
+
+
 def on_circle(trace: RecordedTrace | None = None) -> DirectionCosineEkf:
-    return DirectionCosineEkf(
-        UnicycleModel(),
-        KnownAssociation(),
-        np.array([1.0, 2.0, 3.0]),
-        np.diag((0.1, 0.2, 0.05)),
-        trace=trace,
-        options=DirectionCosineOptions(full_jacobian=True, renormalise=True, stacked=True),
-    )
+    complete = DirectionCosineOptions(full_jacobian=True, renormalise=True, stacked=True)
+    return DirectionCosineEkf(*start(), trace=trace, options=complete)
 
 
 def on_heading(trace: RecordedTrace | None = None) -> Ekf:
-    ekf = Ekf(
-        UnicycleModel(),
-        KnownAssociation(),
-        np.array([1.0, 2.0, 3.0]),
-        np.diag((0.1, 0.2, 0.05)),
-        trace=trace,
-    )
+    ekf = Ekf(*start(), trace=trace)
     ekf.models[POINT] = OwnAxesOfHeading()
     return ekf
 
@@ -194,13 +188,7 @@ def driven(
     axes: OwnAxesObservation, make: type[DirectionCosineEkf] = DirectionCosineEkf, **options: bool
 ) -> KalmanState:
     """The state after a drive by which all measurements are fused as points in some axes."""
-    ekf = make(
-        UnicycleModel(),
-        KnownAssociation(),
-        np.array([1.0, 2.0, 3.0]),
-        np.diag((0.1, 0.2, 0.05)),
-        options=DirectionCosineOptions(**options),
-    )
+    ekf = make(*start(), options=DirectionCosineOptions(**options))
     ekf.models[POINT] = axes
     drive(ekf, np.random.default_rng(0))
     return ekf.state

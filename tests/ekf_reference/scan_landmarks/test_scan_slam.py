@@ -25,8 +25,9 @@ from ekf_reference.scan_landmarks.templates import (
 )
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
-from tests.ekf_reference.both_kinds import relative
+from tests.ekf_reference.both_kinds import composed, relative
 from tests.ekf_reference.numerics import central_difference, relative_error
+from tests.ekf_reference.ray_casting import Solids
 from tests.ekf_reference.scan_landmarks.test_templates import STAR
 from tests.ekf_reference.scan_matching.scenes import BEAMS, LASER, ranges
 
@@ -55,12 +56,9 @@ def filter_at(pose: Array) -> Ekf:
     return Ekf(RelativePoseModel(), KnownAssociation(), pose, PRIOR)
 
 
-def scan_from(vehicle: Array, seed: int = 0) -> SumOfGaussians:
-    cos, sin = np.cos(vehicle[2]), np.sin(vehicle[2])
-    turn = np.array(((cos, -sin), (sin, cos)))
-    scanner = np.append(vehicle[:2] + turn @ MOUNT[:2], vehicle[2] + MOUNT[2])
-    way = ranges(np.random.default_rng(seed), STAR, scanner, LASER)
-    return of_scan(BEAMS, way, LASER)
+def scan_from(vehicle: Array, seed: int = 0, scene: Solids = STAR) -> SumOfGaussians:
+    scanner = composed(vehicle, MOUNT)
+    return of_scan(BEAMS, ranges(np.random.default_rng(seed), scene, scanner, LASER), LASER)
 
 
 def initialised(
@@ -97,8 +95,7 @@ def test_the_prediction_is_h_p_ht_in_the_scanners_frame() -> None:
     local = ekf.state.map_of(np.array([0]), POSE)
 
     def seen(both: Array) -> Array:
-        scanner = relative_inverse(both[:3], MOUNT)
-        return relative(scanner, both[3:])
+        return relative(composed(both[:3], MOUNT), both[3:])
 
     both = np.concatenate((local.pose, local.landmark[0]))
     h = central_difference(seen, both)
@@ -107,13 +104,6 @@ def test_the_prediction_is_h_p_ht_in_the_scanners_frame() -> None:
     alone = local.covariance.copy()
     alone[:3, 3:] = alone[3:, :3] = 0.0  # broken: without what vehicle and landmark share
     assert relative_error(predicted.covariance[0], h @ alone @ h.T) > 0.1
-
-
-def relative_inverse(base: Array, shift: Array) -> Array:
-    """Base and shift composed."""
-    cos, sin = np.cos(base[2]), np.sin(base[2])
-    east, north = cos * shift[0] - sin * shift[1], sin * shift[0] + cos * shift[1]
-    return np.array((base[0] + east, base[1] + north, base[2] + shift[2]))
 
 
 def test_a_filter_that_errs_more_than_it_says_is_gated() -> None:

@@ -26,24 +26,15 @@ from graphslam.scan.registration import Registration, ScanError
 from graphslam.smoother import smooth
 from tests.graphslam.numerics import Array, central_difference, random_covariance, relative_error
 from tests.graphslam.scan.shapes import BLOCK, ROOM, round_the_block, scan
+from tests.graphslam.worlds import chain
 
 STEP_SIGMA = np.array((0.02, 0.01, 0.01))
 
 
-def chain(moves: Array, covariance: Array) -> SlamProblem:
+def even_chain(moves: Array, covariance: Array) -> SlamProblem:
     """Poses from the origin on by increments (K, 3), all with the same covariance."""
-    nothing = np.zeros(0, dtype=np.intp)
-    return SlamProblem(
-        prior_pose=np.zeros(3),
-        prior_covariance=1e-6 * np.eye(3),
-        increment=moves,
-        increment_covariance=np.tile(covariance, (len(moves), 1, 1)),
-        measurement_pose=nothing,
-        measurement_landmark=nothing,
-        z=np.zeros((0, 2)),
-        sigma=np.zeros((0, 2)),
-        landmark_count=0,
-    )
+    spread = np.tile(covariance, (len(moves), 1, 1))
+    return chain(moves, spread, prior_covariance=1e-6 * np.eye(3))
 
 
 @cache
@@ -53,7 +44,7 @@ def drive() -> tuple[Array, SlamProblem, dict[int, Array]]:
     moves = round_the_block()
     true = dead_reckoned(np.array((-6.0, -6.0, 0.0)), moves)
     noisy = np.array([planar.compose(move, rng.normal(size=3) * STEP_SIGMA) for move in moves])
-    problem = replace(chain(noisy, np.diag(STEP_SIGMA**2)), prior_pose=true[0])
+    problem = replace(even_chain(noisy, np.diag(STEP_SIGMA**2)), prior_pose=true[0])
     return true, problem, {k: scan(rng, BLOCK, true[k], 0.02) for k in range(0, len(true), 2)}
 
 
@@ -126,7 +117,7 @@ def tried(sigma: tuple[float, ...], options: LoopOptions | None = None) -> int:
     straight, turn = np.array((1.0, 0.0, 0.0)), np.array((1.0, 0.0, np.pi / 10))
     moves = np.vstack((np.tile(straight, (20, 1)), np.tile(turn, (5, 1)), np.tile(straight, (7, 1)),
                        np.tile(turn, (5, 1)), np.tile(straight, (20, 1))))  # fmt: skip
-    problem = chain(moves, np.diag(np.square(sigma)))
+    problem = even_chain(moves, np.diag(np.square(sigma)))
     cloud = scan(np.random.default_rng(0), ROOM, np.zeros(3), 0.0)
     clouds = dict.fromkeys(range(len(moves) + 1), cloud)
     return len(RegistrationLoopCloser(Refusing(), options).close(problem, clouds).attempts)
@@ -156,7 +147,7 @@ def alike() -> tuple[SlamProblem, dict[int, Array]]:
     """Two rooms alike, 10 m apart by a way of 20 m that is known to 2.2 m."""
     moves = np.array(((6.0, 0.0, 0.0), (0.0, 5.0, 0.0), (4.0, 0.0, 0.0), (0.0, -5.0, 0.0)))
     sigma = 2.2 / np.sqrt(4.0)
-    problem = chain(moves, np.diag((sigma**2, sigma**2, 1e-6)))
+    problem = even_chain(moves, np.diag((sigma**2, sigma**2, 1e-6)))
     rng = np.random.default_rng(0)
     return problem, {k: scan(rng, ROOM, np.zeros(3), 0.01) for k in (0, 4)}
 
@@ -270,21 +261,9 @@ def test_starts_are_where_the_expectation_is_vague() -> None:
 
 def test_keyframes_are_so_far_apart_by_way_or_by_turn() -> None:
     moves = np.array([(0.4, 0.0, 0.0)] * 10 + [(0.0, 0.0, -0.2)] * 6 + [(0.0, 0.0, 0.0)] * 5)
-    problem = chain(moves, np.eye(3))
+    problem = even_chain(moves, np.eye(3))
     every = dict.fromkeys(range(22), np.zeros((1, 3)))
-    assert choose_keyframes(problem, every, 1.0, 0.3).tolist() == [
-        0,
-        3,
-        6,
-        9,
-        12,
-        14,
-        16,
-    ]
+    assert choose_keyframes(problem, every, 1.0, 0.3).tolist() == [0, 3, 6, 9, 12, 14, 16]
     some = dict.fromkeys((20, 4, 11, 5), np.zeros((1, 3)))
-    assert choose_keyframes(problem, some, 1.0, 0.3).tolist() == [
-        4,
-        11,
-        20,
-    ]
+    assert choose_keyframes(problem, some, 1.0, 0.3).tolist() == [4, 11, 20]
     assert choose_keyframes(problem, {}, 1.0, 0.3).tolist() == []

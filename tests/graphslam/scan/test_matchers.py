@@ -92,23 +92,11 @@ def assert_same(one: Registration, other: Registration) -> None:
     np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
-BAD = {
-    "empty": (np.zeros((0, 3)), "0 of 0 points"),
-    "one point": (np.ones((1, 3)), "1 of 1 points"),
-    "no numbers": (np.full((100, 3), np.nan), "0 of 100 points"),
-    "infinite": (np.full((100, 3), np.inf), "0 of 100 points"),
-    "one place": (np.tile((3.0, 2.0, 0.0), (100, 1)), "all points lie in one place"),
-    "flat array": (np.zeros(30), "shape"),
-    "two columns": (np.zeros((30, 2)), "shape"),
-}
-
-
-@pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize("which", ["source", "target"])
-def test_clouds_that_cannot_be_used(matcher: Matcher, bad: str, which: str) -> None:
-    points, message = BAD[bad]
-    clouds = {"source": cloud(2), "target": cloud(2), which: points}
-    with pytest.raises(ScanError, match=f"{which}: .*{message}"):
+def test_clouds_that_cannot_be_used(matcher: Matcher, which: str) -> None:
+    """Of what there is of them, test_points tells."""
+    clouds = {"source": cloud(2), "target": cloud(2), which: np.full((100, 3), np.nan)}
+    with pytest.raises(ScanError, match=f"{which}: .*0 of 100 points"):
         matcher.match(clouds["source"], clouds["target"], np.zeros(3))
 
 

@@ -25,6 +25,7 @@ from graphslam.scan.template_measurements import (
 from graphslam.smoother import smooth
 from tests.graphslam.numerics import Array
 from tests.graphslam.scan.shapes import box, scan
+from tests.graphslam.worlds import chain
 
 STEPS = 24
 SIGMA_M = 0.02
@@ -51,17 +52,11 @@ def clouds(segment: Array, sigma_m: float, seed: int = 0) -> dict[int, Array]:
 def problem(seed: int = 1, scale: float = 1.0) -> SlamProblem:
     """Odometry with noise; scale: of the noise, not of what is said of it."""
     noise = np.random.default_rng(seed).multivariate_normal(np.zeros(3), SPREAD, STEPS)
-    no = np.zeros(0, dtype=np.intp)
-    return SlamProblem(
+    return chain(
+        MOTION + scale * noise,
+        np.tile(SPREAD, (STEPS, 1, 1)),
         prior_pose=truth()[0],
         prior_covariance=np.diag((0.01, 0.01, 0.001)) ** 2,
-        increment=MOTION + scale * noise,
-        increment_covariance=np.tile(SPREAD, (STEPS, 1, 1)),
-        measurement_pose=no,
-        measurement_landmark=no,
-        z=np.zeros((0, 2)),
-        sigma=np.zeros((0, 2)),
-        landmark_count=0,
     )
 
 
