@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.audit.replay import Replay
-from comparisons.audit.spurious import SpuriousInformation
-from comparisons.checks.learnt import Learnt
+from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.experiments.montecarlo.plots import colour_of
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.scenarios.scenario import read_scenario

@@ -26,8 +26,7 @@ from comparisons.audit.replay import (
     covariance_gap,
     units,
 )
-from comparisons.audit.spurious import SpuriousInformation
-from comparisons.checks.learnt import Learnt
+from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.innovations import SensorInnovations
 from comparisons.statistics import Averaged, averaged, faults
 from comparisons.trace.events import (

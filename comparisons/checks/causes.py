@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
+from comparisons.audit.spurious import HEADING, Learnt
 from comparisons.checks.agreement import (
     EXACT,
     LARGEST_DISTANCE,
@@ -21,7 +22,6 @@ from comparisons.checks.agreement import (
     block_agrees,
 )
 from comparisons.checks.consistency.consistency import Consistency
-from comparisons.checks.learnt import HEADING, Learnt
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.audit.spurious import Learnt
 from comparisons.checks import causes as cause
 from comparisons.checks.agreement import EXACT, ROUNDING, Agreement, Allowed, Gap, block_agrees
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.data_usage import DataFault
-from comparisons.checks.learnt import Learnt
 from comparisons.choices import FailOn
 from graphslam.optimum import Optimality
 from graphslam.smoother import SmootherResult

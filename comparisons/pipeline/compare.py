@@ -11,13 +11,12 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.arrays import Array
 from comparisons.audit.own_filter import run_events
-from comparisons.audit.spurious import learnt
+from comparisons.audit.spurious import Learnt, learnt
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import ROUNDING, Agreement
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
 from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
-from comparisons.checks.learnt import Learnt
 from comparisons.checks.qualifiers import TruthGap, measurement_scale, qualified, truth_gap
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig

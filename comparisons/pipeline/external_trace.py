@@ -17,7 +17,7 @@ from comparisons.adapters.smoother_input import (
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.audit.own_filter import run_events
-from comparisons.audit.spurious import learnt
+from comparisons.audit.spurious import Learnt, learnt
 from comparisons.checks.agreement import Agreement, Allowed, Gap, Gaussian
 from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
 from comparisons.checks.diagnosis.known_model_errors import explain
@@ -32,7 +32,6 @@ from comparisons.checks.diagnosis.single_precision import (
     restored_traces,
 )
 from comparisons.checks.grade import Reference
-from comparisons.checks.learnt import Learnt
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError

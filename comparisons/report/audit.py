@@ -14,7 +14,7 @@ from pydantic import Field
 
 from comparisons.atomic import fresh_folder, known_files
 from comparisons.audit.audit import Audit, Finding, Verdict
-from comparisons.checks.learnt import Learnt
+from comparisons.audit.spurious import Learnt
 from comparisons.innovations import SensorInnovations
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import document, figures, prose, script

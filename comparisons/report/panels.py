@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.audit.spurious import HEADING
 from comparisons.checks.consistency.filter_smoother import LEAST_RATIO, FilterAgainstSmoother
 from comparisons.checks.consistency.nees import PoseErrors
-from comparisons.checks.learnt import HEADING
 from comparisons.estimates.estimate import Estimate
 from comparisons.innovations import SensorInnovations
 from comparisons.pipeline.compare import Comparison

@@ -59,7 +59,7 @@ def run_folder(comparison: Comparison, result: Result) -> JobFolder:
 
     files: dict[str, Callable[[Path], object]] = {"report.html": write_page}
     if config.report.trace:
-        from comparisons.audit.own_filter import write_run
+        from comparisons.audit.run_trace import write_run
         from comparisons.estimates.trace_file import TRACE
 
         files[f"ekf/{TRACE}"] = lambda path: write_run(comparison.ekf, path)

@@ -8,11 +8,11 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
+from comparisons.audit.spurious import HEADING, Learnt
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.causes import Cause
-from comparisons.checks.learnt import HEADING, Learnt
 from comparisons.config import EkfConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.hashing import log_hash

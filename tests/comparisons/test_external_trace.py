@@ -16,7 +16,7 @@ from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
-from comparisons.audit.own_filter import write_run
+from comparisons.audit.run_trace import write_run
 from comparisons.checks.agreement import Gap
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError

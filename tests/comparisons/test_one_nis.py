@@ -14,7 +14,8 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.audit.audit import audit
 from comparisons.audit.consistency import trace_innovations
-from comparisons.audit.own_filter import run_events, write_event, write_run
+from comparisons.audit.own_filter import run_events
+from comparisons.audit.run_trace import write_event, write_run
 from comparisons.checks.consistency.consistency import check_innovations
 from comparisons.config import EkfConfig
 from comparisons.innovations import SensorInnovations

@@ -13,9 +13,9 @@ import pytest
 from comparisons.arrays import Array
 from comparisons.audit import spurious
 from comparisons.audit.audit import audit
-from comparisons.audit.own_filter import write_run
+from comparisons.audit.run_trace import write_run
+from comparisons.audit.spurious import HEADING, LargestShare, Learnt, LearntDirection
 from comparisons.checks import causes
-from comparisons.checks.learnt import HEADING, LargestShare, Learnt, LearntDirection
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.html.curves import panel_data
 from comparisons.report.panels import consistency_panels

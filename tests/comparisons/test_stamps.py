@@ -12,7 +12,7 @@ import pytest
 
 import slamcheck
 from comparisons.arrays import Array
-from comparisons.audit.own_filter import write_event
+from comparisons.audit.run_trace import write_event
 from comparisons.errors import InputError
 from comparisons.logs import stamps
 from comparisons.logs.log import Log

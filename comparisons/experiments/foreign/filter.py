@@ -14,7 +14,7 @@ import numpy as np
 
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
-from comparisons.audit.own_filter import write_event
+from comparisons.audit.run_trace import write_event
 from comparisons.estimates.folder import tum_text
 from comparisons.estimates.trace_file import TRACE
 from comparisons.logs.log import Log, Positions

@@ -15,10 +15,10 @@ from comparisons.adapters.defects.algebra import (
 )
 from comparisons.adapters.defects.defect import with_state
 from comparisons.audit.audit import audit
-from comparisons.audit.own_filter import run_events, write_run
+from comparisons.audit.own_filter import run_events
 from comparisons.audit.replay import Replay
-from comparisons.audit.spurious import learnt
-from comparisons.checks.learnt import Learnt
+from comparisons.audit.run_trace import write_run
+from comparisons.audit.spurious import Learnt, learnt
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.trace.events import Augment, Directions, Event, Remove, Snapshot, Update

@@ -11,12 +11,14 @@ from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Layout
 from comparisons.audit.spurious import (
     MOST_POINTS,
+    PARTS,
+    Learnt,
+    LearntDirection,
     _Stretch,
     _Whole,
     learnt,
     unit_of,
 )
-from comparisons.checks.learnt import PARTS, Learnt, LearntDirection
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.scenarios.world import World, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, InvariantEkf

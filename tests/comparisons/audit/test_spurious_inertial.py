@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from comparisons.arrays import Array
 from comparisons.audit.directions import Part, inertial_directions
-from comparisons.audit.spurious import learnt
-from comparisons.checks.learnt import Learnt
+from comparisons.audit.spurious import Learnt, learnt
 from comparisons.trace.events import (
     Augment,
     Clone,
