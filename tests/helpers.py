@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkSource
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.extensions.interface import Extension
-from comparisons.logs.log import Log
+from comparisons.logs.log import NO_LANDMARK, Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
@@ -24,6 +24,13 @@ from tests.ekf_reference.numerics import random_covariance as random_covariance
 from tests.ekf_reference.numerics import relative_error as relative_error
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+
+
+def present(value: T | None) -> T:
+    """A value that has to be there."""
+    assert value is not None
+    return value
 
 
 def simulated(seed: int = 0, **drive: float) -> Log:
@@ -35,6 +42,12 @@ def first_seconds(log: Log, seconds: float) -> Log:
     """The beginning of a log's odometry and measurements; scans and truth stay whole."""
     part = cut_log(log, end_s=seconds)
     return replace(log, odometry=part.odometry, measurements=part.measurements)
+
+
+def without_labels(log: Log) -> Log:
+    """A log whose measurements name no landmark."""
+    nobody = np.full(len(log.measurements.time_s), NO_LANDMARK)
+    return replace(log, measurements=replace(log.measurements, landmark=nobody))
 
 
 class Source(Extension):

@@ -29,7 +29,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind, NewLandmarks
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
 from tests.scenarios import scenario
 
 AREAS = 4.0, 10.0
@@ -97,8 +97,7 @@ def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
 def ran(modify: Callable[[Ekf], None]) -> tuple[EkfRun, int]:
     """A run of the filter alone, and how many scans there were."""
     run, setup = run_filter(prepare(log(), run_config(landmarks="both"), also=[Modified(modify)]))
-    source = setup.find(ScanSlamSource)
-    assert source is not None
+    source = present(setup.find(ScanSlamSource))
     return run, source.found.scans
 
 
@@ -182,7 +181,5 @@ def test_what_goes_beside_both_and_what_does_not() -> None:
     )
     assert mapped.verdict.outcome == "agree"
     assert mapped.agreement.model.within(1e-6)
-    with pytest.raises(InputError, match="--high-level goes with --landmarks points only"):
-        compared(log(), landmarks="both", high_level=True)
     with pytest.raises(InputError, match="has no planar scans"):
         compared(simulated(), landmarks="both")

@@ -18,14 +18,9 @@ from comparisons.checks.consistency.innovations import SensorInnovations, sensor
 from comparisons.checks.consistency.nees import distances, map_errors, pose_errors, spanning_tree
 from comparisons.statistics import Nis, Whiteness, independent, mean_band, normalise, whiteness
 from tests.comparisons.linear_world import STEPS, Runs, simulate
-from tests.helpers import Array, central_difference, relative_error
+from tests.helpers import Array, central_difference, present, random_covariance, relative_error
 
 RUNS = 300
-
-
-def random_covariance(rng: np.random.Generator, size: int) -> Array:
-    root = rng.standard_normal((size, size))
-    return root @ root.T + 0.1 * np.eye(size)
 
 
 def test_squared_errors_and_bands_are_scipys() -> None:
@@ -104,8 +99,7 @@ def test_one_landmark_alone_has_no_distances() -> None:
 
 def test_whiteness_is_ljung_and_boxs() -> None:
     values = np.random.default_rng(4).standard_normal(200)
-    found = whiteness("range", "time", values, lags=5)
-    assert found is not None
+    found = present(whiteness("range", "time", values, lags=5))
     r = np.array([values[k:] @ values[:-k] for k in range(1, 6)]) / (values @ values)
     q = 200 * 202 * np.sum(r**2 / (200 - np.arange(1, 6)))
     assert found.p_value == pytest.approx(chi2.sf(q, 5))
@@ -142,10 +136,8 @@ def test_coloured_innovations_are_found_in_the_order_in_which_they_are_coloured(
     lasting = rng.standard_normal(20)
     values = rng.standard_normal(1000) + lasting[landmark]
     order = np.argsort(landmark, kind="stable")
-    by_landmark = whiteness("range", "landmark", values[order], landmark[order])
-    by_time = whiteness("range", "time", rng.permutation(values))
-    assert by_landmark is not None
-    assert by_time is not None
+    by_landmark = present(whiteness("range", "landmark", values[order], landmark[order]))
+    by_time = present(whiteness("range", "time", rng.permutation(values)))
     assert by_landmark.p_value < 1e-6 < 0.01 < by_time.p_value
     assert by_landmark.coefficient[0] == pytest.approx(0.5, abs=0.15)
 

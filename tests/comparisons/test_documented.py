@@ -14,7 +14,6 @@ from comparisons.documented.page import markdown, undocumented
 from comparisons.documented.preset import SETTINGS, applies, differing, read
 from comparisons.documented.row import Documented, in_code, same, setting_default
 from comparisons.documented.rows import ROWS
-from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.bundled import open_log
 from comparisons.logs.transforms.published_sigmas import FORMATS
@@ -164,11 +163,6 @@ def test_what_was_asked_for_beside_a_preset_stays_under_another(tmp_path: Path) 
         turned = configure(RunConfig, file, run_options({"preset": then}))
         flags = run_options({"preset": then, "dense": ["points"]})
         assert turned == configure(RunConfig, flags=flags, settings=asked)
-
-
-def test_an_unknown_preset_is_refused() -> None:
-    with pytest.raises(InputError, match=r"preset is 'mine'.*'recommended' or 'as-published'"):
-        run_config(preset="mine")
 
 
 def test_extensions_that_are_needed_are_as_published_too() -> None:

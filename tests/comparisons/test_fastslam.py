@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -197,22 +194,3 @@ def test_where_the_gaussian_fails_fastslam_agrees_with_the_exact_posterior() -> 
     assert line.startswith("agrees with the exact posterior, not with its Gaussian ")
     quantities = [row.quantity for row in found.rows()]
     assert "stretches: p of the Gaussian against the exact posterior" in quantities
-
-
-@pytest.mark.slow
-def test_a_run_that_does_not_ask_for_it_loads_none_of_it() -> None:
-    code = (
-        "import sys\n"
-        "from comparisons.logs.bundled import open_log\n"
-        "from comparisons.pipeline.compare import compare\n"
-        "compare(open_log('simulated-loop'))\n"
-        "print([name for name in sys.modules if 'fastslam' in name])\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=Path(__file__).resolve().parents[2],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == "[]"

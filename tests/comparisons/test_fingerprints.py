@@ -28,6 +28,7 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import NewLandmarks
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
 from tests.ekf_reference.numerics import central_difference
+from tests.helpers import present
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +47,7 @@ def run(solution: Solution, fault: Fault) -> Reference:
             fault.plant(ekf)
         return NoObserver()
 
-    found = filter_named(EKF, prepared, solution.estimate.time_s, started)
-    assert found is not None
-    return found
+    return present(filter_named(EKF, prepared, solution.estimate.time_s, started))
 
 
 def handed_in(reference: Reference) -> ExternalEstimate:

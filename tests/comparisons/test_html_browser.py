@@ -17,7 +17,7 @@ from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
 from tests.comparisons.browser import came_up, look
 from tests.comparisons.test_html_report import HOSTILE
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
 
 pytestmark = pytest.mark.browser
 POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
@@ -52,8 +52,7 @@ def tried(report: Path, tmp_path: Path, steps: str) -> str:
 
 def shown(dom: str, name: str) -> str:
     """What the steps noted under a name."""
-    found = re.search(f'data-{name}="([^"]*)"', dom.split("<head", 1)[0])
-    assert found is not None
+    found = present(re.search(f'data-{name}="([^"]*)"', dom.split("<head", 1)[0]))
     return found[1]
 
 
@@ -103,8 +102,7 @@ def test_a_link_says_what_to_look_at(comparison: Comparison, report: Path, tmp_p
     assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 2
     assert re.search(rf'<tr data-key="{key}"[^>]*class="[^"]*chosen', dom)
     assert re.search(rf'<circle class="ring"[^>]* data-key="{key}"', dom)
-    hidden = re.search(r'<g class="layer faint" data-name="associations"[^>]*>', dom)
-    assert hidden is not None
+    hidden = present(re.search(r'<g class="layer faint" data-name="associations"[^>]*>', dom))
     assert "display" not in hidden[0]
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 from dataclasses import replace
 from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ from comparisons.report.result import build_result, run_rows
 from comparisons.report.run import run_folder, run_page
 from comparisons.report.settings import SETTINGS, SettingLine, setting_lines, settings_result
 from comparisons.words import Row
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
 
@@ -82,6 +82,13 @@ def read(path: Path) -> Reader:
     return reader
 
 
+def data_of(text: str) -> dict[str, Any]:
+    """What a page gives its script."""
+    block = present(re.search(r'id="data">(.*?)</script>', text))
+    data: dict[str, Any] = json.loads(block[1])
+    return data
+
+
 def test_it_is_whole_without_a_network(report: Path) -> None:
     found = read(report)
     for _, name, value in found.attributes:
@@ -127,18 +134,6 @@ def test_a_number_with_an_exponent_stays_in_one_line() -> None:
     assert prose("label-3 of e-mail 12") == "label-3 of e-mail 12"
 
 
-def test_every_kind_of_cause_is_explained() -> None:
-    """Those that the code names; another one has no card with an explanation."""
-    root, found = Path(page.__code__.co_filename).parents[2], set[str]()
-    for path in root.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] == "Cause":
-                found |= {str(a.value) for a in node.args[:1] if isinstance(a, ast.Constant)}
-    assert len(found) > 15
-    assert found <= set(EXPLANATIONS)
-    assert not {*found, "unheard of"} <= set(EXPLANATIONS)
-
-
 def test_settings_that_differ_come_first(comparison: Comparison) -> None:
     config = comparison.prepared.config
     usual = setting_lines(config)
@@ -177,10 +172,8 @@ def test_the_command_that_runs_it_again_is_there_without_a_script(report: Path) 
 def test_every_colour_of_a_line_is_seen_on_a_dark_page(report: Path) -> None:
     """At 3 to 1 or more; without the colours for the dark several are not."""
     text = report.read_text(encoding="utf-8")
-    block = re.search(r'id="data">(.*?)</script>', text)
-    assert block is not None
     painted = set(re.findall(r'data-name="[^"]*" stroke="([^"]*)"', text))
-    painted |= {one["colour"] for p in json.loads(block[1])["panels"] for one in p["curves"]}
+    painted |= {one["colour"] for p in data_of(text)["panels"] for one in p["curves"]}
     light = {re.sub(r".*(#\w{6}).*", r"\1", colour) for colour in painted}
     assert len(light) > 4
     assert {themed(colour) for colour in light} == painted
@@ -269,9 +262,7 @@ def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -
     assert 'data-name="plain landmarks"' in text
     count = len(comparison.smoothed.landmark)
     assert len(re.findall("<circle [^>]*><title>a third &lt;i&gt;, landmark", text)) == count - 2
-    block = re.search(r'id="data">(.*?)</script>', text)
-    assert block is not None
-    data = json.loads(block[1])
+    data = data_of(text)
     assert set(data["tracks"]) == {"smoother", "EKF", "a third <i>", "plain"}
     panel = next(p for p in data["panels"] if p["title"] == "distance from the smoother [m]")
     apart = {curve["name"]: curve["y"] for curve in panel["curves"]}
@@ -357,8 +348,7 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     """Poses, landmarks, ratios and errors that are no numbers."""
     c, ekf = comparison, comparison.ekf.estimate
     assert c.consistency.ekf is not None
-    assert c.consistency.ekf.poses is not None
-    poses = c.consistency.ekf.poses
+    poses = present(c.consistency.ekf.poses)
     gone = np.where(np.arange(len(ekf.pose)) % 7 == 3, np.nan, 1.0)[:, None]
     landmark = ekf.landmark.copy()
     landmark[2] = np.inf
@@ -379,11 +369,8 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
     assert len(places) > 100
     assert not [place for place in places if re.search("nan|inf", place)]
-    block = re.search(r'id="data">(.*?)</script>', text)
-    assert block is not None
-    data = json.loads(block[1])
-    track = re.search(r'points="([^"]*)" stroke-dasharray="5 3" data-track="EKF"', text)
-    assert track is not None
+    data = data_of(text)
+    track = present(re.search(r'points="([^"]*)" stroke-dasharray="5 3" data-track="EKF"', text))
     assert len(track[1].split()) == len(data["tracks"]["EKF"]) == int(np.isfinite(gone).sum())
     assert None in data["panels"][0]["curves"][0]["y"]
 

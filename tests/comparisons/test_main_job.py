@@ -9,7 +9,7 @@ import pytest
 
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.compare import Comparison
-from tests.helpers import compared, first_seconds
+from tests.helpers import compared, first_seconds, present
 
 
 def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
@@ -45,10 +45,8 @@ def test_car_park(shared_data: Path) -> None:
     for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == accuracy.landmarks_true == 15
-        assert accuracy.landmark_rmse_m is not None
-        assert accuracy.landmark_rmse_m < 0.30
-        assert accuracy.coverage is not None
-        assert accuracy.coverage > 0.99
+        assert present(accuracy.landmark_rmse_m) < 0.30
+        assert present(accuracy.coverage) > 0.99
 
 
 @pytest.mark.slow
@@ -63,19 +61,16 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
     for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == 15
-        assert accuracy.landmark_rmse_aligned_m is not None
-        assert accuracy.landmark_rmse_aligned_m < 0.12
+        assert present(accuracy.landmark_rmse_aligned_m) < 0.12
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("robot", "recall"), [(1, 0.93), (2, 0.97), (3, 0.97)])
 def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: float) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    score = compared(log, association="consensus").assessment.association
-    assert score is not None
-    assert score.clusters is not None
-    assert score.clusters.precision > 0.99
-    assert score.clusters.recall > recall
+    score = present(compared(log, association="consensus").assessment.association)
+    assert present(score.clusters).precision > 0.99
+    assert present(score.clusters).recall > recall
 
 
 def test_victoria_park_detections_read_whole(shared_data: Path) -> None:

@@ -23,7 +23,7 @@ from ekf_reference.core.landmark_types import POINT
 from graphslam.spurious import information_about_start
 from tests.comparisons.test_initialisation_run import initialised_boundless
 from tests.comparisons.test_known_landmarks import with_survey
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
 
 EAST = np.array([1.0, 0.0, 0.0])
 
@@ -34,9 +34,7 @@ def sound() -> Comparison:
 
 
 def learnt(c: Comparison) -> SpuriousHeading:
-    found = c.spurious_heading
-    assert found is not None
-    return found
+    return present(c.spurious_heading)
 
 
 def test_a_run_says_how_its_information_grew() -> None:
@@ -48,8 +46,7 @@ def test_a_run_says_how_its_information_grew() -> None:
     assert found.time_s[0] == c.ekf.estimate.time_s[0]
     assert found.time_s[-1] == c.ekf.estimate.time_s[-1]
     assert result.information == found.total == result.growth[-1]
-    assert result.sigma_deg is not None
-    assert np.isclose(np.deg2rad(result.sigma_deg), found.total**-0.5, rtol=1e-12)
+    assert np.isclose(np.deg2rad(present(result.sigma_deg)), found.total**-0.5, rtol=1e-12)
     assert len(result.time_s) == len(result.growth) <= 101
     begin_s, end_s = result.fastest_s
     assert result.largest is not None
@@ -114,15 +111,13 @@ def test_positions_play_no_part() -> None:
     assert spurious_heading(c.gaps.recorded, c.ekf) is not None
     told = replace(c.gaps.recorded.positions, a=np.ones((1, 2, 3)), b=np.ones((1, 2)))
     told = replace(told, node=np.array([5]), pose=np.zeros((1, 3)))
-    found = spurious_heading(replace(c.gaps.recorded, positions=told), c.ekf)
-    assert found is not None
+    found = present(spurious_heading(replace(c.gaps.recorded, positions=told), c.ekf))
     assert found.total == learnt(c).total
 
 
 def test_the_curve_starts_where_something_was_learnt() -> None:
     c = sound()
-    panel = consistency_panels(c).learnt
-    assert panel is not None
+    panel = present(consistency_panels(c).learnt)
     assert panel.logarithmic
     data = panel_data(panel, 0.0)
     spurious, own = data["curves"]
@@ -139,9 +134,8 @@ def test_the_page_has_its_figures() -> None:
     rows = [row for row in run_rows(c, result) if row.group.startswith("Heading learnt")]
     named = ["standard deviation", "grew fastest", "largest share of that"]
     assert [row.quantity for row in rows] == named
-    assert result.spurious_heading is not None
-    assert rows[0].value == f"{result.spurious_heading.sigma_deg:.3g} deg"
-    nothing = result.spurious_heading.model_copy(update={"sigma_deg": 1e12})
+    assert rows[0].value == f"{present(result.spurious_heading).sigma_deg:.3g} deg"
+    nothing = present(result.spurious_heading).model_copy(update={"sigma_deg": 1e12})
     assert [row.value for row in spurious_rows(nothing)] == ["nothing learnt"]
     assert spurious_rows(None) == []
 

@@ -21,7 +21,7 @@ from comparisons.logs.odometry import RelativePoses, VelocityOdometry
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.trace.reader import Trace
-from tests.helpers import simulated
+from tests.helpers import present, simulated
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_filter" / "my_ekf.py"
 
@@ -69,8 +69,7 @@ def checked(log: Log, folder: Path) -> ExternalCheck:
 def test_a_right_filter_is_equal_whatever_the_stamps(kind: str, tmp_path: Path) -> None:
     found = checked(written(kind, seed=1), tmp_path)
     assert (found.outcome, found.grade.value) == ("agree", "equal")
-    assert found.trace is not None
-    assert found.trace.agreement.model.within(1e-6)
+    assert present(found.trace).agreement.model.within(1e-6)
 
 
 def test_stamps_resolved_to_a_tenth_of_a_millisecond_would_not_be(

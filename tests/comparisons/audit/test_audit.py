@@ -12,6 +12,7 @@ from comparisons.arrays import Array
 from comparisons.audit.audit import FALSE_ALARMS, Audit, audit
 from comparisons.trace.recorder import Recorder
 from tests.comparisons.audit.toy_filter import GATE, SENSORS, Alter, F, Q, Toy
+from tests.helpers import present
 
 PARTS = {
     "position": slice(0, 2),
@@ -126,8 +127,7 @@ def test_a_sound_filter_is_sound(tmp_path: Path, every: int) -> None:
     found = audited(tmp_path, Toy(seed=1, every=every))
     assert found.sound, found.findings
     assert found.findings == ()
-    assert found.largest is not None
-    assert max(found.largest.sigma, found.largest.covariance) < 1e-9
+    assert max(present(found.largest).sigma, present(found.largest).covariance) < 1e-9
     assert found.agreement < 1e-10
     assert found.gains > 100
     assert {one.sensor for one in found.sensors} == {"doppler", "gps", "way"}
@@ -144,8 +144,7 @@ def test_a_fault_is_found_with_event_and_block(tmp_path: Path, name: str, every:
     assert first.blocks == blocks
     assert text in first.text
     assert first.sensor == (what if what in SENSORS else None)
-    assert found.first_open is not None
-    assert found.first_open.event > done[0]
+    assert present(found.first_open).event > done[0]
 
 
 def test_what_happens_at_every_update_is_one_finding(tmp_path: Path) -> None:
@@ -209,8 +208,7 @@ def test_a_correction_that_is_not_gain_times_residual(
     first = found.findings[0]
     assert (first.check, first.event, first.blocks) == ("correction", done[0], ("bias",))
     assert text in first.text
-    assert found.first_open is not None
-    assert found.first_open.sigma > 1e-6
+    assert present(found.first_open).sigma > 1e-6
 
 
 def test_a_sensor_that_fails_has_a_time(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from tests.comparisons.test_initialisation_run import initialised_boundless
 from tests.comparisons.test_known_landmarks import with_survey
 from tests.comparisons.test_pose_landmark_run import Frames
 from tests.comparisons.test_pose_landmark_run import log as with_frames
-from tests.helpers import Array, Source, compared, simulated
+from tests.helpers import Array, Source, compared, present, simulated
 
 
 @cache
@@ -57,9 +57,7 @@ CASES: dict[str, Callable[[], Comparison]] = {
 
 
 def all_learnt(c: Comparison) -> Learnt:
-    found = learnt(run_events(c.ekf))
-    assert found is not None
-    return found
+    return present(learnt(run_events(c.ekf)))
 
 
 def at_the_end(events: list[Event]) -> tuple[Replay, Snapshot]:
@@ -119,10 +117,10 @@ def test_a_sensor_that_is_left_out_changes_the_recursion() -> None:
         else event
         for event in run_events(c.ekf)
     ]
-    found = learnt(events)
-    assert found is not None
-    assert c.spurious_heading is not None
-    assert not np.isclose(found.directions[2].information, c.spurious_heading.total, rtol=1e-6)
+    found = present(learnt(events))
+    assert not np.isclose(
+        found.directions[2].information, present(c.spurious_heading).total, rtol=1e-6
+    )
 
 
 def test_every_kind_of_event_is_there() -> None:
@@ -149,10 +147,8 @@ def test_what_was_fused_together_is_one_update() -> None:
 def test_a_boundless_prior_is_in_the_filters_own_equations() -> None:
     """The batch form leaves it out; the recursion, which takes what the filter says, does not."""
     c = initialised_boundless(1e8)
-    found = learnt(run_events(c.ekf))
-    assert found is not None
-    assert c.spurious_heading is not None
-    told = found.directions[2].information / c.spurious_heading.total
+    found = present(learnt(run_events(c.ekf)))
+    told = found.directions[2].information / present(c.spurious_heading).total
     assert np.isclose(told, 1.0, rtol=1e-3)
     replay, last = at_the_end(list(run_events(c.ekf)))
     sigma = np.sqrt(np.diag(last.covariance))
@@ -178,8 +174,7 @@ def test_the_file_holds_the_same_events(tmp_path: Path) -> None:
         for one, other in zip(run_events(c.ekf), Trace(place), strict=True):
             assert type(one) is type(other)
             assert all(map(same, one, other))
-        found = learnt(Trace(place))
-        assert found is not None
+        found = present(learnt(Trace(place)))
         assert np.array_equal(found.information, all_learnt(c).information)
 
 
@@ -201,7 +196,6 @@ def test_audit_and_run_measure_the_same_algebra_gap(
     c = compared(simulated(seed=3, loop_s=40.0), *planted)
     write_run(c.ekf, tmp_path / "run.trace")
     found = audit(tmp_path / "run.trace")
-    assert found.largest is not None
-    right, gap = c.agreement.algebra.covariance, found.largest.covariance
+    right, gap = c.agreement.algebra.covariance, present(found.largest).covariance
     assert gap == pytest.approx(right, rel=1e-9, abs=1e-9)
     assert (right < 1e-9) == found.sound == (state is None)

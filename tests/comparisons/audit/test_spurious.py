@@ -35,6 +35,7 @@ from comparisons.trace.events import (
     Update,
 )
 from tests.comparisons.montecarlo.worlds import short_world
+from tests.helpers import present
 
 BLIND = "camera"
 
@@ -65,9 +66,7 @@ class Written:
         self.events.append(kind(*self._at(), *arguments))
 
     def learnt(self) -> Learnt:
-        found = learnt(self.events)
-        assert found is not None
-        return found
+        return present(learnt(self.events))
 
 
 def two_landmarks(moved: float = 0.0) -> Written:
@@ -102,8 +101,7 @@ def test_by_hand() -> None:
     assert np.allclose(found.growth[:, 0], np.cumsum(shares), rtol=1e-14)
     assert found.event.tolist() == [5, 6]
     assert found.time_s.tolist() == [2.5, 3.0]
-    largest = found.directions[0].largest
-    assert largest is not None
+    largest = present(found.directions[0].largest)
     assert largest[:3] == (5, 2.5, BLIND)
     assert np.isclose(largest.information, shares[0], rtol=1e-14)
     assert found.directions[0].unit == "m"
@@ -262,9 +260,7 @@ def learnt_on_the_circle(filter_: BatchFilter, place: World) -> Learnt:
         filter_.predict(data.control[:, k])
         if len(seen):
             filter_.observe(data.z[k], place.sigma[k], seen)
-    found = learnt(events)
-    assert found is not None
-    return found
+    return present(learnt(events))
 
 
 @pytest.fixture(scope="module")

@@ -478,61 +478,34 @@ def test_a_bad_file_is_one_line(trace: Path, name: str) -> None:
     assert said in refused(trace)
 
 
-def _missing(path: Path) -> None:
-    path.unlink()
+CONTENTS = {
+    "text": b"number,kind\n0,prior\n",
+    "nothing": b"",
+    "garbage": random.Random(2).randbytes(200_000),  # noqa: S311
+}
 
 
-def _folder(path: Path) -> None:
-    path.unlink()
-    path.mkdir()
+@pytest.mark.parametrize("name", CONTENTS)
+def test_another_file_is_one_line(trace: Path, name: str) -> None:
+    trace.write_bytes(CONTENTS[name])
+    assert refused(trace).startswith(": is not an SQLite file, expected a filter's trace")
 
 
-def _pipe(path: Path) -> None:
-    path.unlink()
-    os.mkfifo(path)
+def test_garbage_behind_the_head_is_one_line(trace: Path) -> None:
+    garbage = random.Random(3).randbytes(131_072 - 100)  # noqa: S311
+    trace.write_bytes(trace.read_bytes()[:100] + garbage)
+    assert refused(trace).startswith(": SQLite cannot read it (")
 
 
-def _piped_journal(path: Path) -> None:
-    os.mkfifo(f"{path}-journal")
-
-
-def _garbage(path: Path) -> None:
-    path.write_bytes(random.Random(2).randbytes(200_000))  # noqa: S311
-
-
-def _garbage_pages(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:100] + random.Random(3).randbytes(131_072 - 100))  # noqa: S311
-
-
-def _text(path: Path) -> None:
-    path.write_text("number,kind\n0,prior\n")
-
-
-def _empty(path: Path) -> None:
-    path.write_bytes(b"")
-
-
-def _garbage_journal(path: Path) -> None:
-    Path(f"{path}-journal").mkdir()
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (_missing, ": no such file, expected a filter's trace"),
-        (_folder, ": is not a regular file"),
-        (_pipe, ": is not a regular file"),
-        (_piped_journal, "-journal: is not a regular file"),
-        (_garbage_journal, "-journal: is not a regular file"),
-        (_garbage, ": is not an SQLite file, expected a filter's trace"),
-        (_text, ": is not an SQLite file, expected a filter's trace"),
-        (_empty, ": is not an SQLite file, expected a filter's trace"),
-        (_garbage_pages, ": SQLite cannot read it ("),
-    ],
-)
-def test_what_is_no_trace_is_one_line(trace: Path, make: Callable[[Path], None], said: str) -> None:
+@pytest.mark.parametrize("make", [os.mkdir, os.mkfifo])
+def test_what_is_no_file_is_one_line(trace: Path, make: Callable[[Path], None]) -> None:
+    """Neither as the trace, nor as its journal."""
+    make(Path(f"{trace}-journal"))
+    assert refused(trace).startswith("-journal: is not a regular file")
+    trace.unlink()
+    assert refused(trace).startswith(": no such file, expected a filter's trace")
     make(trace)
-    assert refused(trace).startswith(said)
+    assert refused(trace).startswith(": is not a regular file")
 
 
 def test_a_folder_without_a_name_is_one_line() -> None:
