@@ -60,12 +60,22 @@ def bare(given: ExternalEstimate) -> ExternalEstimate:
     return ExternalEstimate(time_s=given.time_s, pose=given.pose)
 
 
+def about_origin(pose: Array, angle: float, shift: tuple[float, float]) -> Array:
+    """Poses (K, 3) in another frame."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    place = pose[:, :2] @ np.array(((cos, sin), (-sin, cos))) + shift
+    return np.column_stack((place, pose[:, 2] + angle))
+
+
 def turned(given: ExternalEstimate, angle: float, shift: tuple[float, float]) -> ExternalEstimate:
     """The same in another frame, landmarks and all."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    rotation = np.array(((cos, sin), (-sin, cos)))
-    pose = np.column_stack((given.pose[:, :2] @ rotation + shift, given.pose[:, 2] + angle))
-    return replace(given, pose=pose, landmark=present(given.landmark) @ rotation + shift)
+    landmark = present(given.landmark)
+    posed = np.column_stack((landmark, np.zeros(len(landmark))))
+    return replace(
+        given,
+        pose=about_origin(given.pose, angle, shift),
+        landmark=about_origin(posed, angle, shift)[:, :2],
+    )
 
 
 def test_a_right_estimate_agrees(log: Log, whole: ExternalEstimate) -> None:
@@ -122,12 +132,6 @@ def test_a_wrong_estimate_is_told_why(log: Log, whole: ExternalEstimate, name: s
         found = check(log, given)
         assert found.outcome == "disagree"
         assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
-
-
-def about_origin(pose: Array, angle: float, shift: tuple[float, float]) -> Array:
-    cos, sin = np.cos(angle), np.sin(angle)
-    place = pose[:, :2] @ np.array(((cos, sin), (-sin, cos))) + shift
-    return np.column_stack((place, pose[:, 2] + angle))
 
 
 def delayed(time_s: Array, pose: Array, delay: float) -> Array:

@@ -38,7 +38,7 @@ from comparisons.options import (
     Flag,
 )
 from comparisons.settings import configure, run_config
-from tests.commands import slamcheck, works
+from tests.commands import slamcheck
 
 
 def fields(job: type[JobConfig]) -> dict[str, object]:
@@ -117,11 +117,20 @@ def test_defaults_are_written_out() -> None:
     assert set(written) == core
 
 
+def over_a_file(
+    file: RunConfig, folder: Path, option: str, value: object, *settings: str
+) -> RunConfig:
+    """A configuration of a file, with a flag over it, and settings over that."""
+    path = folder / "config.toml"
+    path.write_text(file.toml())
+    flags = [(flag, value) for flag in RUN if flag.option == option]
+    return configure(RunConfig, path, flags, settings)
+
+
 def test_flags_lie_over_a_file_and_settings_over_flags(tmp_path: Path) -> None:
-    path = tmp_path / "config.toml"
-    path.write_text(run_config(filter="compressed", gps="on", dense=["points"]).toml())
-    flags = [(flag, "misono") for flag in RUN if flag.option == "--filter"]
-    found = configure(RunConfig, path, flags, ["ekf.gps=half", "dense_maps.resolution_m=0.5"])
+    file = run_config(filter="compressed", gps="on", dense=["points"])
+    settings = ("ekf.gps=half", "dense_maps.resolution_m=0.5")
+    found = over_a_file(file, tmp_path, "--filter", "misono", *settings)
     assert (found.ekf.filter, found.ekf.gps) == ("misono", "half")
     assert found.model_dump()["extensions"]["dense_maps"]["resolution_m"] == 0.5
     assert found.model_dump()["extensions"]["dense_maps"]["layers"] == ("points",)
@@ -137,25 +146,18 @@ def test_flags_leave_what_they_lie_over_as_it_is() -> None:
 
 
 def test_a_flag_takes_an_extension_of_the_file_away(tmp_path: Path) -> None:
-    path = tmp_path / "config.toml"
-    path.write_text(run_config(motion="both", smoother_association="own").toml())
-    flags = [(flag, "wheel") for flag in RUN if flag.option == "--motion"]
-    assert set(configure(RunConfig, path, flags).extensions) == {"own_association"}
-
-
-def test_a_switch_takes_an_extension_of_the_file_away(tmp_path: Path) -> None:
-    path = tmp_path / "config.toml"
-    path.write_text(run_config(high_level=True, landmarks="points").toml())
-    flags = [(flag, False) for flag in RUN if flag.option == "--high-level"]
-    assert set(configure(RunConfig, path, flags).extensions) == set()
+    """As a switch does."""
+    file = run_config(motion="both", smoother_association="own")
+    found = over_a_file(file, tmp_path, "--motion", "wheel")
+    assert set(found.extensions) == {"own_association"}
+    file = run_config(high_level=True, landmarks="points")
+    assert over_a_file(file, tmp_path, "--high-level", False).extensions == {}
 
 
 def test_another_log_than_the_files_drops_its_hash(tmp_path: Path) -> None:
-    path = tmp_path / "config.toml"
-    path.write_text(run_config(seed=1).at_log("0" * 64).toml())
-    assert configure(RunConfig, path).log.sha256 == "0" * 64
-    other = [(flag, 2) for flag in RUN if flag.option == "--seed"]
-    assert configure(RunConfig, path, other).log.sha256 is None
+    file = run_config(seed=1).at_log("0" * 64)
+    assert over_a_file(file, tmp_path, "--filter", "full").log.sha256 == "0" * 64
+    assert over_a_file(file, tmp_path, "--seed", 2).log.sha256 is None
 
 
 WRONG_SETTINGS = {
@@ -315,9 +317,6 @@ def test_the_schema_names_every_field() -> None:
 
 @pytest.mark.slow
 def test_the_command_prints_settings_that_can_be_used(tmp_path: Path) -> None:
-    for name in JOBS:
-        printed = works("config", name, cwd=tmp_path)
-        assert JOBS[name].of(**tomllib.loads(printed)) == JOBS[name].of()
     printed = slamcheck("config", cwd=tmp_path)
     assert "# --filter full|compressed|" in printed.stdout
     assert '\nfilter = "full"\n' in printed.stdout

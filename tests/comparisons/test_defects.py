@@ -20,7 +20,7 @@ from ekf_reference.core.landmark_types import PredictedMeasurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.position import PositionModel
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.helpers import Array, compared, simulated
+from tests.helpers import Array, assert_followed, compared, simulated
 
 SEEDS = 12
 
@@ -72,8 +72,7 @@ def test_a_sound_filter_passes_the_logs_that_show_defects(name: str) -> None:
     found = compared(log, ekf=ekf)
     assert found.verdict.outcome == "agree", f"{found.verdict.causes}"
     assert not found.verdict.causes
-    assert found.agreement.algebra.within(1e-8)
-    assert found.agreement.model.within(1e-8)
+    assert_followed(found, 1e-8)
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))

@@ -20,7 +20,7 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, build_map
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import LandmarkMeasurements, Log
-from comparisons.logs.scans import Clouds, Scans
+from comparisons.logs.scans import Clouds
 from ekf_reference.dense.conditions import ellipse_margin, flip_margin
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks
 from tests.helpers import Array, present
@@ -250,8 +250,8 @@ def test_a_log_without_scans_is_refused() -> None:
 
 @pytest.mark.slow
 def test_blank_scans_leave_an_empty_map(log: Log) -> None:
-    assert isinstance(log.scans, Scans)
-    blank = replace(log.scans, range_m=np.full_like(log.scans.range_m, np.nan))
+    scans = present(log.scans)
+    blank = replace(scans, range_m=np.full_like(scans.range_m, np.nan))
     _, run = driven(replace(log, scans=blank))
     assert run.dense.tally.returns == 0
     assert len(run.dense.regions.base) > 10

@@ -15,7 +15,6 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
 from comparisons.config import EkfConfig, MapConfig
-from comparisons.errors import InputError
 from comparisons.experiments.reproduction.dynamic_accuracy import middles, score_dynamic
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
@@ -236,10 +235,3 @@ def test_the_commands_write_and_tell(tmp_path: Path) -> None:
     ekf = json.loads((tmp_path / "run" / "result.json").read_text())["ekf"]
     assert ekf["dynamic"] > 100
     assert ekf["deactivated"] >= 1
-
-
-def test_a_log_without_scans_cannot_be_looked_at() -> None:
-    from comparisons.logs.bundled import open_log
-
-    with pytest.raises(InputError, match="holds no scans"):
-        compared(open_log("simulated-loop"), dynamic=True)

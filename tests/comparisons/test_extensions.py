@@ -11,14 +11,12 @@ from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.pipeline.compare import compare
-from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result, run_rows
-from comparisons.report.run import run_folder
 from comparisons.settings import configure, run_config
 from comparisons.words import Row
 from tests.comparisons.test_startup import loaded
 from tests.comparisons.toy_extension.extension import DockingFinding
-from tests.helpers import simulated
+from tests.helpers import simulated, written
 
 MOST_MODULES = 158
 """Nine of them are the documents' constants, which say how the run differs from these."""
@@ -45,11 +43,10 @@ def test_a_toy_adds_a_source_a_finding_a_row_and_a_figure(tmp_path: Path) -> Non
     result = build_result(found)
     row = Row("Docking", "measurements", str(station.result.measurements))
     assert row in run_rows(found, result)
-    folder = tmp_path / "run"
-    write_job_folder(run_folder(found, result), folder)
-    written = json.loads((folder / "result.json").read_text())
-    assert written["docking"]["ekf_m"] == list(station.result.ekf_m)
-    assert "docking.png" in written["files"]
+    folder = written(found, tmp_path / "run")
+    kept = json.loads((folder / "result.json").read_text())
+    assert kept["docking"]["ekf_m"] == list(station.result.ekf_m)
+    assert "docking.png" in kept["files"]
     assert (folder / "docking.png").read_bytes().startswith(b"\x89PNG")
     assert "<h2>Docking</h2>" in (folder / "report.html").read_text()
     again = configure(RunConfig, folder / "config.toml")

@@ -29,6 +29,7 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.report.result import build_result, run_summary
+from tests.helpers import present
 
 
 def test_what_fastslam_does_not_estimate_is_refused() -> None:
@@ -67,8 +68,7 @@ def summary_lines(comparison: Comparison) -> Sequence[tuple[str, str]]:
 
 
 def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
-    found = comparison.findings["fastslam"]
-    assert isinstance(found, FastSlamFinding)
+    found = comparison.find(FastSlamFinding)
     assert found.check.agrees is True
     result = json.loads(build_result(comparison).model_dump_json())["fastslam"]
     assert (result["particles"], result["clouds"]) == (40, 48)
@@ -171,8 +171,7 @@ def test_what_fastslam_alone_has_wrong_disagrees(comparison: Comparison) -> None
 
 def test_a_cloud_that_is_too_small_gives_no_verdict(comparison: Comparison) -> None:
     given = RunConfig.model_validate({"extensions": {"fastslam": {"particles": 4, "clouds": 16}}})
-    found = compare(comparison.log, given).findings["fastslam"]
-    assert isinstance(found, FastSlamFinding)
+    found = compare(comparison.log, given).find(FastSlamFinding)
     assert found.check.agrees is None
     assert "gives no verdict: clouds of 4 particles are too small" in found.remarks[0]
 
@@ -182,12 +181,10 @@ def test_where_the_gaussian_fails_fastslam_agrees_with_the_exact_posterior() -> 
     log = draw_problem(circle(), np.random.default_rng(0)).log
     given = RunConfig.model_validate({"extensions": {"fastslam": {"clouds": 64}}})
     comparison = compare(log, given)
-    found = comparison.findings["fastslam"]
-    assert isinstance(found, FastSlamFinding)
+    found = comparison.find(FastSlamFinding)
     assert found.check.agrees is True
     assert found.check.p <= LEVEL
-    assert found.check.exact is not None
-    assert found.check.exact.explains
+    assert present(found.check.exact).explains
     assert found.remarks[0].startswith("the posterior is not Gaussian, least of all from 0.0 to ")
     assert ", and not from FastSLAM's clouds (p 0." in found.remarks[0]
     (line,) = (words for name, words in summary_lines(comparison) if name == "FastSLAM")

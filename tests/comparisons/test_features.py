@@ -15,7 +15,7 @@ from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.transforms.tree_features import with_tree_features
 from graphslam.scan import planar
 from tests.ekf_reference.features.test_tree_detection import ANGLES, scan_of
-from tests.helpers import compared, present, simulated
+from tests.helpers import assert_followed, compared, present, simulated
 
 
 def with_scans(log: Log, mount: Mount = Mount()) -> Log:  # noqa: B008 - frozen
@@ -44,8 +44,7 @@ def test_trunks_become_landmarks_with_their_diameters() -> None:
     near = log.measurements.range_m < 15.0
     assert abs(np.median(log.measurements.diameter_m[near]) - 0.4) < 0.03
     c = compared(log, association="nn")
-    assert c.agreement.algebra.within(1e-8)
-    assert c.agreement.model.within(1e-8)
+    assert_followed(c, 1e-8)
     assert len(c.ekf.estimate.landmark) == 60  # every trunk once, and nothing else
     assert c.assessment.smoother is not None
     assert c.assessment.smoother.landmarks_found == 60
@@ -63,8 +62,7 @@ def test_car_park_by_tree_features(shared_data: Path) -> None:
     """Raw scans alone carry the vehicle through; the trajectory is judged by RTK GPS."""
     log = with_tree_features(open_log(str(shared_data / "acfr_car_park")))
     c = compared(log)
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
     assert present(present(c.assessment.smoother).gps_median_aligned_m) < 0.15
 

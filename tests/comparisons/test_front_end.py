@@ -135,6 +135,7 @@ def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
     three = three_of(c)
     assert three.ekf.agrees
     assert three.smoother.agrees
+    assert three.inconsistent_source == ""
     assert three.loops > 10
     extra = present(Result.model_validate_json(build_result(c).model_dump_json()).model_extra)
     assert ThreeWayResult.model_validate(extra["three_way"]).ekf.landmarks == 34

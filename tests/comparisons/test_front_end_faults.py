@@ -140,13 +140,6 @@ def test_measurements_of_surveyed_landmarks_between_scans_count() -> None:
         assert present(present(c.assessment.smoother).ate_m) < 0.1
 
 
-def test_nobody_is_to_blame_while_maps_agree() -> None:
-    three = three_of(compared(short(), motion="both"))
-    assert three.ekf.agrees
-    assert three.smoother.agrees
-    assert three.inconsistent_source == ""
-
-
 @pytest.mark.slow
 def test_scans_too_sure_of_themselves_are_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
     """The maps may agree all the same, and a kernel over closures hides nothing."""

@@ -26,7 +26,7 @@ from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 from ekf_reference.scan_landmarks.merging import FusingOptions
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
-from tests.helpers import Array, Source, compared
+from tests.helpers import Array, Source, assert_followed, compared
 from tests.scenarios import scenario
 
 CARELESS = ScanSlamOptions(
@@ -59,8 +59,7 @@ def test_the_smoother_is_told_of_the_fused(name: str) -> None:
     merges = c.ekf.pose_landmarks.merges
     assert len(merges.first) > 3
     assert len(c.agreement.pose_landmarks) == c.ekf.pose_landmarks.count - len(merges.first)
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.verdict.outcome == "agree"
 
 

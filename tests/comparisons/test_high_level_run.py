@@ -30,7 +30,7 @@ from comparisons.settings import configure, run_config, run_options
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.scan_landmarks.high_level import SearchOptions
 from tests.commands import works
-from tests.helpers import Array, compared, first_seconds
+from tests.helpers import Array, assert_followed, compared, first_seconds
 
 SEEDS = (1, 3)
 POOR_S = 80.0
@@ -75,8 +75,7 @@ def test_at_least_three_are_found_and_kept_and_the_estimates_agree(seed: int) ->
     assert np.count_nonzero(made.landmark_index >= 0) >= 3
     assert len(found.ekf.estimate.pose_landmarks) == np.count_nonzero(made.landmark_index >= 0)
     assert made.looks["seen"] > 20
-    assert found.agreement.algebra.within(1e-6)
-    assert found.agreement.model.within(1e-6)
+    assert_followed(found, 1e-6)
     result = found.find(HighLevelFinding).result
     assert (build_result(found).model_extra or {})["high_level"] == result
     assert result.kept <= result.found == len(made.landmark_index)

@@ -17,7 +17,6 @@ from comparisons.checks.causes import EXPLANATIONS
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Finding
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.folder import write_job_folder
 from comparisons.report.html import map as map_page
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
@@ -28,10 +27,10 @@ from comparisons.report.marks import Panel
 from comparisons.report.models import CauseResult, Result
 from comparisons.report.panels import consistency_panels
 from comparisons.report.result import build_result, run_rows
-from comparisons.report.run import run_folder, run_page
+from comparisons.report.run import run_page
 from comparisons.report.settings import SETTINGS, SettingLine, setting_lines, settings_result
 from comparisons.words import Row
-from tests.helpers import compared, present, simulated
+from tests.helpers import altered, compared, present, simulated, written
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
 
@@ -45,9 +44,7 @@ def comparison() -> Comparison:
 
 @pytest.fixture(scope="module")
 def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run") / "report"
-    write_job_folder(run_folder(comparison, build_result(comparison)), folder)
-    return folder / "report.html"
+    return written(comparison, tmp_path_factory.mktemp("run") / "report") / "report.html"
 
 
 class Reader(HTMLParser):
@@ -293,35 +290,22 @@ def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> N
     blocks = tuple(c.agreement.landmarks[i] for i in which.tolist())
     panels = consistency_panels(c)
     panels = replace(panels, errors=tuple(_lengthened(panel, poses) for panel in panels.errors))
-    grown = replace(
-        c,
-        ekf=replace(c.ekf, estimate=long(c.ekf.estimate)),
-        gaps=replace(
-            c.gaps,
-            smoothed=long(c.smoothed),
-            agreement=replace(c.agreement, landmarks=blocks),
-        ),
-    )
+    grown = altered(c, "ekf.estimate", long(c.ekf.estimate))
+    grown = altered(grown, "gaps.smoothed", long(c.smoothed))
+    grown = altered(grown, "gaps.agreement.landmarks", blocks)
     text = page(run_page(grown, panels, build_result(grown), []))
     assert len(text) < 4_000_000
 
 
 def _lengthened(panel: Panel, count: int) -> Panel:
     """The panel with its curves and bands of `count` points."""
+
+    def long(mark: Any) -> Any:
+        columns = {n: v for n, v in vars(mark).items() if isinstance(v, np.ndarray)}
+        return replace(mark, **{n: np.resize(v, count) for n, v in columns.items()})
+
     return replace(
-        panel,
-        curves=tuple(
-            replace(c, x=np.resize(c.x, count), y=np.resize(c.y, count)) for c in panel.curves
-        ),
-        bands=tuple(
-            replace(
-                b,
-                x=np.resize(b.x, count),
-                low=np.resize(b.low, count),
-                high=np.resize(b.high, count),
-            )
-            for b in panel.bands
-        ),
+        panel, curves=tuple(map(long, panel.curves)), bands=tuple(map(long, panel.bands))
     )
 
 
@@ -353,18 +337,10 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     landmark = ekf.landmark.copy()
     landmark[2] = np.inf
     blocks = tuple(replace(b, least=np.nan, distance=np.inf) for b in c.agreement.landmarks)
-    broken = replace(
-        c,
-        ekf=replace(c.ekf, estimate=replace(ekf, pose=gone * ekf.pose, landmark=landmark)),
-        gaps=replace(c.gaps, agreement=replace(c.agreement, landmarks=blocks)),
-        consistency=replace(
-            c.consistency,
-            ekf=replace(
-                c.consistency.ekf,
-                poses=replace(poses, error=gone[1:] * poses.error, sigma=gone[1:] * poses.sigma),
-            ),
-        ),
-    )
+    broken = altered(c, "ekf.estimate", replace(ekf, pose=gone * ekf.pose, landmark=landmark))
+    broken = altered(broken, "gaps.agreement.landmarks", blocks)
+    broken = altered(broken, "consistency.ekf.poses.error", gone[1:] * poses.error)
+    broken = altered(broken, "consistency.ekf.poses.sigma", gone[1:] * poses.sigma)
     text = drawn(broken, build_result(c))
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
     assert len(places) > 100

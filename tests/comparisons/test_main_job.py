@@ -9,7 +9,7 @@ import pytest
 
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.compare import Comparison
-from tests.helpers import compared, first_seconds, present
+from tests.helpers import assert_followed, compared, first_seconds, present
 
 
 def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
@@ -19,8 +19,7 @@ def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison
     assert abs(c.smoother.error - 3173.49) < 0.01
     assert c.smoother.optimality.verified
     assert set(c.smoother.optimality.agreeing) == {"ekf", "relaxed"}
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.agreement.linearisation.sigma > 3.0
     assert c.agreement.whole.least < 0.05
     assert c.verdict.outcome == "disagree"
@@ -39,8 +38,7 @@ def test_two_runs_are_identical(victoria_park: Comparison) -> None:
 def test_car_park(shared_data: Path) -> None:
     c = compared(open_log(str(shared_data / "acfr_car_park")))
     assert c.prepared.ekf.association == "nn"
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
     for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
@@ -54,8 +52,7 @@ def test_car_park(shared_data: Path) -> None:
 def test_mrclam(shared_data: Path, robot: int) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
     c = compared(log, association="known")
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
     assert c.ekf.unused["rejected"] == (4 if robot == 3 else 0)  # one misread label, four times
     for accuracy in (c.assessment.ekf, c.assessment.smoother):
@@ -85,5 +82,4 @@ def test_victoria_park_detections_run(shared_data: Path) -> None:
     """The first minutes, by nearest neighbour: both gaps at rounding."""
     log = first_seconds(open_log(str(shared_data / "victoria_park")), 120.0)
     c = compared(log)
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)

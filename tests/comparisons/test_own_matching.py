@@ -24,15 +24,13 @@ from comparisons.extensions.own_matching.extension import OwnMatchingFinding
 from comparisons.extensions.own_matching.page import matching_differences
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
 from ekf_reference.scan_matching.alignment_covariance import ScanAlignment, scan_align
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import ChiSquareTest, Optimality, Stationarity
 from graphslam.problem import PoseLandmarkMeasurements
-from tests.helpers import Array, compared, first_seconds, present
+from tests.helpers import Array, compared, first_seconds, present, written
 from tests.scenarios import scenario
 
 Index = NDArray[np.intp]
@@ -152,8 +150,7 @@ def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     assert own.reasons["initialised"] == len(c.ekf.estimate.pose_landmarks)
     assert own.reasons["used"] == own.own
     assert sum(row.common for row in own.landmarks) == own.common
-    write_job_folder(run_folder(c, result), tmp_path / "out")
-    page = (tmp_path / "out" / "report.html").read_text()
+    page = (written(c, tmp_path / "out") / "report.html").read_text()
     assert "Alignments of two matchers" in page
     assert 'id="matching"' in page
     assert "smoother, own matcher trajectory" in page

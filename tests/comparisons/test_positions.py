@@ -20,7 +20,15 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import UpdateSplitter
 from graphslam.graph_builder import position_factor
-from tests.helpers import Array, central_difference, compared, present, relative_error, simulated
+from tests.helpers import (
+    Array,
+    assert_followed,
+    central_difference,
+    compared,
+    present,
+    relative_error,
+    simulated,
+)
 
 
 def with_fixes(log: Log, antenna: tuple[float, float], outlier: int | None = None) -> Log:
@@ -44,8 +52,7 @@ def with_fixes(log: Log, antenna: tuple[float, float], outlier: int | None = Non
 def test_gaps_stay_at_rounding_with_positions(antenna: tuple[float, float], name: str) -> None:
     log = with_fixes(simulated(seed=3, loop_s=30.0), antenna, outlier=10)
     c = compared(log, filter=name, association="known", gps="on")
-    assert c.agreement.algebra.within(1e-8)
-    assert c.agreement.model.within(1e-8)
+    assert_followed(c, 1e-8)
     assert c.ekf.rejected_fixes == 1
     assert 10 not in c.ekf.fix_number
     assert c.verdict.outcome == "agree"
@@ -72,8 +79,7 @@ def test_split_updates_are_replayed_part_by_part() -> None:
     c = compared(log, Modified(gradual), association="known", gps="on")
     assert (c.ekf.trace.measurements[POINT].weight < 1.0).any()
     assert (c.ekf.trace.positions.weight < 1.0).any()
-    assert c.agreement.algebra.within(1e-8)
-    assert c.agreement.model.within(1e-8)
+    assert_followed(c, 1e-8)
 
 
 def closing_by_positions(log: Log, first_s: float, until_s: float) -> EkfRun:
@@ -169,8 +175,7 @@ def test_car_park_with_gps(shared_data: Path) -> None:
     """Landmark RMSE against the 15 beacons without alignment."""
     log = open_log(str(shared_data / "acfr_car_park"))
     c = compared(log, gps="on")
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     for accuracy, limit in ((c.assessment.ekf, 0.08), (c.assessment.smoother, 0.05)):
         assert accuracy is not None
         assert accuracy.landmarks_found == 15
@@ -182,7 +187,6 @@ def test_victoria_park_with_gps(shared_data: Path) -> None:
     """Every second fix fused, the others held back to judge by; outliers are gated."""
     log = open_log(str(shared_data / "victoria_park"))
     c = compared(log, filter="compressed", gps="half")
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.ekf.rejected_fixes > 0
     assert present(present(c.assessment.ekf).gps_median_m) < 0.8

@@ -34,9 +34,7 @@ from comparisons.extensions.scan_landmarks.source import (
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison, Modified, run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
-from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
 from comparisons.settings import configure, run_config, run_options
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
@@ -49,7 +47,15 @@ from ekf_reference.scan_landmarks.scan_slam import (
 )
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from ekf_reference.scan_landmarks.templates import BLANK
-from tests.helpers import Array, compared, first_seconds, present, simulated
+from tests.helpers import (
+    Array,
+    assert_followed,
+    compared,
+    first_seconds,
+    present,
+    simulated,
+    written,
+)
 from tests.scenarios import scenario
 
 log = partial(scenario, "scan-slam", seed=3, seconds=15.0)
@@ -127,8 +133,7 @@ def test_the_rule_of_runs_names_the_thesis() -> None:
 def test_the_short_drive_agrees_to_rounding_and_is_honest() -> None:
     c = drawn()
     assert c.verdict.outcome == "agree"
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert len(c.ekf.estimate.pose_landmarks) > 3
     ours, wheels = present(c.assessment.ekf).ate_m, present(c.assessment.dead_reckoned).ate_m
     assert ours is not None
@@ -149,8 +154,7 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     assert (
         sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + initialised
     )
-    write_job_folder(run_folder(c, result), tmp_path / "out")
-    page = (tmp_path / "out" / "report.html").read_text()
+    page = (written(c, tmp_path / "out") / "report.html").read_text()
     assert "EKF scan landmarks, 3 sigma" in page
     assert 'data-key="s0"' in page
     assert f"{len(slam.landmarks)} of {len(slam.landmarks)} agree" in page

@@ -21,7 +21,7 @@ from comparisons.report.result import build_result, run_rows
 from comparisons.report.rows import spurious_rows
 from ekf_reference.core.landmark_types import POINT
 from graphslam.spurious import information_about_start
-from tests.comparisons.test_initialisation_run import initialised_boundless
+from tests.comparisons.test_ekf_run import initialised_boundless
 from tests.comparisons.test_known_landmarks import with_survey
 from tests.helpers import compared, present, simulated
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
+import runpy
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -61,7 +62,8 @@ def written(kind: str, seed: int) -> Log:
 def checked(log: Log, folder: Path) -> ExternalCheck:
     """What `check` says of the example filter on a log folder."""
     write_log_folder(log, folder / "log")
-    subprocess.run([sys.executable, str(EXAMPLE), folder / "log", folder / "mine"], check=True)
+    with patch.object(sys, "argv", [str(EXAMPLE), str(folder / "log"), str(folder / "mine")]):
+        runpy.run_path(str(EXAMPLE), run_name="__main__")
     return slamcheck.check(slamcheck.load_log(folder / "log"), folder / "mine")
 
 

@@ -24,7 +24,7 @@ from comparisons.trace.events import Augment, Directions, Event, Remove, Snapsho
 from comparisons.trace.reader import Trace
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import KalmanState
-from tests.comparisons.test_initialisation_run import initialised_boundless
+from tests.comparisons.test_ekf_run import initialised_boundless
 from tests.comparisons.test_known_landmarks import with_survey
 from tests.comparisons.test_pose_landmark_run import Frames
 from tests.comparisons.test_pose_landmark_run import log as with_frames

@@ -22,7 +22,7 @@ from comparisons.experiments.montecarlo.workers import spread
 from comparisons.experiments.scenarios.scenario import bundled_scenarios, read_scenario
 from comparisons.experiments.scenarios.world import build_world, measure
 from tests.commands import refused, works
-from tests.comparisons.montecarlo.worlds import short, study_of
+from tests.comparisons.montecarlo.worlds import short, shortened, study_of
 
 ROOT = Path(__file__).resolve().parents[3]
 SLAMCHECK = (sys.executable, "-c", "from comparisons.cli.app import main; main()")
@@ -43,10 +43,7 @@ CHUNKS = {f"chunks/{name}-{i:06d}.npz" for name in ("ekf", "fej") for i in range
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The circle, shorter."""
-    path = tmp_path_factory.mktemp("scenario") / "short.toml"
-    text = (ROOT / "comparisons/experiments/scenarios/circle.toml").read_text()
-    path.write_text(text.replace("steps = 2500", "steps = 200"))
-    return path
+    return shortened(tmp_path_factory.mktemp("scenario"), 200)
 
 
 @pytest.fixture(scope="module")

@@ -39,7 +39,7 @@ from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
 from tests.commands import refused, works
 from tests.comparisons.montecarlo.test_command import ENVIRONMENT, SLAMCHECK
-from tests.comparisons.montecarlo.worlds import short, short_world, study_of
+from tests.comparisons.montecarlo.worlds import short, short_world, shortened, study_of
 from tests.helpers import present
 
 PROGRAM = """
@@ -65,11 +65,7 @@ def ekf(log: Log) -> Estimate:
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short circle in a file."""
-    path = tmp_path_factory.mktemp("scenario") / "short.toml"
-    source = Path(__file__).parents[3] / "comparisons/experiments/scenarios"
-    text = (source / "circle-range-bearing.toml").read_text()
-    path.write_text(text.replace("steps = 2500", "steps = 40"))
-    return path
+    return shortened(tmp_path_factory.mktemp("scenario"), 40, "circle-range-bearing")
 
 
 @pytest.fixture

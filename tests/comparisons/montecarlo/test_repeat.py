@@ -15,17 +15,14 @@ from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.montecarlo.study import read_study
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
 from tests.commands import refused, works
-from tests.comparisons.montecarlo.test_command import ROOT, contents
-
-CIRCLE = (ROOT / "comparisons/experiments/scenarios/circle.toml").read_text()
+from tests.comparisons.montecarlo.test_command import contents
+from tests.comparisons.montecarlo.worlds import shortened
 
 
 @pytest.fixture
 def scenario(tmp_path: Path) -> Path:
     """The circle, much shorter."""
-    path = tmp_path / "mine.toml"
-    path.write_text(CIRCLE.replace("steps = 2500", "steps = 30"))
-    return path
+    return shortened(tmp_path, 30).rename(tmp_path / "mine.toml")
 
 
 @pytest.fixture
