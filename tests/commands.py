@@ -43,6 +43,23 @@ def slamcheck(*arguments: str, cwd: Path, columns: int = 100) -> Done:
     return Done(code, printed.getvalue(), said.getvalue())
 
 
+def works(*arguments: str, cwd: Path) -> str:
+    """Return what a command prints that ends well."""
+    done = slamcheck(*arguments, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def refused(*arguments: str, cwd: Path) -> str:
+    """Return why a command refuses: in one line, or in a box under the usage, and nothing else."""
+    done = slamcheck(*arguments, cwd=cwd)
+    assert (done.returncode, done.stdout) == (2, ""), done
+    in_a_box = "\u2500 Error \u2500" in done.stderr
+    one_line = done.stderr.startswith("slamcheck: ") and done.stderr.count("\n") == 1
+    assert in_a_box or one_line, done.stderr
+    return flat(done.stderr)
+
+
 def flat(text: str) -> str:
     """What rich has put into a box of several lines, as one."""
     return " ".join(re.sub("[\u2500-\u257f]", " ", text).split())

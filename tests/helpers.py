@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +14,38 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkSource
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.extensions.interface import Extension
-from comparisons.logs.log import Log
+from comparisons.logs.log import NO_LANDMARK, Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
 from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.report.folder import write_job_folder
+from comparisons.report.models import Result
+from comparisons.report.result import build_result
+from comparisons.report.run import run_folder
 from comparisons.settings import configure, run_options
 from tests.ekf_reference.numerics import central_difference as central_difference
 from tests.ekf_reference.numerics import random_covariance as random_covariance
 from tests.ekf_reference.numerics import relative_error as relative_error
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+
+
+def present(value: T | None) -> T:
+    """A value that has to be there."""
+    assert value is not None
+    return value
+
+
+def altered(thing: T, path: str, value: object) -> T:
+    """A dataclass or a named tuple with another value at a path of its fields."""
+    name, _, rest = path.partition(".")
+    if rest:
+        value = altered(getattr(thing, name), rest, value)
+    if isinstance(thing, tuple):
+        return thing._replace(**{name: value})  # type: ignore[attr-defined, no-any-return]
+    return replace(thing, **{name: value})  # type: ignore[type-var]
 
 
 def simulated(seed: int = 0, **drive: float) -> Log:
@@ -35,6 +57,24 @@ def first_seconds(log: Log, seconds: float) -> Log:
     """The beginning of a log's odometry and measurements; scans and truth stay whole."""
     part = cut_log(log, end_s=seconds)
     return replace(log, odometry=part.odometry, measurements=part.measurements)
+
+
+def without_labels(log: Log) -> Log:
+    """A log whose measurements name no landmark."""
+    nobody = np.full(len(log.measurements.time_s), NO_LANDMARK)
+    return replace(log, measurements=replace(log.measurements, landmark=nobody))
+
+
+def assert_followed(found: Comparison, limit: float) -> None:
+    """Both frozen smoothers end where the filter does: its algebra and its models are right."""
+    assert found.agreement.algebra.within(limit), found.agreement.algebra
+    assert found.agreement.model.within(limit), found.agreement.model
+
+
+def written(found: Comparison, folder: Path, result: Result | None = None) -> Path:
+    """A run's folder, with all that a run writes."""
+    write_job_folder(run_folder(found, result or build_result(found)), folder)
+    return folder
 
 
 class Source(Extension):

@@ -12,7 +12,7 @@ from comparisons.checks.association import (
     score_association,
     score_partition,
 )
-from comparisons.logs.log import NO_LANDMARK, Landmarks, Truth
+from comparisons.logs.log import Landmarks, Log, Truth
 from comparisons.pipeline.compare import Modified
 from comparisons.report.result import build_result
 from comparisons.report.rows import association_rows
@@ -20,7 +20,7 @@ from comparisons.report.sections import association_result
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.known import SurveyedLandmarks
 from ekf_reference.core.ekf import Ekf
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated, without_labels
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -47,36 +47,33 @@ def test_perfect_split_merged_and_unused() -> None:
     assert (unused.precision, unused.recall) == (1.0, 0.0)
 
 
-def test_landmarks_too_near_to_tell_apart_count_as_one_cluster() -> None:
+PLACES = np.array(((0.0, 0.0), (0.3, 0.0), (5.0, 0.0)))
+
+
+def with_a_clump() -> Log:
+    """Three landmarks in turn, of which two stand close together."""
     log = simulated(loop_s=5.0)
-    count = len(log.measurements.time_s)
-    places = np.array(((0.0, 0.0), (0.3, 0.0), (5.0, 0.0)))
-    truth = Truth(landmarks=Landmarks(np.array((1, 2, 3)), places, np.zeros((3, 2, 2))))
-    label = np.resize((1, 2, 3), count)
-    log = replace(log, truth=truth, measurements=replace(log.measurements, landmark=label))
-    swapped = np.resize((1, 0, 2), count)
+    truth = Truth(landmarks=Landmarks(np.array((1, 2, 3)), PLACES, np.zeros((3, 2, 2))))
+    label = np.resize((1, 2, 3), len(log.measurements.time_s))
+    return replace(log, truth=truth, measurements=replace(log.measurements, landmark=label))
+
+
+def test_landmarks_too_near_to_tell_apart_count_as_one_cluster() -> None:
+    log = with_a_clump()
+    swapped = np.resize((1, 0, 2), len(log.measurements.time_s))
     swapped[:3] = (0, 1, 2)
-    score = score_association(swapped, places + 0.01, log)
-    assert score is not None
-    assert score.clusters is not None
+    score = present(score_association(swapped, PLACES + 0.01, log))
     assert score.landmarks.precision < 1.0
     assert (score.used, score.labelled) == (3, 3)
-    assert (score.clusters.precision, score.clusters.recall) == (1.0, 1.0)
+    assert (present(score.clusters).precision, present(score.clusters).recall) == (1.0, 1.0)
 
 
 def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
     """By clusters it scores in full, so these figures alone would hide it."""
-    log = simulated(loop_s=5.0)
-    count = len(log.measurements.time_s)
-    places = np.array(((0.0, 0.0), (0.3, 0.0), (5.0, 0.0)))
-    truth = Truth(landmarks=Landmarks(np.array((1, 2, 3)), places, np.zeros((3, 2, 2))))
-    label = np.resize((1, 2, 3), count)
-    log = replace(log, truth=truth, measurements=replace(log.measurements, landmark=label))
-    score = score_association(np.resize((0, 0, 1), count), places[1:], log)
-    result = association_result(score)
-    assert result is not None
-    assert result.clusters is not None
-    assert (result.clusters.precision, result.clusters.recall) == (1.0, 1.0)
+    log = with_a_clump()
+    one = np.resize((0, 0, 1), len(log.measurements.time_s))
+    result = present(association_result(score_association(one, PLACES[1:], log)))
+    assert (present(result.clusters).precision, present(result.clusters).recall) == (1.0, 1.0)
     assert (result.used, result.labelled) == (2, 3)
     assert result.landmarks.precision < 0.8
     rows = {row.quantity: row.value for row in association_rows(result, "the filter")}
@@ -87,17 +84,14 @@ def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
 @pytest.mark.parametrize("rule", ["nn", "jcbb"])
 def test_association_by_position_finds_the_labels_in_simulation(rule: str) -> None:
     c = compared(simulated(seed=1), association=rule)
-    assert c.assessment.association is not None
-    assert c.assessment.association.landmarks.precision > 0.99
-    assert c.assessment.association.landmarks.recall > 0.97
+    assert present(c.assessment.association).landmarks.precision > 0.99
+    assert present(c.assessment.association).landmarks.recall > 0.97
 
 
 def test_no_score_with_labels_or_without_any() -> None:
     log = simulated(seed=1, loop_s=5.0)
     assert compared(log).assessment.association is None
-    seen = log.measurements
-    blank = replace(seen, landmark=np.full(len(seen.time_s), NO_LANDMARK))
-    c = compared(replace(log, measurements=blank))
+    c = compared(without_labels(log))
     assert c.prepared.ekf.association == "nn"
     assert c.assessment.association is None
 
@@ -105,10 +99,8 @@ def test_no_score_with_labels_or_without_any() -> None:
 def test_codes_of_unused_measurements_index_nothing() -> None:
     log = simulated(loop_s=5.0)
     landmark_index = np.resize((0, 1, -3), len(log.measurements.time_s))
-    score = score_association(landmark_index, np.array(((0.0, 0.0), (5.0, 0.0))), log)
-    assert score is not None
-    assert score.clusters is not None
-    assert 0.0 <= score.clusters.recall < 1.0
+    score = present(score_association(landmark_index, np.array(((0.0, 0.0), (5.0, 0.0))), log))
+    assert 0.0 <= present(score.clusters).recall < 1.0
 
 
 def test_partitions_are_compared_pair_by_pair() -> None:

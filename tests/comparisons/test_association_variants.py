@@ -22,7 +22,7 @@ from comparisons.report.models import SolutionResult
 from comparisons.report.sections import association_check_result
 from comparisons.report.solution import build_solution_result
 from tests.commands import slamcheck
-from tests.helpers import simulated
+from tests.helpers import present, simulated
 
 LANDMARK_INDEX = np.repeat(np.arange(3), 10)
 TIME = np.arange(30.0)
@@ -91,8 +91,7 @@ def test_measurements_left_out_cost_something() -> None:
 
 def test_a_check_stands_in_the_result() -> None:
     found = checked(Alternative("a", split(), at(0.5), math.inf))
-    model = association_check_result(found)
-    assert model is not None
+    model = present(association_check_result(found))
     assert model.variants[0].apart_sigma is None
     assert model.variants[0].elsewhere
     assert model.verified
@@ -104,15 +103,13 @@ def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) 
     good = solve(simulated(0), SolveConfig(association="own"))
     assert good.verified
     result = build_solution_result(good)
-    assert result.association_check is not None
-    assert len(result.association_check.variants) == 4
+    assert len(present(result.association_check).variants) == 4
     bad = simulated(1, loops=1, noise_scale=6.0)
     write_log_folder(bad, tmp_path / "noisy")
     done = slamcheck("solve", "noisy", "-v", "--association", "own", "--out", "out", cwd=tmp_path)
     assert done.returncode == 3, done.stdout
     reported = SolutionResult.model_validate_json((tmp_path / "out" / "solution.json").read_text())
     assert reported.verdict == "unverified"
-    assert reported.association_check is not None
-    assert not reported.association_check.verified
-    assert reported.association_check.disputes
+    assert not present(reported.association_check).verified
+    assert present(reported.association_check).disputes
     assert "disputed measurements: " in " ".join(done.stdout.split())

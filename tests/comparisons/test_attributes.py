@@ -12,12 +12,12 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.logs.log import NO_LANDMARK, Log
+from comparisons.logs.log import Log
 from comparisons.report.result import build_result
 from comparisons.settings import run_config
 from ekf_reference.association.attributes import RememberedAttributes
 from ekf_reference.core.ekf import Ekf
-from tests.helpers import compared, first_seconds, simulated
+from tests.helpers import compared, first_seconds, simulated, without_labels
 
 ON = EkfConfig(association="nn", attributes="on")
 
@@ -30,8 +30,8 @@ def with_diameters(seed: int = 0, loop_s: float = 20.0) -> tuple[Log, np.ndarray
     log = replace(log, measurements=replace(seen, diameter_m=diameter[seen.landmark]))
     sigma = np.sqrt(measured_attributes(log).variance[:, 0])
     measured = rng.normal(log.measurements.diameter_m, sigma)
-    blank = np.full(len(sigma), NO_LANDMARK)
-    return replace(log, measurements=replace(seen, landmark=blank, diameter_m=measured)), diameter
+    log = replace(log, measurements=replace(seen, diameter_m=measured))
+    return without_labels(log), diameter
 
 
 def test_landmarks_remember_what_their_measurements_told() -> None:
@@ -80,7 +80,6 @@ def test_diameters_that_say_nothing_change_nothing_when_off() -> None:
         ({"association": "known", "attributes": "on"}, "'known' takes no attributes"),
         ({"association": "consensus", "attributes": "on"}, "'consensus' takes no attributes"),
         ({"attributes": "on"}, "hold no diameter and no intensity"),
-        ({"attributes": "yes"}, "ekf.attributes is 'yes': .* 'off', 'on' or 'layer'"),
     ],
 )
 def test_what_cannot_be_had_is_said(options: dict[str, str], message: str) -> None:

@@ -23,7 +23,7 @@ from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import Comparison
 from comparisons.statistics import Band, Whiteness, mean_band, whiteness
 from graphslam.optimum import chi_square_test
-from tests.helpers import Array
+from tests.helpers import Array, altered
 
 RUNS = 80
 SECONDS = 10.0
@@ -155,7 +155,5 @@ def test_a_chi_square_that_counts_no_unknowns_falls_outside() -> None:
     for c in sound_runs():
         test = c.smoother.optimality.chi_square
         forgotten = chi_square_test(0.5 * test.chi2, test.dof + c.smoothed.landmark.size)
-        optimality = replace(c.smoother.optimality, chi_square=forgotten)
-        result = replace(c.smoother, optimality=optimality)
-        found.append(figures_of(replace(c, gaps=replace(c.gaps, result=result))))
+        found.append(figures_of(altered(c, "gaps.result.optimality.chi_square", forgotten)))
     assert "chi-square of the smoother, mean per dof" in names(coverage(found))

@@ -38,8 +38,8 @@ from comparisons.report.model import current
 from comparisons.report.models import AccuracyResult, AgreementResult, EkfResult, Result
 from comparisons.report.result import build_result, metrics
 from comparisons.settings import run_config
-from tests.commands import slamcheck
-from tests.helpers import compared, simulated
+from tests.commands import refused, slamcheck, works
+from tests.helpers import compared, present, simulated
 
 
 @pytest.fixture(scope="module")
@@ -87,18 +87,6 @@ def test_the_same_run_holds(result: Result, kept: Baseline) -> None:
     assert {"agreement.optimism", "accuracy.ekf.ate_m", "smoother.error"} <= set(kept.metrics)
 
 
-@pytest.mark.parametrize(
-    ("name", "factor", "holds"),
-    [("optimism", 1.01, True), ("optimism", 1.05, False), ("linearisation_gap_sigma", 2.0, False)],
-)
-def test_figures_may_move_within_their_tolerance(
-    result: Result, kept: Baseline, name: str, factor: float, holds: bool
-) -> None:
-    value = getattr(result.agreement, name)
-    changes = compare_with(kept, changed(result, **{name: factor * value}))
-    assert all(change.holds for change in changes) == holds
-
-
 def test_rounding_may_be_any_rounding_but_no_more(result: Result, kept: Baseline) -> None:
     assert all(c.holds for c in compare_with(kept, changed(result, algebra_gap_sigma=5e-8)))
     broken = [c for c in compare_with(kept, changed(result, algebra_gap_sigma=5e-5)) if not c.holds]
@@ -142,11 +130,10 @@ def test_results_of_older_runs_are_read(result: Result) -> None:
 
 
 def test_repetitions_tell_the_noise_floor(result: Result) -> None:
-    assert result.agreement.optimism is not None
-    other = changed(result, optimism=1.2 * result.agreement.optimism)
+    other = changed(result, optimism=1.2 * present(result.agreement.optimism))
     noisy = build_baseline([result, other], run_config())
     assert noisy.metrics["agreement.optimism"].tolerance == pytest.approx(
-        0.6 * result.agreement.optimism
+        0.6 * present(result.agreement.optimism)
     )
     assert all(c.holds for c in compare_with(noisy, other))
 
@@ -218,12 +205,14 @@ def states(changes: list[Change]) -> dict[str, str]:
         ("accuracy.ekf.landmarks_found", 1.1, "better"),
         ("agreement.optimism", 0.9, "broken"),
         ("agreement.optimism", 1.1, "broken"),
+        ("agreement.optimism", 1.01, "holds"),
         ("agreement.linearisation_gap_sigma", 0.5, "better"),
+        ("agreement.linearisation_gap_sigma", 2.0, "broken"),
         ("consistency.ekf.pose.mean", 0.9, "broken"),
         ("ekf.landmarks", 1.1, "broken"),
     ],
 )
-def test_less_of_an_error_is_better_and_other_changes_are_not(
+def test_less_of_an_error_is_better_and_beyond_the_tolerance_other_changes_are_not(
     result: Result, kept: Baseline, name: str, factor: float, state: str
 ) -> None:
     was = kept.metrics[name]
@@ -233,7 +222,9 @@ def test_less_of_an_error_is_better_and_other_changes_are_not(
             "metrics": {**kept.metrics, name: was.model_copy(update={"value": was.value / factor})}
         }
     )
-    assert states(compare_with(then, result)) == {name: state}
+    found = {change.name: change.state for change in compare_with(then, result)}
+    assert found.pop(name) == state
+    assert set(found.values()) == {"holds"}
 
 
 def test_every_figure_has_a_side_and_a_reason(result: Result, checked: CheckResult) -> None:
@@ -309,8 +300,7 @@ def test_an_update_keeps_tolerances_made_by_hand(checked: CheckResult) -> None:
     kept = kept.model_copy(
         update={"metrics": {**kept.metrics, "rms_m": Metric(value=checked.rms_m, tolerance=0.5)}}
     )
-    assert checked.accuracy is not None
-    accuracy = checked.accuracy.model_copy(update={"ate_m": 10.0})
+    accuracy = present(checked.accuracy).model_copy(update={"ate_m": 10.0})
     worse = checked.model_copy(update={"rms_m": checked.rms_m + 0.4, "accuracy": accuracy})
     assert states(compare_with(kept, worse)) == {"accuracy.ate_m": "broken"}
     new = updated(kept, worse, CheckConfig())
@@ -341,8 +331,7 @@ def test_files_of_version_2_are_read_and_updated(
 
 
 def test_what_is_better_fails_no_junit_case(tmp_path: Path, result: Result, kept: Baseline) -> None:
-    assert result.agreement.linearisation_gap_sigma is not None
-    half = 0.5 * result.agreement.linearisation_gap_sigma
+    half = 0.5 * present(result.agreement.linearisation_gap_sigma)
     changes = compare_with(kept, changed(result, linearisation_gap_sigma=half))
     write_junit(changes, "log", tmp_path / "report.xml")
     suite = ElementTree.parse(tmp_path / "report.xml").getroot()  # noqa: S314
@@ -358,11 +347,9 @@ def test_the_commands_on_an_estimate(tmp_path: Path, estimate: Estimate) -> None
     (tmp_path / "mine").mkdir()
     write_estimate(estimate, tmp_path / "mine")
     mine = ("--estimate", "mine")
-    saved = slamcheck("baseline", "save", "log", "b.json", *mine, cwd=tmp_path)
-    assert saved.returncode == 0, saved.stderr
-    assert "verdict agree, grade equal" in saved.stdout
-    same = slamcheck("baseline", "compare", "log", "b.json", *mine, cwd=tmp_path)
-    assert same.returncode == 0, same.stdout + same.stderr
+    printed = works("baseline", "save", "log", "b.json", *mine, cwd=tmp_path)
+    assert "verdict agree, grade equal" in printed
+    works("baseline", "compare", "log", "b.json", *mine, cwd=tmp_path)
     late = replace(estimate, time_s=estimate.time_s + 0.2)
     (tmp_path / "late.tum").write_text(tum_text(late.time_s, late.pose))
     compare = ("baseline", "compare", "log", "b.json", "--estimate", "late.tum")
@@ -376,9 +363,8 @@ def test_the_commands_on_an_estimate(tmp_path: Path, estimate: Estimate) -> None
     assert str(grade.get("message")).startswith("grade: equal then, wrong now")
     assert "time: the time stamps are 0.200 s too late" in str(grade.text)
     before = (tmp_path / "b.json").read_text()
-    kept = slamcheck(*compare, "--update", cwd=tmp_path)
-    assert kept.returncode == 0, kept.stderr
-    assert "broken: grade" in kept.stdout
+    kept = works(*compare, "--update", cwd=tmp_path)
+    assert "broken: grade" in kept
     assert (tmp_path / "b.json").read_text() != before
     assert slamcheck(*compare, cwd=tmp_path).returncode == 0
 
@@ -403,30 +389,8 @@ def test_a_baseline_of_the_other_job_is_refused(
         (("save", "log", "run.json", *mine), "run.json: holds a baseline"),
         (("save", "log", "c.json", *mine, "--out", "d"), "--out d: baseline save writes c.json"),
     ):
-        done = slamcheck("baseline", *words, cwd=tmp_path)
-        assert done.returncode == 2, words
-        assert message in done.stderr
-        assert len(done.stderr.strip().splitlines()) == 1
+        assert message in refused("baseline", *words, cwd=tmp_path), words
     assert not (tmp_path / "b.json").exists()
-
-
-@pytest.mark.slow
-def test_the_commands(tmp_path: Path) -> None:
-    write_log_folder(simulated(loop_s=20.0), tmp_path / "log")
-    saved = slamcheck("baseline", "save", "log", "b.json", cwd=tmp_path)
-    assert saved.returncode == 0, saved.stderr
-    same = slamcheck("baseline", "compare", "log", "b.json", "--junit", "j.xml", cwd=tmp_path)
-    assert same.returncode == 0, same.stderr
-    assert (tmp_path / "j.xml").exists()
-    data = json.loads((tmp_path / "b.json").read_text())
-    data["metrics"]["ekf.landmarks"]["value"] += 1
-    (tmp_path / "b.json").write_text(json.dumps(data))
-    other = slamcheck("baseline", "compare", "log", "b.json", cwd=tmp_path)
-    assert other.returncode == 1
-    assert "ekf.landmarks" in other.stdout
-    missing = slamcheck("baseline", "compare", "log", "no.json", cwd=tmp_path)
-    assert missing.returncode == 2
-    assert len(missing.stderr.strip().splitlines()) == 1
 
 
 @pytest.mark.slow
@@ -434,12 +398,10 @@ def test_a_gate_of_a_run_with_extensions(tmp_path: Path) -> None:
     """Any option of `run` may be a baseline's; the comparison runs with all of them again."""
     options = ("--filter", "compressed", "--smoother-association", "own", "--robust", "huber")
     log = ("simulated-loop", "--seed", "2")
-    saved = slamcheck("baseline", "save", *log, "b.json", *options, "--runs", "1", cwd=tmp_path)
-    assert saved.returncode == 0, saved.stderr
+    works("baseline", "save", *log, "b.json", *options, "--runs", "1", cwd=tmp_path)
     config = json.loads((tmp_path / "b.json").read_text())["config"]
     assert config["extensions"] == {"own_association": {"when": "always"}}
-    same = slamcheck("baseline", "compare", "simulated-loop", "b.json", cwd=tmp_path)
-    assert same.returncode == 0, same.stdout + same.stderr
+    works("baseline", "compare", "simulated-loop", "b.json", cwd=tmp_path)
 
 
 def test_a_negative_tolerance_is_refused(tmp_path: Path, checked: CheckResult) -> None:

@@ -29,7 +29,7 @@ from comparisons.pipeline.solve import solve
 from comparisons.report.result import build_result
 from comparisons.report.solution import build_solution_result
 from comparisons.settings import run_config
-from tests.helpers import first_seconds, simulated
+from tests.helpers import first_seconds, present, simulated
 
 ROOT = Path(__file__).resolve().parents[2]
 LONG_S = beside.PAYS_S + 1.0
@@ -96,8 +96,7 @@ def test_what_is_raised_there_is_raised_here() -> None:
 @pytest.mark.usefixtures("second_core")
 def test_a_killed_process_is_done_without() -> None:
     with Beside(math.sqrt, 4.0, seconds=LONG_S) as work:
-        assert work._process is not None
-        work._process.kill()
+        present(work._process).kill()
         assert work.result() == 2.0
     assert work.cpu_s == 0.0
 
@@ -117,8 +116,7 @@ def test_an_interrupt_leaves_no_process() -> None:
         pytest.raises(KeyboardInterrupt),
         Beside(time.sleep, 60.0, seconds=LONG_S) as work,
     ):
-        assert work._process is not None
-        pid = work._process.pid
+        pid = present(work._process).pid
         raise KeyboardInterrupt
     assert gone(pid, 1.0)
 
@@ -126,8 +124,7 @@ def test_an_interrupt_leaves_no_process() -> None:
 def test_without_the_block_a_process_stays(second_core: None) -> None:
     """The broken variant: nobody ends it."""
     work = Beside(time.sleep, 60.0, seconds=LONG_S)
-    assert work._process is not None
-    assert not gone(work._process.pid, 0.5)
+    assert not gone(present(work._process).pid, 0.5)
     work.__exit__(None, None, None)
 
 
@@ -151,8 +148,7 @@ def test_it_ends_with_the_process_that_asked(ended_by: signal.Signals) -> None:
         cwd=ROOT,
         text=True,
     ) as asking:
-        assert asking.stdout is not None
-        pid = int(asking.stdout.readline())
+        pid = int(present(asking.stdout).readline())
         assert not gone(pid, 0.5)
         asking.send_signal(ended_by)
         asking.wait(10.0)
@@ -259,8 +255,7 @@ def test_a_solution_is_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> N
     for cores in (1, 2):
         monkeypatch.setattr(beside, "cores", lambda cores=cores: cores)
         solution = solve(log, SolveConfig(association="own"))
-        assert solution.association_check is not None
-        names = [one.name for one in solution.association_check.variants]
+        names = [one.name for one in present(solution.association_check).variants]
         texts.append(_text(build_solution_result(solution)))
     assert seen == [False, True]
     assert texts[0] == texts[1]

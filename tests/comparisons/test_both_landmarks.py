@@ -20,16 +20,13 @@ from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison, Modified, run_filter
 from comparisons.pipeline.prepare import prepare
-from comparisons.report.folder import write_job_folder
-from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
 from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind, NewLandmarks
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated, written
 from tests.scenarios import scenario
 
 AREAS = 4.0, 10.0
@@ -97,8 +94,7 @@ def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
 def ran(modify: Callable[[Ekf], None]) -> tuple[EkfRun, int]:
     """A run of the filter alone, and how many scans there were."""
     run, setup = run_filter(prepare(log(), run_config(landmarks="both"), also=[Modified(modify)]))
-    source = setup.find(ScanSlamSource)
-    assert source is not None
+    source = present(setup.find(ScanSlamSource))
     return run, source.found.scans
 
 
@@ -159,12 +155,10 @@ def test_scans_cost_no_global_update() -> None:
 
 
 def test_the_run_is_written_with_both_kinds(tmp_path: Path) -> None:
-    c = by_filter("compressed")
-    write_job_folder(run_folder(c, build_result(c)), tmp_path / "out")
+    folder = written(by_filter("compressed"), tmp_path / "out")
     for name in ("landmarks.csv", "scan_landmarks.csv"):
-        assert (tmp_path / "out" / "ekf" / name).exists()
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "EKF scan landmarks, 3 sigma" in page
+        assert (folder / "ekf" / name).exists()
+    assert "EKF scan landmarks, 3 sigma" in (folder / "report.html").read_text()
 
 
 @pytest.mark.slow
@@ -182,7 +176,5 @@ def test_what_goes_beside_both_and_what_does_not() -> None:
     )
     assert mapped.verdict.outcome == "agree"
     assert mapped.agreement.model.within(1e-6)
-    with pytest.raises(InputError, match="--high-level goes with --landmarks points only"):
-        compared(log(), landmarks="both", high_level=True)
     with pytest.raises(InputError, match="has no planar scans"):
         compared(simulated(), landmarks="both")

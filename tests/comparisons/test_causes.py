@@ -22,7 +22,7 @@ from ekf_reference.core.landmark_types import POSE
 from graphslam.layout import POINT
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import SlamProblem
-from tests.helpers import Array, compared, simulated
+from tests.helpers import Array, compared, present, simulated
 
 NONE = np.zeros(0, dtype=np.intp)
 
@@ -123,8 +123,7 @@ def test_a_dropout_is_found_with_what_it_did() -> None:
     log = silent(simulated(seed=3, loop_s=30.0), 10.0, 22.0)
     c = compared(log)
     found = find_dropouts(c.ekf, c.smoothed)
-    worst = found.worst
-    assert worst is not None
+    worst = present(found.worst)
     assert len(found.stretches) == 1
     assert abs(worst.begin_s - 10.0) < 0.5
     assert abs(worst.end_s - 22.0) < 0.5
@@ -158,8 +157,7 @@ def test_a_stretch_with_scan_landmarks_seen_is_no_dropout() -> None:
 def test_the_sigma_at_a_dropouts_end_is_the_prediction() -> None:
     log = silent(simulated(seed=3, loop_s=30.0), 22.0, 1e9)
     c = compared(log)
-    worst = find_dropouts(c.ekf, c.smoothed).worst
-    assert worst is not None
+    worst = present(find_dropouts(c.ekf, c.smoothed).worst)
     last = c.ekf.estimate.pose_covariance[-1]
     assert np.isclose(worst.sigma_m[1], np.sqrt(last[0, 0] + last[1, 1]), rtol=1e-6)
     assert np.isclose(worst.sigma_heading_rad[1], np.sqrt(last[2, 2]), rtol=1e-6)

@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +27,24 @@ from comparisons.report.ladder import EXTERNAL, SMOOTHER, check_ladder
 from comparisons.report.marks import Panel
 from comparisons.report.panels import external_panels
 from tests.comparisons.browser import came_up, look
-from tests.comparisons.test_html_report import HOSTILE, read
-from tests.helpers import compared, simulated
+from tests.comparisons.test_html_report import HOSTILE, data_of, read
+from tests.helpers import compared, present, simulated
 
 
-@pytest.fixture(scope="module")
+@cache
 def run() -> Comparison:
     """The reference EKF, standing in for somebody's filter, beside the smoother."""
     return compared(simulated(loop_s=20.0))
 
 
-@pytest.fixture(scope="module")
-def filtered(run: Comparison) -> ExternalEstimate:
-    return ExternalEstimate.of(run.ekf.estimate)
+@cache
+def filtered() -> ExternalEstimate:
+    return ExternalEstimate.of(run().ekf.estimate)
+
+
+@cache
+def sound() -> ExternalCheck:
+    return check(run().log, filtered())
 
 
 def bare(given: ExternalEstimate) -> ExternalEstimate:
@@ -47,22 +53,15 @@ def bare(given: ExternalEstimate) -> ExternalEstimate:
 
 def overconfident(given: ExternalEstimate) -> ExternalEstimate:
     """From half of the way on its pose covariances are a hundredth of what they should be."""
-    assert given.pose_covariance is not None
     late = given.time_s > given.time_s[len(given.time_s) // 2]
     return replace(
-        given, pose_covariance=given.pose_covariance * np.where(late, 0.01, 1.0)[:, None, None]
+        given,
+        pose_covariance=present(given.pose_covariance) * np.where(late, 0.01, 1.0)[:, None, None],
     )
 
 
 def html(found: ExternalCheck) -> str:
     return page(check_page(found, build_check_result(found)))
-
-
-def data_of(text: str) -> dict[str, Any]:
-    block = re.search(r'id="data">(.*?)</script>', text)
-    assert block is not None
-    data: dict[str, Any] = json.loads(block[1])
-    return data
 
 
 def named(panels: tuple[Panel, ...], curve: str) -> list[Panel]:
@@ -73,10 +72,8 @@ def layers(text: str) -> list[str]:
     return re.findall(r'data-name="([^"]*)"', text)
 
 
-def test_everything_that_was_handed_in_is_on_the_page(
-    run: Comparison, filtered: ExternalEstimate
-) -> None:
-    text = html(check(run.log, filtered))
+def test_everything_that_was_handed_in_is_on_the_page() -> None:
+    text = html(sound())
     shown = layers(text)
     for name in ("truth", "true landmarks", "smoother trajectory", "smoother landmarks",
                  "estimate trajectory", "estimate landmarks", "estimate landmarks, 3 sigma",
@@ -85,7 +82,7 @@ def test_everything_that_was_handed_in_is_on_the_page(
     assert shown.index("reference EKF trajectory") < shown.index("estimate trajectory")
     order = [text.index(part) for part in ('class="verdict agree"', 'id="map"', "<table", "RPE")]
     assert order == sorted(order)
-    assert text.count("<tr data-key=") == len(run.smoothed.landmark)
+    assert text.count("<tr data-key=") == len(run().smoothed.landmark)
     assert "off truth [m]" in text
     data = data_of(text)
     assert set(data["tracks"]) == {"smoother", "estimate", "reference EKF"}
@@ -94,47 +91,40 @@ def test_everything_that_was_handed_in_is_on_the_page(
     assert {"NEES of the pose (3 dof)", "pose's difference, squared"} < set(titles)
 
 
-def test_the_ladder_starts_at_the_estimate(run: Comparison, filtered: ExternalEstimate) -> None:
+def test_the_ladder_starts_at_the_estimate() -> None:
     """With covariances and map: to the reference that it equals, and to the smoother."""
-    result = build_check_result(check(run.log, filtered))
+    result = build_check_result(sound())
     reference, optimum = check_ladder(result)
     assert (reference.above, reference.below) == (EXTERNAL, "reference EKF")
-    assert reference.sigma is not None
-    assert reference.sigma < 1e-6
+    assert present(reference.sigma) < 1e-6
     assert reference.state == "passes"
     assert (optimum.above, optimum.below) == (EXTERNAL, SMOOTHER)
     assert optimum.error_m == result.rms_m
     assert optimum.sigma == max(
         one.distance_sigma for one in (*result.landmarks, result.last_pose) if one is not None
     )
-    text = html(check(run.log, filtered))
+    text = html(sound())
     assert "slamcheck check config.toml" in text
     assert "The estimate equals the reference EKF to rounding." in text
 
 
-def test_a_wrong_estimate_fails_where_it_is_wrong(
-    run: Comparison, filtered: ExternalEstimate
-) -> None:
+def test_a_wrong_estimate_fails_where_it_is_wrong() -> None:
     """Of a path that is five times too long neither the filter nor the optimum is near."""
-    stretched = replace(bare(filtered), pose=filtered.pose * (5.0, 5.0, 1.0))
-    result = build_check_result(check(run.log, stretched))
+    stretched = replace(bare(filtered()), pose=filtered().pose * (5.0, 5.0, 1.0))
+    result = build_check_result(check(run().log, stretched))
     steps = check_ladder(result)
     assert result.grade == "wrong"
     assert [step.state for step in steps] == ["fails", "fails"]
     optimum_named = {cause.gap for cause in result.causes} & {"optimum"}
     assert optimum_named
-    sound = check_ladder(build_check_result(check(run.log, bare(filtered))))
+    sound = check_ladder(build_check_result(check(run().log, bare(filtered()))))
     assert "fails" not in [step.state for step in sound]
 
 
-def test_consistency_is_judged_as_the_run_judges_its_own_filter(
-    run: Comparison, filtered: ExternalEstimate
-) -> None:
-    found, own = check(run.log, filtered), consistency_result(run.consistency)
+def test_consistency_is_judged_as_the_run_judges_its_own_filter() -> None:
+    found, own = sound(), consistency_result(run().consistency)
     given = external_consistency_result(found.consistency)
-    assert given.truth is not None
-    assert own.ekf is not None
-    assert given.truth.model_dump() == own.ekf.model_dump()
+    assert present(given.truth).model_dump() == present(own.ekf).model_dump()
     theirs, ours = (one.filter_against_smoother for one in (given, own))
     assert theirs is not None
     assert ours is not None
@@ -142,16 +132,16 @@ def test_consistency_is_judged_as_the_run_judges_its_own_filter(
     assert (theirs.epochs, theirs.overconfident_epochs) == (ours.epochs, ours.overconfident_epochs)
 
 
-def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: ExternalEstimate) -> None:
-    found = check(run.log, filtered)
+def test_the_band_is_what_the_future_took_away() -> None:
+    found = sound()
     east = named(external_panels(found)[1], "estimate - smoother")[0]
-    gap = run.ekf.estimate.pose_covariance - run.smoothed.pose_covariance
+    gap = run().ekf.estimate.pose_covariance - run().smoothed.pose_covariance
     sure = np.isfinite(east.bands[0].high)
     assert np.count_nonzero(sure) > 90
     expected = 3.0 * np.sqrt(np.maximum(gap[:, 0, 0], 0.0))
     assert east.bands[0].high[sure] == pytest.approx(expected[sure], abs=1e-6)
     assert east.bands[0].high[sure] != pytest.approx(
-        3.0 * np.sqrt(run.ekf.estimate.pose_covariance[sure, 0, 0]), rel=0.01
+        3.0 * np.sqrt(run().ekf.estimate.pose_covariance[sure, 0, 0]), rel=0.01
     )
 
 
@@ -164,14 +154,12 @@ def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: Extern
         ({"information": None, "pose": 0.5}, "does not say whether its poses are filtered"),
     ],
 )
-def test_no_band_is_drawn_where_none_is_justified(
-    run: Comparison, filtered: ExternalEstimate, given: dict[str, Any], reason: str
-) -> None:
+def test_no_band_is_drawn_where_none_is_justified(given: dict[str, Any], reason: str) -> None:
     """One that says nothing is taken for what a reference is that it is like, if any."""
     moved = replace(
-        filtered, information=given["information"], pose=filtered.pose + given.get("pose", 0.0)
+        filtered(), information=given["information"], pose=filtered().pose + given.get("pose", 0.0)
     )
-    found = check(run.log, moved)
+    found = check(run().log, moved)
     reported, panels = external_panels(found)
     bands = [panel.bands for panel in named(panels, "estimate - smoother")]
     assert len(bands) == (3 if reason else 4)
@@ -181,11 +169,8 @@ def test_no_band_is_drawn_where_none_is_justified(
     assert all(panel.bands for panel in named(panels, "estimate - truth"))
 
 
-def test_no_band_is_drawn_where_the_filter_is_surer(
-    run: Comparison, filtered: ExternalEstimate
-) -> None:
-    found = check(run.log, overconfident(filtered))
-    assert found.consistency.smoothed is not None
+def test_no_band_is_drawn_where_the_filter_is_surer() -> None:
+    found = check(run().log, overconfident(filtered()))
     reported, panels = external_panels(found)
     high = named(panels, "estimate - smoother")[0].bands[0].high
     half = len(high) // 2
@@ -193,24 +178,22 @@ def test_no_band_is_drawn_where_the_filter_is_surer(
     assert np.isnan(high[half + 2 : -2]).all()
     assert "but where the estimate's covariance is the smaller one" in reported
     squared = named(panels, "estimate - smoother")[3]
-    clear = found.consistency.smoothed.dof > 0
+    clear = present(found.consistency.smoothed).dof > 0
     assert not clear.all()
     assert (np.isfinite(squared.curves[0].y) == clear).all()
     assert (np.isfinite(squared.bands[0].high) == clear).all()
 
 
-def test_without_labels_there_is_no_band(run: Comparison, filtered: ExternalEstimate) -> None:
-    found = check(run.log, filtered, CheckConfig(association="own"))
+def test_without_labels_there_is_no_band() -> None:
+    found = check(run().log, filtered(), CheckConfig(association="own"))
     assert "different associations" in found.consistency.unjudged
     text = html(found)
     assert " in the estimate)" in text
     assert "different associations" in text
 
 
-def test_what_was_not_handed_in_is_left_out_with_a_word(
-    run: Comparison, filtered: ExternalEstimate, tmp_path: Path
-) -> None:
-    found = check(run.log, bare(filtered))
+def test_what_was_not_handed_in_is_left_out_with_a_word(tmp_path: Path) -> None:
+    found = check(run().log, bare(filtered()))
     result = build_check_result(found)
     write_job_folder(check_folder(found, result), tmp_path / "out")
     written = json.loads((tmp_path / "out" / "check.json").read_text())
@@ -227,55 +210,44 @@ def test_what_was_not_handed_in_is_left_out_with_a_word(
     assert not any(panel["bands"] for panel in panels)
 
 
-def test_without_truth_there_are_no_errors_against_it(
-    run: Comparison, filtered: ExternalEstimate
-) -> None:
+def test_without_truth_there_are_no_errors_against_it() -> None:
     from comparisons.logs.log import Truth
 
-    text = html(check(replace(run.log, truth=Truth()), filtered))
+    text = html(check(replace(run().log, truth=Truth()), filtered()))
     assert "The log has no true poses in the estimate&#x27;s time" in text
     assert "off truth" not in text
     assert "truth" not in layers(text)
     assert len(data_of(text)["panels"]) == 5
 
 
-def test_landmarks_without_covariances_or_counterparts_are_drawn(
-    run: Comparison, filtered: ExternalEstimate
-) -> None:
-    assert filtered.landmark is not None
-    assert filtered.landmark_id is not None
+def test_landmarks_without_covariances_or_counterparts_are_drawn() -> None:
     own = replace(
-        bare(filtered),
-        landmark_id=np.append(filtered.landmark_id[:5], 999),
-        landmark=np.vstack((filtered.landmark[:5], (3.0, 4.0))),
+        bare(filtered()),
+        landmark_id=np.append(present(filtered().landmark_id)[:5], 999),
+        landmark=np.vstack((present(filtered().landmark)[:5], (3.0, 4.0))),
     )
-    found = check(run.log, own)
+    found = check(run().log, own)
     text = html(found)
     assert text.count("<tr data-key=") == 5
-    assert found.accuracy is not None
-    assert found.accuracy.landmarks_found == 5
-    assert found.accuracy.landmark_rmse_m is not None
+    assert present(found.accuracy).landmarks_found == 5
+    assert present(found.accuracy).landmark_rmse_m is not None
     assert "The estimate has none, so there are no ratios." in text
     assert "estimate landmarks without a counterpart" in layers(text)
     assert "estimate landmarks, 3 sigma" not in layers(text)
     assert "not in the estimate" in text
 
 
-def test_one_far_away_does_not_hide_the_map(run: Comparison, filtered: ExternalEstimate) -> None:
-    found = check(run.log, bare(filtered))
-    far = check(run.log, replace(bare(filtered), pose=filtered.pose + (5e5, 4e6, 0.0)))
+def test_one_far_away_does_not_hide_the_map() -> None:
+    found = check(run().log, bare(filtered()))
+    far = check(run().log, replace(bare(filtered()), pose=filtered().pose + (5e5, 4e6, 0.0)))
     metres = [re.search(r'data-metres="([^"]*)"', html(one)) for one in (found, far)]
-    assert metres[0] is not None
-    assert metres[1] is not None
-    assert float(metres[1][1]) == pytest.approx(float(metres[0][1]), rel=0.1)
+    assert float(present(metres[1])[1]) == pytest.approx(float(present(metres[0])[1]), rel=0.1)
     assert "The estimate trajectory leaves the map." in html(far)
     assert "leaves the map" not in html(found)
 
 
-def test_what_log_and_estimate_are_called_is_text(
-    run: Comparison, filtered: ExternalEstimate
-) -> None:
-    result = build_check_result(check(run.log, filtered))
+def test_what_log_and_estimate_are_called_is_text() -> None:
+    result = build_check_result(sound())
     hostile = result.model_copy(
         update={
             "config": {"estimate": HOSTILE},
@@ -283,16 +255,14 @@ def test_what_log_and_estimate_are_called_is_text(
             "remarks": [HOSTILE],
         }
     )
-    text = page(check_page(check(run.log, filtered), hostile))
+    text = page(check_page(sound(), hostile))
     assert text.count("<script") == 2
     assert "<img" not in text
 
 
-def test_a_long_estimate_leaves_a_page_of_less_than_5_mb(
-    run: Comparison, filtered: ExternalEstimate
-) -> None:
+def test_a_long_estimate_leaves_a_page_of_less_than_5_mb() -> None:
     """Of 60,000 poses, which the curves and the map thin out."""
-    found, poses = check(run.log, filtered), 60_000
+    found, poses = sound(), 60_000
     row = np.arange(poses) % len(found.consistency.time_s)
     time_s = np.arange(float(poses))
     c = found.consistency
@@ -309,7 +279,7 @@ def test_a_long_estimate_leaves_a_page_of_less_than_5_mb(
     )
     long = replace(
         found,
-        given=replace(filtered, time_s=time_s, pose=filtered.pose[row]),
+        given=replace(filtered(), time_s=time_s, pose=filtered().pose[row]),
         optimum=optimum[0],
         peers=tuple(peers),
         consistency=replace(c, time_s=time_s, difference=c.difference[row], smoothed=smoothed),
@@ -317,12 +287,10 @@ def test_a_long_estimate_leaves_a_page_of_less_than_5_mb(
     assert len(page(check_page(long, build_check_result(found)))) < 2_500_000
 
 
-def test_the_files_that_were_judged_are_named_by_their_hashes(
-    run: Comparison, filtered: ExternalEstimate, tmp_path: Path
-) -> None:
+def test_the_files_that_were_judged_are_named_by_their_hashes(tmp_path: Path) -> None:
     folder = tmp_path / "ekf"
     folder.mkdir()
-    write_estimate(run.ekf.estimate, folder)
+    write_estimate(run().ekf.estimate, folder)
     (folder / "notes.txt").write_text("not read")
     given = read_external(folder)
     assert sorted(given.sha256) == [
@@ -330,8 +298,8 @@ def test_the_files_that_were_judged_are_named_by_their_hashes(
     ]  # fmt: skip
     for name, found in given.sha256.items():
         assert found == hashlib.sha256((folder / name).read_bytes()).hexdigest()
-    assert build_check_result(check(run.log, given)).estimate_sha256 == given.sha256
-    assert build_check_result(check(run.log, filtered)).estimate_sha256 == {}
+    assert build_check_result(check(run().log, given)).estimate_sha256 == given.sha256
+    assert build_check_result(sound()).estimate_sha256 == {}
     write_trajectory(Trajectory(given.time_s, given.pose), tmp_path / "a.txt", "kitti")
     assert sorted(read_external(tmp_path / "a.txt").sha256) == ["a.txt", "times.txt"]
 
@@ -339,12 +307,10 @@ def test_the_files_that_were_judged_are_named_by_their_hashes(
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize(("made", "figures"), [(bare, 7), (overconfident, 9)])
-def test_a_browser_shows_it(
-    run: Comparison, filtered: ExternalEstimate, tmp_path: Path, made: Any, figures: int
-) -> None:
+def test_a_browser_shows_it(tmp_path: Path, made: Any, figures: int) -> None:
     """Where a band has a gap it is drawn in pieces, none of which spans the gap."""
     path = tmp_path / "report.html"
-    path.write_text(html(check(run.log, made(filtered))), encoding="utf-8")
+    path.write_text(html(check(run().log, made(filtered()))), encoding="utf-8")
     dom = look(f"{path.as_uri()}#time=10", tmp_path / "profile")
     assert came_up(dom)
     assert dom.count("<figure>") == figures

@@ -19,7 +19,7 @@ from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
 from ekf_reference.core.layout import Layout
 from graphslam.optimum import Optimality, Stationarity, chi_square_test
-from tests.helpers import compared, random_covariance, simulated
+from tests.helpers import compared, present, random_covariance, simulated
 
 
 @pytest.fixture(scope="module")
@@ -154,26 +154,21 @@ def test_a_far_pairing_does_not_cost_a_near_one() -> None:
 def test_accuracy_of_the_truth_is_perfect_and_coverage_counts(comparison: Comparison) -> None:
     log, estimate = comparison.log, comparison.ekf.estimate
     truth = log.truth
-    assert truth.poses is not None
-    assert truth.landmarks is not None
     perfect = replace(
         estimate,
-        time_s=truth.poses.time_s,
-        pose=truth.poses.pose,
-        landmark=truth.landmarks.position_m[estimate.landmark_id],
+        time_s=present(truth.poses).time_s,
+        pose=present(truth.poses).pose,
+        landmark=present(truth.landmarks).position_m[estimate.landmark_id],
     )
-    found = assess(perfect, log, labelled=True)
-    assert found is not None
+    found = present(assess(perfect, log, labelled=True))
     assert found.ate_m == 0.0
     assert found.landmark_rmse_m == 0.0
     assert found.coverage == 1.0
     assert found.landmarks_found == len(estimate.landmark)
     assert found.landmarks_true == 60
     half = replace(perfect, time_s=perfect.time_s[:601], pose=perfect.pose[:601])
-    lost = assess(half, log, labelled=True)
-    assert lost is not None
-    assert lost.coverage is not None
-    assert 0.45 < lost.coverage < 0.55
+    lost = present(assess(half, log, labelled=True))
+    assert 0.45 < present(lost.coverage) < 0.55
 
 
 def test_relative_errors_know_neither_a_frame_nor_what_was_before() -> None:

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.adapters.defects.defect import with_state
 from comparisons.checks.agreement import EXACT
 from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, RelativePoses
 from comparisons.pipeline.compare import Modified
-from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import Correction, KalmanState
 from graphslam.marginals import SingularProblemError
-from tests.helpers import compared, first_seconds, simulated
+from tests.helpers import assert_followed, compared, first_seconds, present, simulated
 
 
 @pytest.mark.parametrize("jitter_s", [0.02, 1e-3, 1e-4, 1e-6, 1e-7, 1e-8])
@@ -27,8 +27,7 @@ def test_measurements_that_come_one_by_one(jitter_s: float) -> None:
     time = np.sort(log.measurements.time_s + shift)
     c = compared(replace(log, measurements=replace(log.measurements, time_s=time)))
     limit = 1e-7 if jitter_s > 1e-7 else 5e-7
-    assert c.agreement.algebra.within(limit)
-    assert c.agreement.model.within(limit)
+    assert_followed(c, limit)
     assert c.smoother.optimality.verified
     assert c.verdict.outcome == "agree"
 
@@ -73,8 +72,7 @@ def precise_log() -> Log:
 def test_small_correlations_are_kept() -> None:
     """gtsam's default takes covariances below 1e-9 for zero; ours must not."""
     c = compared(precise_log())
-    assert c.agreement.algebra.within(1e-8)
-    assert c.agreement.model.within(1e-8)
+    assert_followed(c, 1e-8)
     assert c.verdict.outcome == "agree"
 
 
@@ -114,14 +112,9 @@ class Indefinite(Corrupted):
 def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
     """It is the filter's fault, not the log's; everything is compared up to there."""
     log = simulated(loop_s=20.0)
-
-    def plant(ekf: Ekf) -> None:
-        ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
-
-    c = compared(log, Modified(plant))
+    c = compared(log, Modified(with_state(state)))
     assert c.verdict.outcome == "disagree"
-    assert c.ekf.breakdown is not None
-    assert "broke down at 1." in c.ekf.breakdown
+    assert "broke down at 1." in present(c.ekf.breakdown)
     assert c.ekf.timeline.epoch_time_s[-1] < 3.0
     assert len(c.ekf.landmark_index) < len(log.measurements.time_s)
     said = [*(cause.evidence for cause in c.verdict.causes), *c.verdict.remarks]
@@ -152,10 +145,7 @@ def test_a_wrong_update_shows_beside_a_wide_prior() -> None:
         def corrupt(self) -> None:
             self._covariance *= 0.999
 
-    def plant(ekf: Ekf) -> None:
-        ekf.state = TooSure(ekf.state.pose, np.array(ekf.state.covariance))
-
-    c = compared(with_prior_of(1e3), Modified(plant))
+    c = compared(with_prior_of(1e3), Modified(with_state(TooSure)))
     assert c.verdict.outcome == "disagree"
     assert c.verdict.causes[0].gap == "algebra"
 

@@ -13,7 +13,7 @@ from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
 from comparisons.statistics import mean_band
-from tests.helpers import Array, compared, simulated
+from tests.helpers import Array, assert_followed, compared, present, simulated
 
 SEEDS = 20
 
@@ -26,10 +26,8 @@ def run(seed: int) -> Comparison:
 def true_state(c: Comparison) -> Array:
     """Last pose and landmarks, in the estimates' order."""
     truth = c.log.truth
-    assert truth.poses is not None
-    assert truth.landmarks is not None
-    landmarks = truth.landmarks.position_m[c.ekf.estimate.landmark_id]
-    return np.concatenate((truth.poses.pose[-1], landmarks.ravel()))
+    landmarks = present(truth.landmarks).position_m[c.ekf.estimate.landmark_id]
+    return np.concatenate((present(truth.poses).pose[-1], landmarks.ravel()))
 
 
 def nees(estimate: Estimate, truth: Array, part: slice) -> float:
@@ -39,8 +37,7 @@ def nees(estimate: Estimate, truth: Array, part: slice) -> float:
 
 def test_without_noise_both_are_exact() -> None:
     c = compared(simulated(exact=True))
-    truth = c.log.truth.poses
-    assert truth is not None
+    truth = present(c.log.truth.poses)
     at = truth.pose[np.searchsorted(truth.time_s, c.ekf.estimate.time_s - 1e-9)]
     for estimate in (c.ekf.estimate, c.smoothed):
         assert np.max(np.abs(estimate.pose - at)) < 1e-9
@@ -54,17 +51,15 @@ def test_the_prior_is_not_among_the_estimates_that_are_judged() -> None:
     c = compared(simulated(loop_s=10.0))
     for found in (c.consistency.ekf, c.consistency.smoother):
         assert found is not None
-        assert found.poses is not None
-        assert found.poses.time_s.tolist() == c.ekf.estimate.time_s[1:].tolist()
-        assert found.poses.pose.squared.min() > 0.0
+        assert present(found.poses).time_s.tolist() == c.ekf.estimate.time_s[1:].tolist()
+        assert present(found.poses).pose.squared.min() > 0.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_gaps_are_rounding_at_the_documents_noise(seed: int) -> None:
     c = run(seed)
-    assert c.agreement.algebra.within(1e-8)
-    assert c.agreement.model.within(1e-8)
+    assert_followed(c, 1e-8)
     assert c.verdict.outcome == "agree"
 
 
@@ -103,13 +98,12 @@ def test_nees_of_what_no_frame_touches(estimator: str) -> None:
     for s in range(SEEDS):
         truth: TruthConsistency = getattr(run(s).consistency, estimator)
         assert truth.map is not None
-        assert truth.map.whole is not None
         whole = nees(
             run(s).ekf.estimate if estimator == "ekf" else run(s).smoothed,
             true_state(run(s)),
             slice(0, None),
         )
-        assert truth.map.whole.squared[0] == pytest.approx(whole)
+        assert present(truth.map.whole).squared[0] == pytest.approx(whole)
         found.append(truth.map.distances)
     dof = sum(one.dof for one in found)
     total = sum(float(one.squared[0]) for one in found)
@@ -123,8 +117,7 @@ def test_filter_against_smoother_over_all_seeds() -> None:
     """Runs are independent, epochs are not: one epoch of each, halfway."""
     squared, dof = 0.0, 0
     for s in range(SEEDS):
-        compared = run(s).consistency.smoothed
-        assert compared is not None
+        compared = present(run(s).consistency.smoothed)
         middle = len(compared.time_s) // 2
         squared += float(compared.squared[middle])
         dof += int(compared.dof[middle])

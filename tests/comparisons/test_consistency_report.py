@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.defects.defect import with_state
 from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -25,19 +26,17 @@ from comparisons.report.models import NeesResult, TruthConsistencyResult
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.result import build_result, run_rows, run_summary
-from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import Correction, KalmanState
-from tests.helpers import compared, first_seconds, simulated
+from tests.helpers import compared, first_seconds, present, simulated
 
 
 def with_positions(log: Log, sigma_m: float = 0.2) -> Log:
     """GPS every second, as true as it states."""
-    assert log.truth.poses is not None
     time_s = np.arange(1.0, log.end_s, 1.0)
     noise = sigma_m * np.random.default_rng(0).standard_normal((len(time_s), 2))
-    at = log.truth.poses.at(time_s)[:, :2] + noise
+    at = present(log.truth.poses).at(time_s)[:, :2] + noise
     covariance = np.tile(sigma_m**2 * np.eye(2), (len(time_s), 1, 1))
     return replace(log, positions=Positions(time_s, at, covariance))
 
@@ -47,17 +46,11 @@ def short() -> Log:
     return with_positions(first_seconds(simulated(seed=2), 20.0))
 
 
-def filtered(log: Log, name: str, state: type[KalmanState] | None = None) -> EkfRun:
+def filtered(log: Log, name: str, state: type[KalmanState] = KalmanState) -> EkfRun:
     choices = settle(EkfConfig(filter=name, gps="on"), log)
     positions = fused_positions(log, choices)
-
-    def modify(ekf: Ekf) -> None:
-        if state is not None:
-            ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
-
-    return run_ekf(
-        log, build_timeline(log, positions), choices, positions, setup=FilterSetup(modify=[modify])
-    )
+    planted = FilterSetup(modify=[with_state(state)])
+    return run_ekf(log, build_timeline(log, positions), choices, positions, planted)
 
 
 class Written(KalmanState):
@@ -141,15 +134,12 @@ def test_result_and_rows(comparison: Comparison) -> None:
 
 
 def test_a_broken_covariance_gives_no_nan() -> None:
-    def ruin(ekf: Ekf) -> None:
-        ekf.state = Ruined(ekf.state.pose, np.array(ekf.state.covariance))
-
     class Ruined(KalmanState):
         def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
             super().predict(pose, jacobian_pose, noise)
             self._covariance[0, 1] += 1e-3
 
-    c = compared(first_seconds(simulated(seed=2), 10.0), Modified(ruin))
+    c = compared(first_seconds(simulated(seed=2), 10.0), Modified(with_state(Ruined)))
     text = build_result(c).model_dump_json()
     found = json.loads(text, parse_constant=never)["consistency"]
     for part in (found["ekf"]["pose"], found["filter_against_smoother"]):

@@ -22,7 +22,7 @@ from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import Comparison
 from ekf_reference.dense.layers.layer import Samples
 from graphslam.scan import planar
-from tests.helpers import compared
+from tests.helpers import compared, present
 
 
 @pytest.fixture(scope="module")
@@ -62,15 +62,13 @@ def test_only_what_is_occupied_counts() -> None:
 
 
 def test_both_maps_agree_where_the_filter_is_right(comparison: Comparison) -> None:
-    check = comparison.find(DenseMapsFinding).agreement
-    assert check is not None
+    check = present(comparison.find(DenseMapsFinding).agreement)
     assert comparison.verdict.outcome == "agree"
     assert check.agrees
     assert check.median_m < 0.1
     assert len(check.regions) > 10
     assert check.regions[0].distance_m == max(row.distance_m for row in check.regions)
-    assert check.occupancy_share is not None
-    assert check.occupancy_share > 0.9
+    assert present(check.occupancy_share) > 0.9
     assert set(check.errors) == {"points", "occupancy", "smoother"}
 
 
@@ -82,8 +80,9 @@ def test_a_map_that_hangs_on_wrong_landmarks_is_found(comparison: Comparison) ->
     corner = int(base[base >= 0][0])
     moved = dense.landmark.copy()
     moved[corner] += (2.0, 0.0)
-    check = compare_dense(comparison.log, replace(dense, landmark=moved), comparison.smoothed)
-    assert check is not None
+    check = present(
+        compare_dense(comparison.log, replace(dense, landmark=moved), comparison.smoothed)
+    )
     assert not check.agrees
     worst = check.regions[0]
     assert worst.distance_m > AGREE_M

@@ -20,7 +20,7 @@ from comparisons.experiments.reproduction.dense_figures import (
 )
 from comparisons.experiments.reproduction.neglected_change import neglected_change
 from comparisons.report.picture import save
-from tests.helpers import simulated
+from tests.helpers import present, simulated
 
 
 @cache
@@ -29,8 +29,7 @@ def example() -> DecorrelationExample:
 
 
 def legend(axis: Axes) -> set[str]:
-    found = axis.get_legend()
-    assert found is not None
+    found = present(axis.get_legend())
     return {text.get_text() for text in found.get_texts()}
 
 

@@ -14,16 +14,16 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.adapters.timeline import build_timeline
 from comparisons.choices import Filter
-from comparisons.config import EkfConfig, MapConfig, RunConfig
+from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, build_map
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import LandmarkMeasurements, Log
-from comparisons.logs.scans import Clouds, Scans
+from comparisons.logs.scans import Clouds
 from ekf_reference.dense.conditions import ellipse_margin, flip_margin
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks
-from tests.helpers import Array
+from tests.helpers import Array, present
 
 
 @pytest.mark.parametrize(
@@ -119,9 +119,8 @@ def test_every_return_is_accounted_for(log: Log) -> None:
     dense = run.dense
     tally, room = dense.tally, dense.waiting
     assert room is not None
-    assert log.scans is not None
-    assert tally.scans == len(run.scan_time_s) == len(log.scans.time_s)
-    assert tally.returns == np.isfinite(log.scans.range_m).sum()
+    assert tally.scans == len(run.scan_time_s) == len(present(log.scans).time_s)
+    assert tally.returns == np.isfinite(present(log.scans).range_m).sum()
     waiting, counts = len(room.points.scan), room.counts
     assert tally.late == counts.released
     assert (
@@ -136,9 +135,8 @@ def test_every_return_is_accounted_for(log: Log) -> None:
 @pytest.mark.slow
 def test_scans_at_any_time_are_seen_from_where_the_vehicle_then_is(log: Log) -> None:
     """The same scans with clocks of their own, between odometry samples and epochs."""
-    assert log.scans is not None
     assert log.truth.poses is not None
-    shifted = replace(log.scans, time_s=log.scans.time_s + 0.0131)
+    shifted = replace(present(log.scans), time_s=present(log.scans).time_s + 0.0131)
     later = replace(log, scans=shifted)
     run, dense = driven(later)
     at_epochs, plain = driven(log)
@@ -153,9 +151,8 @@ def test_scans_at_any_time_are_seen_from_where_the_vehicle_then_is(log: Log) -> 
 
 def collinear(log: Log, landmarks: int = 6) -> Log:
     """The same drive past landmarks in a row, none hidden, in place of its own."""
-    assert log.truth.poses is not None
     time = np.unique(log.measurements.time_s)
-    pose = log.truth.poses.at(time)
+    pose = present(log.truth.poses).at(time)
     east, north, heading = pose[0]
     ahead, left = np.array((np.cos(heading), np.sin(heading))), (-np.sin(heading), np.cos(heading))
     along = 5.0 + 7.0 * np.arange(landmarks)[:, None]
@@ -193,8 +190,7 @@ def test_landmarks_in_a_row_have_regions_with_virtual_corners_alone(log: Log) ->
     watcher._dense.regions._order = np.arange(5)
     old = np.array([(0.0, 0.0), (4.0, 0.0), (9.0, 9.0)])
     watcher._note_shift(old, old + [(0.3, 0.4), (0.3, 0.4), (50.0, 0.0)])
-    before = watcher.run().before
-    assert before is not None
+    before = present(watcher.run().before)
     assert before.shift_m == pytest.approx(0.5)
 
 
@@ -225,43 +221,25 @@ def test_two_beams_tell_no_noise_and_get_the_least() -> None:
 def test_clouds_are_seen_as_scans() -> None:
     """Of a simulated 3D log, near the surfaces that truth has."""
     log = open_log("scan-loop-3d")
-    assert log.truth.poses is not None
     scans = PlanarScans(log)
-    pose = log.truth.poses.at(scans.time_s[5:6])[0]
+    pose = present(log.truth.poses).at(scans.time_s[5:6])[0]
     scan = scans.scan(5, pose)
     assert 30 < len(scan.range_m) <= 720
     from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 
-    assert log.truth.surfaces is not None
-    off = distance_to_segments(scan.point, log.truth.surfaces.segment)
+    off = distance_to_segments(scan.point, present(log.truth.surfaces).segment)
     assert np.median(off) < 0.05
 
 
 def test_a_cloud_of_next_to_nothing_is_a_scan_too() -> None:
     """Scan odometry refuses it; a map takes what there is."""
     log = open_log("scan-loop-3d")
-    assert log.clouds is not None
     point = np.array([(4.0, 3.0, 1.0)])
-    clouds = Clouds(log.clouds.time_s[:2], np.array((0, 1, 1)), point, np.zeros(1))
+    clouds = Clouds(present(log.clouds).time_s[:2], np.array((0, 1, 1)), point, np.zeros(1))
     scans = PlanarScans(replace(log, clouds=clouds))
     pose = np.zeros(3)
     assert np.allclose(scans.scan(0, pose).point, [(4.0, 3.0)])
     assert not len(scans.scan(1, pose).point)
-
-
-@pytest.mark.parametrize(
-    ("settings", "fault"),
-    [
-        ({"layers": ["points", "walls"]}, r"layers\.1 is 'walls': .*'points', 'occupancy'"),
-        ({"layers": []}, r"layers: empty, expected some of points, occupancy"),
-        ({"layers": ["points"], "resolution_m": 0.0}, r"resolution_m is 0\.0: .* 0\.01"),
-        ({"layers": ["points"], "resolution_m": 11.0}, r"resolution_m is 11\.0: .* 10"),
-        ({"layers": ["points"], "resolution_m": float("nan")}, r"resolution_m is nan: "),
-    ],
-)
-def test_settings_are_checked(settings: dict[str, object], fault: str) -> None:
-    with pytest.raises(InputError, match=fault):
-        RunConfig.of(extensions={"dense_maps": settings})
 
 
 def test_a_log_without_scans_is_refused() -> None:
@@ -272,8 +250,8 @@ def test_a_log_without_scans_is_refused() -> None:
 
 @pytest.mark.slow
 def test_blank_scans_leave_an_empty_map(log: Log) -> None:
-    assert isinstance(log.scans, Scans)
-    blank = replace(log.scans, range_m=np.full_like(log.scans.range_m, np.nan))
+    scans = present(log.scans)
+    blank = replace(scans, range_m=np.full_like(scans.range_m, np.nan))
     _, run = driven(replace(log, scans=blank))
     assert run.dense.tally.returns == 0
     assert len(run.dense.regions.base) > 10

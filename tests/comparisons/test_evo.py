@@ -16,7 +16,7 @@ from comparisons.checks.accuracy import RPE_M, assess_trajectory, relative_error
 from comparisons.config import EkfConfig
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.logs.log import Poses
-from tests.helpers import simulated
+from tests.helpers import present, simulated
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +35,9 @@ def test_evo_finds_the_same_errors(tmp_path: Path, evo: Any) -> None:
     metrics, file_interface = evo
     log = simulated(loop_s=40.0)
     estimate = run_ekf(log, build_timeline(log), settle(EkfConfig(), log)).estimate
-    assert log.truth.poses is not None
-    true = log.truth.poses.at(estimate.time_s)
+    true = present(log.truth.poses).at(estimate.time_s)
     judged = replace(log, truth=replace(log.truth, poses=Poses(estimate.time_s, true)))
-    ours = assess_trajectory(estimate.time_s, estimate.pose, judged)
-    assert ours is not None
+    ours = present(assess_trajectory(estimate.time_s, estimate.pose, judged))
     for name, pose in (("ours", estimate.pose), ("true", true)):
         (tmp_path / name).mkdir()
         trajectory = Trajectory(estimate.time_s, pose)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,15 +11,13 @@ from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.pipeline.compare import compare
-from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result, run_rows
-from comparisons.report.run import run_folder
 from comparisons.settings import configure, run_config
 from comparisons.words import Row
+from tests.comparisons.test_startup import loaded
 from tests.comparisons.toy_extension.extension import DockingFinding
-from tests.helpers import simulated
+from tests.helpers import simulated, written
 
-ROOT = Path(__file__).resolve().parents[2]
 MOST_MODULES = 161
 """Nine of them are the documents' constants, which say how the run differs from these; six go over
 the run's events."""
@@ -48,11 +44,10 @@ def test_a_toy_adds_a_source_a_finding_a_row_and_a_figure(tmp_path: Path) -> Non
     result = build_result(found)
     row = Row("Docking", "measurements", str(station.result.measurements))
     assert row in run_rows(found, result)
-    folder = tmp_path / "run"
-    write_job_folder(run_folder(found, result), folder)
-    written = json.loads((folder / "result.json").read_text())
-    assert written["docking"]["ekf_m"] == list(station.result.ekf_m)
-    assert "docking.png" in written["files"]
+    folder = written(found, tmp_path / "run")
+    kept = json.loads((folder / "result.json").read_text())
+    assert kept["docking"]["ekf_m"] == list(station.result.ekf_m)
+    assert "docking.png" in kept["files"]
     assert (folder / "docking.png").read_bytes().startswith(b"\x89PNG")
     assert "<h2>Docking</h2>" in (folder / "report.html").read_text()
     again = configure(RunConfig, folder / "config.toml")
@@ -92,28 +87,12 @@ def test_without_its_line_it_is_unknown() -> None:
 @pytest.mark.parametrize("log", ["simulated-loop", "victoria-park"])
 def test_a_run_on_points_loads_no_extension(log: str, tmp_path: Path) -> None:
     """And little else that it does not need."""
-    code = (
-        "import sys\n"
-        f"sys.argv[1:] = ['run', {log!r}, '--out', 'report']\n"
-        "from comparisons.cli.app import main\n"
-        "try:\n    main()\nexcept SystemExit as stop:\n    assert stop.code in (0, 1), stop.code\n"
-        "house = ('comparisons', 'ekf_reference', 'graphslam')\n"
-        "loaded = sorted(m for m in sys.modules if m.split('.')[0] in house)\n"
-        "kept = {'comparisons.extensions', 'comparisons.extensions.interface',\n"
-        "        'comparisons.extensions.registry'}\n"
-        "extra = {m for m in loaded if m.startswith('comparisons.extensions')} - kept\n"
-        "assert not extra, extra\n"
-        f"assert len(loaded) < {MOST_MODULES}, (len(loaded), loaded)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "", "COLUMNS": "100"},
-    )
-    assert done.returncode == 0, done.stderr
+    house = ("comparisons", "ekf_reference", "graphslam")
+    found = {name for name in loaded(f"run {log}", tmp_path) if name.split(".")[0] in house}
+    extra = {name for name in found if name.startswith("comparisons.extensions.")}
+    assert extra <= {f"comparisons.extensions.{name}" for name in ("interface", "registry")}
+    assert not [name for name in found if "fastslam" in name or "sampling" in name]
+    assert len(found) < MOST_MODULES, (len(found), sorted(found))
 
 
 def test_an_option_loads_its_extension_only() -> None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +29,7 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.report.result import build_result, run_summary
+from tests.helpers import present
 
 
 def test_what_fastslam_does_not_estimate_is_refused() -> None:
@@ -70,8 +68,7 @@ def summary_lines(comparison: Comparison) -> Sequence[tuple[str, str]]:
 
 
 def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
-    found = comparison.findings["fastslam"]
-    assert isinstance(found, FastSlamFinding)
+    found = comparison.find(FastSlamFinding)
     assert found.check.agrees is True
     result = json.loads(build_result(comparison).model_dump_json())["fastslam"]
     assert (result["particles"], result["clouds"]) == (40, 48)
@@ -174,8 +171,7 @@ def test_what_fastslam_alone_has_wrong_disagrees(comparison: Comparison) -> None
 
 def test_a_cloud_that_is_too_small_gives_no_verdict(comparison: Comparison) -> None:
     given = RunConfig.model_validate({"extensions": {"fastslam": {"particles": 4, "clouds": 16}}})
-    found = compare(comparison.log, given).findings["fastslam"]
-    assert isinstance(found, FastSlamFinding)
+    found = compare(comparison.log, given).find(FastSlamFinding)
     assert found.check.agrees is None
     assert "gives no verdict: clouds of 4 particles are too small" in found.remarks[0]
 
@@ -185,34 +181,13 @@ def test_where_the_gaussian_fails_fastslam_agrees_with_the_exact_posterior() -> 
     log = draw_problem(circle(), np.random.default_rng(0)).log
     given = RunConfig.model_validate({"extensions": {"fastslam": {"clouds": 64}}})
     comparison = compare(log, given)
-    found = comparison.findings["fastslam"]
-    assert isinstance(found, FastSlamFinding)
+    found = comparison.find(FastSlamFinding)
     assert found.check.agrees is True
     assert found.check.p <= LEVEL
-    assert found.check.exact is not None
-    assert found.check.exact.explains
+    assert present(found.check.exact).explains
     assert found.remarks[0].startswith("the posterior is not Gaussian, least of all from 0.0 to ")
     assert ", and not from FastSLAM's clouds (p 0." in found.remarks[0]
     (line,) = (words for name, words in summary_lines(comparison) if name == "FastSLAM")
     assert line.startswith("agrees with the exact posterior, not with its Gaussian ")
     quantities = [row.quantity for row in found.rows()]
     assert "stretches: p of the Gaussian against the exact posterior" in quantities
-
-
-@pytest.mark.slow
-def test_a_run_that_does_not_ask_for_it_loads_none_of_it() -> None:
-    code = (
-        "import sys\n"
-        "from comparisons.logs.bundled import open_log\n"
-        "from comparisons.pipeline.compare import compare\n"
-        "compare(open_log('simulated-loop'))\n"
-        "print([name for name in sys.modules if 'fastslam' in name])\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=Path(__file__).resolve().parents[2],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == "[]"

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
@@ -16,16 +15,15 @@ from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.transforms.tree_features import with_tree_features
 from graphslam.scan import planar
 from tests.ekf_reference.features.test_tree_detection import ANGLES, scan_of
-from tests.helpers import compared, simulated
+from tests.helpers import assert_followed, compared, present, simulated
 
 
 def with_scans(log: Log, mount: Mount = Mount()) -> Log:  # noqa: B008 - frozen
     """Scans of trunks, 0.4 m thick, where the landmarks stand."""
     truth = log.truth
     assert truth.poses is not None
-    assert truth.landmarks is not None
     rng = np.random.default_rng(0)
-    places = truth.landmarks.position_m
+    places = present(truth.landmarks).position_m
     trunks = np.column_stack((places, np.full(len(places), 0.4)))
     rows = np.arange(8, len(truth.poses.time_s), 8)
     place = np.array(list(vars(mount).values()))
@@ -46,21 +44,17 @@ def test_trunks_become_landmarks_with_their_diameters() -> None:
     near = log.measurements.range_m < 15.0
     assert abs(np.median(log.measurements.diameter_m[near]) - 0.4) < 0.03
     c = compared(log, association="nn")
-    assert c.agreement.algebra.within(1e-8)
-    assert c.agreement.model.within(1e-8)
+    assert_followed(c, 1e-8)
     assert len(c.ekf.estimate.landmark) == 60  # every trunk once, and nothing else
     assert c.assessment.smoother is not None
     assert c.assessment.smoother.landmarks_found == 60
-    assert c.assessment.smoother.landmark_rmse_aligned_m is not None
-    assert c.assessment.smoother.landmark_rmse_aligned_m < 0.05
+    assert present(c.assessment.smoother.landmark_rmse_aligned_m) < 0.05
 
 
 def test_trunks_are_told_from_the_vehicle_wherever_its_scanner_sits() -> None:
     log = with_tree_features(with_scans(simulated(seed=1), Mount(1.5, -0.4, 0.3)))
     c = compared(log, association="nn")
-    assert c.assessment.smoother is not None
-    assert c.assessment.smoother.ate_aligned_m is not None
-    assert c.assessment.smoother.ate_aligned_m < 0.05
+    assert present(present(c.assessment.smoother).ate_aligned_m) < 0.05
 
 
 @pytest.mark.slow
@@ -68,20 +62,15 @@ def test_car_park_by_tree_features(shared_data: Path) -> None:
     """Raw scans alone carry the vehicle through; the trajectory is judged by RTK GPS."""
     log = with_tree_features(open_log(str(shared_data / "acfr_car_park")))
     c = compared(log)
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
-    assert c.assessment.smoother is not None
-    assert c.assessment.smoother.gps_median_aligned_m is not None
-    assert c.assessment.smoother.gps_median_aligned_m < 0.15
+    assert present(present(c.assessment.smoother).gps_median_aligned_m) < 0.15
 
 
 def test_features_that_cannot_be_had() -> None:
     log = simulated(loop_s=5.0)
     with pytest.raises(InputError, match="holds no scans to find trees in"):
         with_tree_features(log)
-    with pytest.raises(InputError, match=r"log\.features is 'corners': .* 'log' or 'trees'"):
-        RunConfig.of(log={"features": "corners"})
     blank = Scans(
         time_s=np.array([1.0, 2.0]),
         angle_rad=ANGLES,

@@ -26,9 +26,9 @@ from comparisons.pipeline.references import EKF, ROBOCENTRIC, filter_named, vari
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import NewLandmarks
-from tests.comparisons.test_solve import without_labels
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
 from tests.ekf_reference.numerics import central_difference
+from tests.helpers import present, without_labels
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +51,7 @@ def tried(solution: Solution, fault: Fault) -> Reference | None:
 
 
 def run(solution: Solution, fault: Fault) -> Reference:
-    found = tried(solution, fault)
-    assert found is not None
-    return found
+    return present(tried(solution, fault))
 
 
 def handed_in(reference: Reference) -> ExternalEstimate:

@@ -21,12 +21,11 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.extension import ScanMotionFinding
 from comparisons.extensions.scan_motion.increments import check_increments
-from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
-from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Landmarks, Log, Positions, Truth
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-from comparisons.pipeline.compare import Comparison, Modified
+from comparisons.logs.log import Landmarks, Log, Positions, Truth
+from comparisons.logs.odometry import RelativePoses
+from comparisons.pipeline.compare import Modified
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.odometry import run_front_end
 from comparisons.pipeline.solve import solve
@@ -34,7 +33,9 @@ from comparisons.report.odometry import build_front_end_result
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
 from graphslam.optimum import Stationarity
-from tests.helpers import compared
+from tests.comparisons.test_front_end import three_of
+from tests.helpers import compared, first_seconds, present, without_labels
+from tests.scenarios import scenario
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,38 +47,15 @@ _SADDLE = Stationarity(0.0, definite=False)
 @cache
 def short() -> Log:
     """The beginning of the simulated loop with scans."""
-    log = open_log("scan-loop-fine")
-    odometry = log.odometry
-    assert isinstance(odometry, SteeringOdometry)
-    assert log.scans is not None
-    rows = odometry.time_s <= _END_S
-    return with_scans(
-        replace(
-            log,
-            odometry=replace(
-                odometry,
-                time_s=odometry.time_s[rows],
-                speed_mps=odometry.speed_mps[rows],
-                steering_rad=odometry.steering_rad[rows],
-            ),
-            measurements=picked(log.measurements, log.measurements.time_s <= _END_S),
-        ),
-        log.scans.time_s <= _END_S - 1.0,
-    )
+    log = scenario("scan-loop-fine", seconds=_END_S)
+    return with_scans(log, present(log.scans).time_s <= _END_S - 1.0)
 
 
 def with_scans(log: Log, rows: Mask | slice) -> Log:
     """Some of the scans only."""
-    s = log.scans
-    assert s is not None
+    s = present(log.scans)
     scans = replace(s, time_s=s.time_s[rows], range_m=s.range_m[rows], intensity=s.intensity[rows])
     return replace(log, scans=scans)
-
-
-def picked(seen: LandmarkMeasurements, rows: Mask) -> LandmarkMeasurements:
-    """Some of the measurements only."""
-    columns = {n: v[rows] for n, v in vars(seen).items() if isinstance(v, np.ndarray)}
-    return replace(seen, **columns)  # type: ignore[arg-type]
 
 
 def without_odometry(log: Log) -> Log:
@@ -88,8 +66,7 @@ def without_odometry(log: Log) -> Log:
 
 def with_positions(log: Log, first_s: float = 0.0) -> Log:
     """A position every 0.4 s, at none of the scans' instants, 0.1 m of noise each."""
-    poses = log.truth.poses
-    assert poses is not None
+    poses = present(log.truth.poses)
     time_s = np.arange(first_s + 0.013, _END_S, 0.4)
     place = np.column_stack([np.interp(time_s, poses.time_s, poses.pose[:, i]) for i in (0, 1)])
     noise = np.random.default_rng(3).normal(0.0, 0.1, place.shape)
@@ -104,22 +81,15 @@ def with_surveyed(log: Log) -> Log:
     ids = table.id[::3]
     own = np.isin(seen.landmark, ids)
     assert not np.isin(ids, seen.landmark).all()
-    known = picked(seen, own)
+    known = seen.chosen(own)
     return replace(
         log,
-        measurements=picked(seen, ~own),
+        measurements=seen.chosen(~own),
         known_measurements=replace(known, time_s=known.time_s + 0.013),
         known_landmarks=Landmarks(
             ids, table.position_m[::3], np.tile(1e-4 * np.eye(2), (len(ids), 1, 1))
         ),
     )
-
-
-def three_of(c: Comparison) -> ThreeWay:
-    """The smoother on scans beside both."""
-    three = c.find(ScanMotionFinding).three
-    assert three is not None
-    return three
 
 
 def with_gps(gps: Gps) -> OdometryConfig:
@@ -130,19 +100,16 @@ def test_surveyed_landmarks_keep_their_places_on_scans() -> None:
     """Those that nobody saw, too, or the others would be held to their places."""
     three = three_of(compared(with_surveyed(short()), motion="both"))
     assert three.ekf.agrees
-    assert three.accuracy is not None
-    assert three.accuracy.ate_m is not None
-    assert three.accuracy.ate_m < 0.1
+    assert present(present(three.accuracy).ate_m) < 0.1
 
 
 def test_positions_held_back_are_held_back_from_the_smoother_on_scans_too() -> None:
     log = with_positions(short())
     half = compared(log, gps="half", motion="both")
-    assert log.positions is not None
     times = three_of(half).estimate.time_s
-    fused = log.positions.time_s[::2][half.ekf.fix_number]
+    fused = present(log.positions).time_s[::2][half.ekf.fix_number]
     assert np.isin(fused[fused <= times[-1]], times).all()
-    assert not np.isin(log.positions.time_s[1::2], times).any()
+    assert not np.isin(present(log.positions).time_s[1::2], times).any()
 
 
 def test_smoother_on_scans_meets_a_filter_that_broke_down() -> None:
@@ -164,23 +131,13 @@ def test_smoother_on_scans_meets_a_filter_that_broke_down() -> None:
 def test_measurements_of_surveyed_landmarks_between_scans_count() -> None:
     """Their instants are no scan's and no other measurement's."""
     log = with_surveyed(short())
-    assert log.known_measurements is not None
     nothing = np.zeros(len(log.measurements.time_s), dtype=bool)
-    for given in (log, replace(log, measurements=picked(log.measurements, nothing))):
+    for given in (log, replace(log, measurements=log.measurements.chosen(nothing))):
         c = compared(given, motion="scan")
-        within = log.known_measurements.time_s <= c.ekf.timeline.epoch_time_s[-1]
-        instants = np.unique(log.known_measurements.time_s[within])
+        within = present(log.known_measurements).time_s <= c.ekf.timeline.epoch_time_s[-1]
+        instants = np.unique(present(log.known_measurements).time_s[within])
         assert np.isin(instants, c.ekf.timeline.epoch_time_s).all()
-        assert c.assessment.smoother is not None
-        assert c.assessment.smoother.ate_m is not None
-        assert c.assessment.smoother.ate_m < 0.1
-
-
-def test_nobody_is_to_blame_while_maps_agree() -> None:
-    three = three_of(compared(short(), motion="both"))
-    assert three.ekf.agrees
-    assert three.smoother.agrees
-    assert three.inconsistent_source == ""
+        assert present(present(c.assessment.smoother).ate_m) < 0.1
 
 
 @pytest.mark.slow
@@ -230,14 +187,13 @@ def test_chi_square_is_tested_where_no_loop_was_closed() -> None:
 
 def test_scans_before_the_prior_are_left_out_without_odometry_as_with_it() -> None:
     log = without_odometry(short())
-    assert log.scans is not None
     begin_s = 1.0
-    later = picked(log.measurements, log.measurements.time_s > begin_s)
+    later = log.measurements.chosen(log.measurements.time_s > begin_s)
     front_end = run_front_end(
         replace(log, prior=replace(log.prior, time_s=begin_s), measurements=later)
     )
     assert front_end.motion.time_s[0] >= begin_s
-    assert front_end.motion.source.row[0] == np.searchsorted(log.scans.time_s, begin_s)
+    assert front_end.motion.source.row[0] == np.searchsorted(present(log.scans).time_s, begin_s)
 
 
 def test_no_scans_at_all_are_told_of() -> None:
@@ -262,8 +218,7 @@ def test_positions_held_back_stay_so_where_scans_begin_late(
     for first_s in (0.0, 0.4):
         front_end = run_front_end(with_positions(late, first_s), with_gps("half"))
         fused = front_end.time_s[front_end.graph.problem.position_pose]
-        held = judging.pop()
-        assert held is not None
+        held = present(judging.pop())
         assert not np.isin(held.time_s, fused).any()
         assert abs(len(held.time_s) - len(fused)) <= 1
 
@@ -272,48 +227,38 @@ def test_positions_held_back_stay_so_where_scans_begin_late(
 def test_positions_between_relative_poses_can_be_fused_with_scans() -> None:
     """The wheels' path is then drawn as if the vehicle had moved evenly in between."""
     log = with_positions(short())
-    assert log.scans is not None
-    times = np.union1d(log.scans.time_s, log.measurements.time_s)
+    times = np.union1d(present(log.scans).time_s, log.measurements.time_s)
     times = times[times > log.prior.time_s]
     moved = motion_between(log, times)
     spread = moved.covariance + 1e-10 * np.eye(3)
     relative = replace(log, odometry=RelativePoses(times, moved.displacement, spread))
     choices = with_gps("on")
     paths = [run_front_end(given, choices).wheels for given in (log, relative)]
-    assert paths[0] is not None
-    assert paths[1] is not None
-    assert np.abs(paths[0] - paths[1]).max() < 0.1
-
-
-def unlabelled(seen: LandmarkMeasurements) -> LandmarkMeasurements:
-    return replace(seen, landmark=np.full(len(seen.landmark), NO_LANDMARK))
+    assert np.abs(present(paths[0]) - present(paths[1])).max() < 0.1
 
 
 def test_surveyed_landmarks_hold_the_scan_graph_where_others_have_no_names() -> None:
     log = with_surveyed(short())
-    front_end = run_front_end(replace(log, measurements=unlabelled(log.measurements)))
-    assert log.known_landmarks is not None
-    assert len(front_end.estimate.landmark) == len(log.known_landmarks.id)
+    front_end = run_front_end(without_labels(log))
+    assert len(front_end.estimate.landmark) == len(present(log.known_landmarks).id)
     assert len(front_end.graph.problem.z)
-    assert front_end.accuracy_graph is not None
-    assert front_end.accuracy_graph.ate_m is not None
-    assert front_end.accuracy_graph.ate_m < 0.1
+    assert present(present(front_end.accuracy_graph).ate_m) < 0.1
 
 
 def test_scan_odometry_needs_no_measurement_within_the_time_of_the_scans() -> None:
     log = without_odometry(with_scans(short(), slice(0, 40)))
-    assert log.scans is not None
-    late = picked(log.measurements, log.measurements.time_s > log.scans.time_s[-1])
-    for seen in (late, unlabelled(late)):
-        front_end = run_front_end(replace(log, measurements=seen))
+    late = log.measurements.chosen(log.measurements.time_s > present(log.scans).time_s[-1])
+    later = replace(log, measurements=late)
+    for given in (later, without_labels(later)):
+        front_end = run_front_end(given)
         assert not len(front_end.estimate.landmark)
         assert len(front_end.time_s) == len(front_end.motion.row)
 
 
 def test_logs_that_differ_in_their_scans_have_different_hashes() -> None:
     log = short()
-    assert log.scans is not None
-    other = replace(log, scans=replace(log.scans, range_m=log.scans.range_m + 0.01))
+    scans = present(log.scans)
+    other = replace(log, scans=replace(scans, range_m=scans.range_m + 0.01))
     assert len({log_hash(log), log_hash(other), log_hash(replace(log, scans=None))}) == 3
 
 
@@ -325,8 +270,7 @@ def test_the_smoother_alone_says_that_it_wants_odometry() -> None:
 def test_a_vehicle_that_stands_still_tells_nothing_of_increments() -> None:
     log = with_positions(short())
     motion = replace(run_scan_odometry(log), wheels=None)
-    check = check_increments(motion, replace(log, truth=Truth()))
-    assert check is not None
+    check = present(check_increments(motion, replace(log, truth=Truth())))
     assert 0.3 < check.nees < 3.0
     still = replace(motion, displacement=np.zeros_like(motion.displacement))
     assert check_increments(still, replace(log, truth=Truth())) is None
@@ -354,29 +298,18 @@ def test_a_stream_of_no_positions_cannot_be_fused() -> None:
 def test_scans_between_relative_poses_are_named_by_their_time() -> None:
     """Rows are counted among the scans that the odometry covers, which nobody knows."""
     log = short()
-    assert log.scans is not None
-    times = log.scans.time_s[[10, 12, 14]]
-    poses = RelativePoses(times, np.ones((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
-    with pytest.raises(InputError, match=f"scans: time {log.scans.time_s[0]} s is no pose's"):
+    seen_s = present(log.scans).time_s
+    poses = RelativePoses(seen_s[[10, 12, 14]], np.ones((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
+    with pytest.raises(InputError, match=f"scans: time {seen_s[0]} s is no pose's"):
         run_front_end(replace(log, odometry=poses))
 
 
 def test_what_was_left_out_is_told() -> None:
     log = with_scans(short(), slice(10, 50))
-    odometry = log.odometry
-    assert isinstance(odometry, SteeringOdometry)
-    rows = odometry.time_s < 15.0
-    cut = replace(
-        odometry,
-        time_s=odometry.time_s[rows],
-        speed_mps=odometry.speed_mps[rows],
-        steering_rad=odometry.steering_rad[rows],
-    )
-    front_end = run_front_end(replace(log, odometry=cut))
+    front_end = run_front_end(replace(log, odometry=first_seconds(log, 15.0).odometry))
     remarks = build_front_end_result(front_end).remarks
-    assert log.scans is not None
     last_s = front_end.motion.time_s[-1]
-    scans = np.count_nonzero(log.scans.time_s > last_s)
+    scans = np.count_nonzero(present(log.scans).time_s > last_s)
     seen = np.count_nonzero(log.measurements.time_s > last_s)
     assert f"{scans} scans lie outside" in remarks[0]
     assert f"{seen} measurements lie outside" in remarks[1]

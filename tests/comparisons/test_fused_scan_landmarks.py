@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
-from comparisons.errors import InputError
 from comparisons.extensions.own_matching.extension import OwnMatchingFinding
 from comparisons.extensions.scan_landmarks.extension import (
     ScanLandmarksExtension,
@@ -27,7 +26,7 @@ from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 from ekf_reference.scan_landmarks.merging import FusingOptions
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
-from tests.helpers import Array, Source, compared
+from tests.helpers import Array, Source, assert_followed, compared
 from tests.scenarios import scenario
 
 CARELESS = ScanSlamOptions(
@@ -60,8 +59,7 @@ def test_the_smoother_is_told_of_the_fused(name: str) -> None:
     merges = c.ekf.pose_landmarks.merges
     assert len(merges.first) > 3
     assert len(c.agreement.pose_landmarks) == c.ekf.pose_landmarks.count - len(merges.first)
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.verdict.outcome == "agree"
 
 
@@ -97,7 +95,7 @@ def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
-    """The whole job, what it does not go with, and the smoother's own matcher beside it.
+    """The whole job, and the smoother's own matcher beside it.
 
     That one has templates of one scan each: fused ones are of two, and leave gaps in the numbers.
     """
@@ -115,11 +113,3 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
     )
     assert own.reasons["initialised"] == initialised
     assert own.ekf.landmarks == len(slam.landmarks)
-    with pytest.raises(InputError, match="--merge-landmarks goes with --landmarks scans or both"):
-        compared(log(), merge_landmarks=True)
-    with pytest.raises(InputError, match="regions of a map anchored to scan landmarks for good"):
-        compared(log(), landmarks="scans", merge_landmarks=True, dynamic=True)
-    with pytest.raises(InputError, match="and --map-aided-matching"):
-        compared(log(), landmarks="scans", merge_landmarks=True, map_aided_matching=True)
-    with pytest.raises(InputError, match="goes without --dense"):
-        compared(log(), landmarks="scans", merge_landmarks=True, dense=["points"])

@@ -19,7 +19,7 @@ from comparisons.report.result import build_result, run_rows
 from ekf_reference.core.geometry import Array as EkfArray
 from ekf_reference.models.position import Streak
 from tests.comparisons.test_positions import with_fixes
-from tests.helpers import Array, simulated
+from tests.helpers import Array, present, simulated
 
 SLIP_S, SLIP_M = 20.0, 10.0
 
@@ -42,8 +42,7 @@ def slipped() -> Log:
 def scattered() -> Log:
     """Twenty positions in a row that are wild, each in its own way."""
     log = blind_after(with_fixes(simulated(seed=3, loop_s=60.0), (0.0, 0.0)), SLIP_S)
-    given = log.positions
-    assert given is not None
+    given = present(log.positions)
     position, wild = given.position_m.copy(), np.flatnonzero(given.time_s > SLIP_S)[:20]
     angle = 2.4 * np.arange(20)
     position[wild] += 30.0 * np.column_stack((np.cos(angle), np.sin(angle)))
@@ -59,9 +58,8 @@ def run(log: Log, recovery: int | None, name: str = "full") -> EkfRun:
 
 def error_m(log: Log, found: EkfRun) -> Array:
     """Distances (K,) from the truth."""
-    assert log.truth.poses is not None
     estimate = found.estimate
-    apart = estimate.pose[:, :2] - log.truth.poses.at(estimate.time_s)[:, :2]
+    apart = estimate.pose[:, :2] - present(log.truth.poses).at(estimate.time_s)[:, :2]
     distance: Array = np.linalg.norm(apart, axis=1)
     return distance
 
@@ -105,16 +103,13 @@ def test_a_streak_needs_fixes_that_are_alike() -> None:
 def found_at_truth(log: Log) -> RejectedFixes:
     """What is found where the smoother is at the truth, sure to 0.1 m."""
     filtered = run(log, None)
-    assert log.truth.poses is not None
     estimate = filtered.estimate
     smoothed = replace(
         estimate,
-        pose=log.truth.poses.at(estimate.time_s),
+        pose=present(log.truth.poses).at(estimate.time_s),
         pose_covariance=np.tile(0.01 * np.eye(3), (len(estimate.time_s), 1, 1)),
     )
-    found = rejected_fixes(filtered, smoothed)
-    assert found is not None
-    return found
+    return present(rejected_fixes(filtered, smoothed))
 
 
 def test_lock_out_and_bad_positions_are_told_apart() -> None:

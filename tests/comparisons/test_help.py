@@ -162,19 +162,6 @@ def test_help_names_every_choice_and_the_default() -> None:
                 assert str(value).removesuffix(".0") == found[1], flag.option
 
 
-def test_the_help_of_all_commands_needs_neither_rich_nor_pydantic() -> None:
-    import subprocess
-    import sys
-
-    code = (
-        "import sys\nfrom comparisons.cli.app import main\nsys.argv[1:] = ['--help']\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "assert not {'rich', 'pydantic', 'numpy'} & set(sys.modules)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
 EARLIER = {
     "--association agreed": "--association consensus",
     "--association=agreed": "--association consensus",

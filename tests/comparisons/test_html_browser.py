@@ -11,13 +11,10 @@ import numpy as np
 import pytest
 
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.folder import write_job_folder
 from comparisons.report.html.shell import script
-from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
 from tests.comparisons.browser import came_up, look
 from tests.comparisons.test_html_report import HOSTILE
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated, written
 
 pytestmark = pytest.mark.browser
 POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
@@ -32,9 +29,7 @@ def comparison() -> Comparison:
 
 @pytest.fixture(scope="module")
 def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run") / "report"
-    write_job_folder(run_folder(comparison, build_result(comparison)), folder)
-    return folder / "report.html"
+    return written(comparison, tmp_path_factory.mktemp("run") / "report") / "report.html"
 
 
 def tried(report: Path, tmp_path: Path, steps: str) -> str:
@@ -52,8 +47,7 @@ def tried(report: Path, tmp_path: Path, steps: str) -> str:
 
 def shown(dom: str, name: str) -> str:
     """What the steps noted under a name."""
-    found = re.search(f'data-{name}="([^"]*)"', dom.split("<head", 1)[0])
-    assert found is not None
+    found = present(re.search(f'data-{name}="([^"]*)"', dom.split("<head", 1)[0]))
     return found[1]
 
 
@@ -79,8 +73,8 @@ def test_a_mistake_in_the_script_is_seen(
     """The broken variant: a name that does not exist, in a page that is otherwise in order."""
     mistaken = script().replace("hear('time'", "heer('time'")
     monkeypatch.setattr("comparisons.report.html.page.script", lambda: mistaken)
-    write_job_folder(run_folder(comparison, build_result(comparison)), tmp_path / "report")
-    dom = look((tmp_path / "report" / "report.html").as_uri(), tmp_path / "profile")
+    page = written(comparison, tmp_path / "report") / "report.html"
+    dom = look(page.as_uri(), tmp_path / "profile")
     assert "<svg" in dom
     assert not came_up(dom)
 
@@ -103,8 +97,7 @@ def test_a_link_says_what_to_look_at(comparison: Comparison, report: Path, tmp_p
     assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 2
     assert re.search(rf'<tr data-key="{key}"[^>]*class="[^"]*chosen', dom)
     assert re.search(rf'<circle class="ring"[^>]* data-key="{key}"', dom)
-    hidden = re.search(r'<g class="layer faint" data-name="associations"[^>]*>', dom)
-    assert hidden is not None
+    hidden = present(re.search(r'<g class="layer faint" data-name="associations"[^>]*>', dom))
     assert "display" not in hidden[0]
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 from dataclasses import replace
 from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +17,6 @@ from comparisons.checks.causes import EXPLANATIONS
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Finding
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.folder import write_job_folder
 from comparisons.report.html import map as map_page
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
@@ -28,10 +27,10 @@ from comparisons.report.marks import Panel
 from comparisons.report.models import CauseResult, Result
 from comparisons.report.panels import consistency_panels
 from comparisons.report.result import build_result, run_rows
-from comparisons.report.run import run_folder, run_page
+from comparisons.report.run import run_page
 from comparisons.report.settings import SETTINGS, SettingLine, setting_lines, settings_result
 from comparisons.words import Row
-from tests.helpers import compared, simulated
+from tests.helpers import altered, compared, present, simulated, written
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
 
@@ -45,9 +44,7 @@ def comparison() -> Comparison:
 
 @pytest.fixture(scope="module")
 def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run") / "report"
-    write_job_folder(run_folder(comparison, build_result(comparison)), folder)
-    return folder / "report.html"
+    return written(comparison, tmp_path_factory.mktemp("run") / "report") / "report.html"
 
 
 class Reader(HTMLParser):
@@ -80,6 +77,13 @@ def read(path: Path) -> Reader:
     reader.feed(path.read_text(encoding="utf-8"))
     assert not reader.open
     return reader
+
+
+def data_of(text: str) -> dict[str, Any]:
+    """What a page gives its script."""
+    block = present(re.search(r'id="data">(.*?)</script>', text))
+    data: dict[str, Any] = json.loads(block[1])
+    return data
 
 
 def test_it_is_whole_without_a_network(report: Path) -> None:
@@ -127,18 +131,6 @@ def test_a_number_with_an_exponent_stays_in_one_line() -> None:
     assert prose("label-3 of e-mail 12") == "label-3 of e-mail 12"
 
 
-def test_every_kind_of_cause_is_explained() -> None:
-    """Those that the code names; another one has no card with an explanation."""
-    root, found = Path(page.__code__.co_filename).parents[2], set[str]()
-    for path in root.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] == "Cause":
-                found |= {str(a.value) for a in node.args[:1] if isinstance(a, ast.Constant)}
-    assert len(found) > 15
-    assert found <= set(EXPLANATIONS)
-    assert not {*found, "unheard of"} <= set(EXPLANATIONS)
-
-
 def test_settings_that_differ_come_first(comparison: Comparison) -> None:
     config = comparison.prepared.config
     usual = setting_lines(config)
@@ -177,10 +169,8 @@ def test_the_command_that_runs_it_again_is_there_without_a_script(report: Path) 
 def test_every_colour_of_a_line_is_seen_on_a_dark_page(report: Path) -> None:
     """At 3 to 1 or more; without the colours for the dark several are not."""
     text = report.read_text(encoding="utf-8")
-    block = re.search(r'id="data">(.*?)</script>', text)
-    assert block is not None
     painted = set(re.findall(r'data-name="[^"]*" stroke="([^"]*)"', text))
-    painted |= {one["colour"] for p in json.loads(block[1])["panels"] for one in p["curves"]}
+    painted |= {one["colour"] for p in data_of(text)["panels"] for one in p["curves"]}
     light = {re.sub(r".*(#\w{6}).*", r"\1", colour) for colour in painted}
     assert len(light) > 4
     assert {themed(colour) for colour in light} == painted
@@ -269,9 +259,7 @@ def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -
     assert 'data-name="plain landmarks"' in text
     count = len(comparison.smoothed.landmark)
     assert len(re.findall("<circle [^>]*><title>a third &lt;i&gt;, landmark", text)) == count - 2
-    block = re.search(r'id="data">(.*?)</script>', text)
-    assert block is not None
-    data = json.loads(block[1])
+    data = data_of(text)
     assert set(data["tracks"]) == {"smoother", "EKF", "a third <i>", "plain"}
     panel = next(p for p in data["panels"] if p["title"] == "distance from the smoother [m]")
     apart = {curve["name"]: curve["y"] for curve in panel["curves"]}
@@ -302,35 +290,22 @@ def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> N
     blocks = tuple(c.agreement.landmarks[i] for i in which.tolist())
     panels = consistency_panels(c)
     panels = replace(panels, errors=tuple(_lengthened(panel, poses) for panel in panels.errors))
-    grown = replace(
-        c,
-        ekf=replace(c.ekf, estimate=long(c.ekf.estimate)),
-        gaps=replace(
-            c.gaps,
-            smoothed=long(c.smoothed),
-            agreement=replace(c.agreement, landmarks=blocks),
-        ),
-    )
+    grown = altered(c, "ekf.estimate", long(c.ekf.estimate))
+    grown = altered(grown, "gaps.smoothed", long(c.smoothed))
+    grown = altered(grown, "gaps.agreement.landmarks", blocks)
     text = page(run_page(grown, panels, build_result(grown), []))
     assert len(text) < 4_000_000
 
 
 def _lengthened(panel: Panel, count: int) -> Panel:
     """The panel with its curves and bands of `count` points."""
+
+    def long(mark: Any) -> Any:
+        columns = {n: v for n, v in vars(mark).items() if isinstance(v, np.ndarray)}
+        return replace(mark, **{n: np.resize(v, count) for n, v in columns.items()})
+
     return replace(
-        panel,
-        curves=tuple(
-            replace(c, x=np.resize(c.x, count), y=np.resize(c.y, count)) for c in panel.curves
-        ),
-        bands=tuple(
-            replace(
-                b,
-                x=np.resize(b.x, count),
-                low=np.resize(b.low, count),
-                high=np.resize(b.high, count),
-            )
-            for b in panel.bands
-        ),
+        panel, curves=tuple(map(long, panel.curves)), bands=tuple(map(long, panel.bands))
     )
 
 
@@ -357,33 +332,21 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     """Poses, landmarks, ratios and errors that are no numbers."""
     c, ekf = comparison, comparison.ekf.estimate
     assert c.consistency.ekf is not None
-    assert c.consistency.ekf.poses is not None
-    poses = c.consistency.ekf.poses
+    poses = present(c.consistency.ekf.poses)
     gone = np.where(np.arange(len(ekf.pose)) % 7 == 3, np.nan, 1.0)[:, None]
     landmark = ekf.landmark.copy()
     landmark[2] = np.inf
     blocks = tuple(replace(b, least=np.nan, distance=np.inf) for b in c.agreement.landmarks)
-    broken = replace(
-        c,
-        ekf=replace(c.ekf, estimate=replace(ekf, pose=gone * ekf.pose, landmark=landmark)),
-        gaps=replace(c.gaps, agreement=replace(c.agreement, landmarks=blocks)),
-        consistency=replace(
-            c.consistency,
-            ekf=replace(
-                c.consistency.ekf,
-                poses=replace(poses, error=gone[1:] * poses.error, sigma=gone[1:] * poses.sigma),
-            ),
-        ),
-    )
+    broken = altered(c, "ekf.estimate", replace(ekf, pose=gone * ekf.pose, landmark=landmark))
+    broken = altered(broken, "gaps.agreement.landmarks", blocks)
+    broken = altered(broken, "consistency.ekf.poses.error", gone[1:] * poses.error)
+    broken = altered(broken, "consistency.ekf.poses.sigma", gone[1:] * poses.sigma)
     text = drawn(broken, build_result(c))
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
     assert len(places) > 100
     assert not [place for place in places if re.search("nan|inf", place)]
-    block = re.search(r'id="data">(.*?)</script>', text)
-    assert block is not None
-    data = json.loads(block[1])
-    track = re.search(r'points="([^"]*)" stroke-dasharray="5 3" data-track="EKF"', text)
-    assert track is not None
+    data = data_of(text)
+    track = present(re.search(r'points="([^"]*)" stroke-dasharray="5 3" data-track="EKF"', text))
     assert len(track[1].split()) == len(data["tracks"]["EKF"]) == int(np.isfinite(gone).sum())
     assert None in data["panels"][0]["curves"][0]["y"]
 

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.report.folder import write_job_folder
 from comparisons.report.models import CauseResult
 from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
 from tests.comparisons.browser import noted
-from tests.helpers import compared, simulated
+from tests.helpers import compared, simulated, written
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -57,9 +55,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = compared(simulated(seed=2, loop_s=20.0), smoother_association="own")
     cause = CauseResult(gap="model", evidence="a number 1234567.8901 " * 20, hint="look " * 30)
     result = build_result(found).model_copy(update={"causes": [cause], "verdict": "disagree"})
-    folder = tmp_path_factory.mktemp("run") / "report"
-    write_job_folder(run_folder(found, result), folder)
-    return folder / "report.html"
+    return written(found, tmp_path_factory.mktemp("run") / "report", result) / "report.html"
 
 
 @pytest.mark.parametrize("dark", [False, True])

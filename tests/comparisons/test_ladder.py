@@ -24,7 +24,7 @@ from comparisons.report.ladder import (
 )
 from comparisons.report.models import CauseResult, Result
 from comparisons.report.result import build_result
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +75,7 @@ def test_a_gap_behind_a_wrong_filter_is_not_judged(result: Result) -> None:
 
 def test_the_picture_says_in_words_what_it_shows(result: Result) -> None:
     text = ladder_picture(ladder(caused(result, "linearisation")))
-    words = re.search(r"<desc[^>]*>(.*?)</desc>", text)
-    assert words is not None
+    words = present(re.search(r"<desc[^>]*>(.*?)</desc>", text))
     assert words[1].count("passes") == 4
     assert "Linearisation gap, linear problem, smoother&#x27;s factors to smoother" in words[1]
     assert text.count('class="box"') == 6

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from benchmarks.layer_values import COLOURS, SIGMA_COLOUR, coloured_poles
 from comparisons.adapters.attributes import AROUND_M, BRIGHTNESS, measured_attributes
+from comparisons.adapters.defects.defect import with_state
 from comparisons.adapters.ekf_factory import build_association, settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -25,13 +26,12 @@ from comparisons.report.result import build_result
 from ekf_reference.association.attributes import AttributeEstimates
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE, NewLandmarks
 from ekf_reference.core.measurements import MeasuredAttributes, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.layer_attributes import LayerAttributes
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.helpers import Array, compared, simulated
+from tests.helpers import Array, compared, present, simulated
 
 LAYER = EkfConfig(association="nn", attributes="layer")
 RULES = (NearestNeighbour, JointCompatibility)
@@ -183,11 +183,6 @@ def test_a_map_on_both_kinds_of_landmarks_tells_the_same_of_points() -> None:
         np.testing.assert_array_equal(alone, both)
 
 
-def test_points_alone_have_attributes() -> None:
-    with pytest.raises(InputError, match="--attributes layer tells points apart"):
-        compared(drive(), ekf=LAYER, landmarks="scans")
-
-
 def test_both_estimators_follow_an_association_by_a_layer() -> None:
     result = build_result(compared(drive(), ekf=LAYER))
     assert result.ekf.attributes == "layer"
@@ -201,8 +196,7 @@ def test_what_cannot_be_had_is_said() -> None:
     with pytest.raises(InputError, match="holds no scans with intensities"):
         settle(LAYER, bare)
     log = drive()
-    assert log.scans is not None
-    dark = replace(log.scans, intensity=np.zeros_like(log.scans.intensity))
+    dark = replace(present(log.scans), intensity=np.zeros_like(present(log.scans).intensity))
     with pytest.raises(InputError, match="its scans have no intensities"):
         DenseWatcher(replace(log, scans=dark), DenseMapsConfig(layers=("values",)))
     with pytest.raises(ValueError, match="the map that keeps it"):
@@ -220,11 +214,7 @@ class Doubled(KalmanState):
 @pytest.mark.slow
 def test_an_algebra_gap_is_traced_with_the_layer_as_well() -> None:
     """The second run, operation by operation, goes by a map of its own."""
-
-    def wrong(ekf: Ekf) -> None:
-        ekf.state = Doubled(ekf.state.pose, ekf.state.pose_covariance)
-
-    found = compared(drive(), Modified(wrong), ekf=LAYER)
+    found = compared(drive(), Modified(with_state(Doubled)), ekf=LAYER)
     causes = " ".join(cause.evidence for cause in found.verdict.causes)
     assert found.verdict.outcome == "disagree"
     assert "the prediction computes the vehicle's covariance wrongly" in causes

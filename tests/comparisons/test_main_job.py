@@ -9,7 +9,7 @@ import pytest
 
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.compare import Comparison
-from tests.helpers import compared, first_seconds
+from tests.helpers import assert_followed, compared, first_seconds, present
 
 
 def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
@@ -19,8 +19,7 @@ def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison
     assert abs(c.smoother.error - 3173.49) < 0.01
     assert c.smoother.optimality.verified
     assert set(c.smoother.optimality.agreeing) == {"ekf", "relaxed"}
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.agreement.linearisation.sigma > 3.0
     assert c.agreement.whole.least < 0.05
     assert c.verdict.outcome == "disagree"
@@ -39,16 +38,13 @@ def test_two_runs_are_identical(victoria_park: Comparison) -> None:
 def test_car_park(shared_data: Path) -> None:
     c = compared(open_log(str(shared_data / "acfr_car_park")))
     assert c.prepared.ekf.association == "nn"
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
     for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == accuracy.landmarks_true == 15
-        assert accuracy.landmark_rmse_m is not None
-        assert accuracy.landmark_rmse_m < 0.30
-        assert accuracy.coverage is not None
-        assert accuracy.coverage > 0.99
+        assert present(accuracy.landmark_rmse_m) < 0.30
+        assert present(accuracy.coverage) > 0.99
 
 
 @pytest.mark.slow
@@ -56,26 +52,22 @@ def test_car_park(shared_data: Path) -> None:
 def test_mrclam(shared_data: Path, robot: int) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
     c = compared(log, association="known")
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
     assert c.ekf.unused["rejected"] == (4 if robot == 3 else 0)  # one misread label, four times
     for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == 15
-        assert accuracy.landmark_rmse_aligned_m is not None
-        assert accuracy.landmark_rmse_aligned_m < 0.12
+        assert present(accuracy.landmark_rmse_aligned_m) < 0.12
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("robot", "recall"), [(1, 0.93), (2, 0.97), (3, 0.97)])
 def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: float) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    score = compared(log, association="consensus").assessment.association
-    assert score is not None
-    assert score.clusters is not None
-    assert score.clusters.precision > 0.99
-    assert score.clusters.recall > recall
+    score = present(compared(log, association="consensus").assessment.association)
+    assert present(score.clusters).precision > 0.99
+    assert present(score.clusters).recall > recall
 
 
 def test_victoria_park_detections_read_whole(shared_data: Path) -> None:
@@ -90,5 +82,4 @@ def test_victoria_park_detections_run(shared_data: Path) -> None:
     """The first minutes, by nearest neighbour: both gaps at rounding."""
     log = first_seconds(open_log(str(shared_data / "victoria_park")), 120.0)
     c = compared(log)
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.within(1e-6)
+    assert_followed(c, 1e-6)

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from comparisons.adapters.defects.defect import with_state
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -38,7 +39,7 @@ from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.models.relative_pose import RelativePose
 from graphslam.smoother import SmootherOptions
 from tests.ekf_reference.both_kinds import relative
-from tests.helpers import Array, Source, compared
+from tests.helpers import Array, Source, compared, present
 from tests.scenarios import scenario
 
 R = np.diag((0.05, 0.05, 0.01)) ** 2
@@ -52,8 +53,7 @@ class Frames:
     """Sees frames beside the way where they truly are, with noise; fuses the first two."""
 
     def __init__(self, *, by_ledger: bool = True) -> None:
-        poses = log().truth.poses
-        assert poses is not None
+        poses = present(log().truth.poses)
         self.poses, self.rng = poses, np.random.default_rng(0)
         self.frames = poses.at(np.linspace(poses.time_s[0] + 1.0, 38.0, 8)) + (1.0, 2.0, 2.0)
         self.landmark_index: dict[int, int] = {}
@@ -188,10 +188,8 @@ class Half(KalmanState):
 
 @pytest.mark.slow
 def test_broken_algebra_is_named() -> None:
-    def plant(ekf: Ekf) -> None:
-        ekf.state = Half(log().prior.pose, np.array(log().prior.covariance))
-
-    broken = compared(log(), Modified(plant), Source(Frames), filter="full", association="known")
+    half = Modified(with_state(Half))
+    broken = compared(log(), half, Source(Frames), filter="full", association="known")
     assert "algebra" in [cause.gap for cause in broken.verdict.causes]
     assert "the update computes the mean wrongly" in broken.verdict.causes[0].evidence
 

@@ -24,19 +24,18 @@ from comparisons.checks.qualifiers import (
     truth_gap,
 )
 from comparisons.checks.verdict import Outcome, Verdict
-from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import NO_LANDMARK, Log, Truth
+from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.logs.odometry import VelocityOdometry
+from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline import second_association
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
 from comparisons.settings import run_config
 from comparisons.trace.events import Sensor
-from tests.commands import slamcheck
+from tests.commands import slamcheck, works
 from tests.comparisons.drawn_innovations import drawn_sensor
-from tests.helpers import compared, first_seconds, simulated
+from tests.helpers import compared, first_seconds, present, simulated, without_labels
 
 AGREE = Verdict(outcome="agree", causes=(), remarks=())
 
@@ -51,27 +50,7 @@ def sound() -> Comparison:
 
 
 def blind(log: Log) -> Log:
-    nobody = np.full(len(log.measurements.time_s), NO_LANDMARK)
-    return replace(log, measurements=replace(log.measurements, landmark=nobody), truth=Truth())
-
-
-def between(log: Log, begin_s: float, end_s: float) -> Log:
-    """A stretch of a log with velocity odometry, its prior from the true poses."""
-    odometry, seen, poses = log.odometry, log.measurements, log.truth.poses
-    assert isinstance(odometry, VelocityOdometry)
-    assert poses is not None
-    rows = (odometry.time_s >= begin_s) & (odometry.time_s <= end_s)
-    return replace(
-        log,
-        prior=replace(log.prior, time_s=begin_s, pose=poses.at(np.array([begin_s]))[0]),
-        odometry=replace(
-            odometry,
-            time_s=odometry.time_s[rows],
-            speed_mps=odometry.speed_mps[rows],
-            yaw_rate_radps=odometry.yaw_rate_radps[rows],
-        ),
-        measurements=seen.chosen((seen.time_s > begin_s) & (seen.time_s <= end_s)),
-    )
+    return replace(without_labels(log), truth=Truth())
 
 
 def shifted_truth(log: Log, metres: float) -> Log:
@@ -223,8 +202,7 @@ def test_each_word_fails_on_what_it_names(
 
 def test_the_filter_against_the_smoother_has_a_band(sound: Comparison) -> None:
     """A filter that is half as certain as it says is outside by that alone."""
-    smoothed = sound.consistency.smoothed
-    assert smoothed is not None
+    smoothed = present(sound.consistency.smoothed)
     alone = replace(sound.consistency, ekf=None, sensors=())
     assert inconsistencies(alone) == ()
     wrong = replace(smoothed, squared=4.0 * smoothed.squared)
@@ -238,9 +216,8 @@ def test_a_shared_mistake_shows_in_verdict_and_result(sound: Comparison) -> None
     assert TRUTH_GAP in wrong.verdict.qualifiers
     result = build_result(wrong)
     assert result.headline.startswith("agree, truth gap")
-    assert result.truth_gap is not None
-    assert result.truth_gap.stands
-    assert result.truth_gap.distances[0].error_m == pytest.approx(1.0, abs=0.5)
+    assert present(result.truth_gap).stands
+    assert present(result.truth_gap).distances[0].error_m == pytest.approx(1.0, abs=0.5)
     assert not build_result(sound).truth_gap.stands  # type: ignore[union-attr]
 
 
@@ -250,8 +227,7 @@ def test_a_map_that_is_nowhere_near_is_a_gap(sound: Comparison) -> None:
     lost = shifted_truth(log, 500.0)
     lost = replace(lost, truth=replace(lost.truth, poses=None))
     found = compared(lost, association="nn")
-    assert found.assessment.truth_gap is not None
-    assert found.assessment.truth_gap.lost
+    assert present(found.assessment.truth_gap).lost
     assert TRUTH_GAP in found.verdict.qualifiers
 
 
@@ -288,8 +264,7 @@ def test_labels_stand_for_the_truth() -> None:
     """A log with labels and without truth: the smoother with them says how far off S is."""
     log = replace(first_seconds(simulated(0), 30.0), truth=Truth())
     found = compared(log, association="nn")
-    right = found.assessment.truth_gap
-    assert right is not None
+    right = present(found.assessment.truth_gap)
     assert right.reference == "the smoother with the log's labels"
     assert not right.stands
     assert compared(log, association="known").assessment.truth_gap is None
@@ -313,13 +288,6 @@ def test_fail_on_takes_words_with_commas(text: str) -> None:
     assert run_config(fail_on=text).fail_on == expected
 
 
-def test_an_unknown_word_is_one_line() -> None:
-    with pytest.raises(
-        InputError, match=r"fail_on is 'time': expected some of disagreement, consis"
-    ):
-        run_config(fail_on="truth,time")
-
-
 def test_a_log_of_templates_has_their_scale() -> None:
     seen = simulated(0, loop_s=2.0).measurements
     assert 0.1 < measurement_scale(seen, np.zeros((0, 2, 2))) < 0.5
@@ -332,12 +300,11 @@ def test_a_log_of_templates_has_their_scale() -> None:
 def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path) -> None:
     """From 190 to 340 s MR.CLAM's robot 1 is seen 0.4 m off by both; with labels 0.13 m."""
     whole = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=1)
-    log = between(whole, 190.0, 340.0)
+    log = cut_log(whole, 190.0, 340.0)
     for association in ("jcbb", "consensus"):
         found = compared(log, association=association)
         assert TRUTH_GAP in found.verdict.qualifiers, association
-        held = found.assessment.truth_gap
-        assert held is not None
+        held = present(found.assessment.truth_gap)
         assert all(d.worse and not d.far for d in held.distances)
         evidence = next(one.evidence for one in found.verdict.causes if one.gap == "truth")
         assert "with the log's labels 0.13 m" in evidence
@@ -346,8 +313,9 @@ def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path
     sound = compared(log, association="known").verdict
     assert sound.outcome == "agree"
     assert TRUTH_GAP not in sound.qualifiers
-    by_labels = compared(replace(whole, truth=Truth()), association="nn").assessment.truth_gap
-    assert by_labels is not None
+    by_labels = present(
+        compared(replace(whole, truth=Truth()), association="nn").assessment.truth_gap
+    )
     assert by_labels.reference == "the smoother with the log's labels"
     assert by_labels.stands
 
@@ -355,9 +323,7 @@ def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path
 @pytest.mark.slow
 def test_a_truth_gap_has_an_exit_code_on_request(tmp_path: Path) -> None:
     write_log_folder(shifted_truth(simulated(0), 2.0), tmp_path / "log")
-    plain = slamcheck("run", "log", "--out", "plain", cwd=tmp_path)
-    assert plain.returncode == 0, plain.stderr
-    assert "verdict: agree, truth gap" in plain.stdout
+    assert "verdict: agree, truth gap" in works("run", "log", "--out", "plain", cwd=tmp_path)
     failed = slamcheck("run", "log", "--fail-on", "truth", "--out", "failed", cwd=tmp_path)
     assert failed.returncode == 1
     verdict = next(line for line in failed.stdout.splitlines() if line.startswith("verdict:"))

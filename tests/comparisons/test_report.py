@@ -27,7 +27,7 @@ from comparisons.report.result import build_result
 from comparisons.report.rows import seconds_rows
 from comparisons.report.run import run_folder
 from comparisons.settings import configure, run_config
-from tests.helpers import compared, random_covariance, simulated
+from tests.helpers import compared, present, random_covariance, simulated
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +47,7 @@ def test_ellipses_lie_at_their_sigmas() -> None:
 
 def test_the_map_shows_both_estimates_and_truth(comparison: Comparison) -> None:
     figure = map_figure(comparison)
-    legend = figure.axes[0].get_legend()
-    assert legend is not None
+    legend = present(figure.axes[0].get_legend())
     assert {text.get_text() for text in legend.get_texts()} == {
         "truth", "true landmarks", "smoother trajectory", "EKF trajectory", "dead reckoning",
         "smoother landmarks, 3 sigma", "EKF landmarks, 3 sigma",
@@ -304,8 +303,7 @@ def test_processor_time_stands_beside_wall_time(comparison: Comparison) -> None:
     assert spent["seconds"]["waiting"] >= 0.2
     assert spent["cpu_s"]["waiting"] < 0.1
     result = build_result(comparison, clock)
-    assert result.cpu_s is not None
-    assert list(result.cpu_s) == list(result.seconds)
+    assert list(present(result.cpu_s)) == list(result.seconds)
     old = json.loads(result.model_dump_json(by_alias=True))
     del old["cpu_s"]
     assert Result.model_validate(old).cpu_s is None

@@ -18,7 +18,7 @@ from comparisons.pipeline.prepare import prepare
 from comparisons.report.dense_map import build_map_result, regions_csv
 from comparisons.settings import run_config
 from ekf_reference.core.landmark_types import POINT, POSE
-from tests.helpers import compared
+from tests.helpers import compared, present
 from tests.scenarios import scenario
 
 log = partial(scenario, "scan-slam-maps", seconds=8.0)
@@ -46,9 +46,7 @@ def source(**options: str | bool) -> ScanSlamSource:
     prepared, setup = prepare(log(), run_config(**options)), FilterSetup()
     for extension in prepared.extensions:
         extension.attach(setup, prepared)
-    found = setup.find(ScanSlamSource)
-    assert found is not None
-    return found
+    return present(setup.find(ScanSlamSource))
 
 
 @pytest.mark.slow
@@ -90,8 +88,7 @@ def test_map_and_run_keep_the_same_map() -> None:
 def test_it_is_told_by_the_scan_landmarks_names() -> None:
     result = build_map_result(mapped())
     assert result.scan_landmarks == len(mapped().ekf.estimate.pose_landmarks)
-    median_m = result.surface_errors["occupancy"].median_m
-    assert median_m is not None
+    median_m = present(result.surface_errors["occupancy"].median_m)
     assert median_m < 0.4
     rows = regions_csv(mapped()).splitlines()[1:]
     assert len(rows) == result.regions
@@ -101,27 +98,11 @@ def test_it_is_told_by_the_scan_landmarks_names() -> None:
 
 
 def test_a_map_to_enrich_templates_from_hangs_on_the_same_landmarks() -> None:
-    kept = source(landmarks="both", map_aided_matching=True).map_of
-    assert kept is not None
+    kept = present(source(landmarks="both", map_aided_matching=True).map_of)
     assert kept.run().kinds == (POINT, POSE)
     assert source(landmarks="scans").map_of is None
 
 
-def test_what_cannot_be_asked_for_is_said_in_a_line() -> None:
-    with pytest.raises(
-        InputError,
-        match=r"scan_landmarks\.template_extraction is 'all': .*'whole-scan' or 'per-segment'",
-    ):
-        run_config(landmarks="scans", template_extraction="all")
-    with pytest.raises(
-        InputError, match="--template-extraction per-segment goes with --landmarks scans or both"
-    ):
-        run_config(template_extraction="per-segment")
-    with pytest.raises(InputError, match="goes with --landmarks scans or both"):
-        run_config(map_aided_matching=True)
-    with pytest.raises(
-        InputError, match=r"scan_landmarks\.landmarks is 'walls': .*'scans' or 'both'"
-    ):
-        asked("walls")
+def test_points_are_needed_for_a_map_on_both() -> None:
     with pytest.raises(InputError, match="holds no measurements of landmarks"):
         map_log(log(), asked("both"))

@@ -28,7 +28,8 @@ from comparisons.logs.simulate.scan_drive import (
 from comparisons.logs.transforms.scan_motion import divide, with_scan_motion
 from graphslam.increments import Samples, compose
 from graphslam.scan import planar
-from tests.helpers import compared, random_covariance, relative_error
+from tests.comparisons.test_front_end_faults import with_scans, without_odometry
+from tests.helpers import compared, present, random_covariance, relative_error
 
 Array = NDArray[np.float64]
 SEEDS = 50
@@ -38,25 +39,13 @@ def scan_loop(seed: int = 0, name: str = "scan-loop-fine") -> Log:
     return open_log(name, choices=SimulationChoices(seed))
 
 
-def first_scans(log: Log, count: int) -> Log:
-    """The log with its first scans only."""
-    assert log.scans is not None
-    s = log.scans
-    kept = replace(
-        s, time_s=s.time_s[:count], range_m=s.range_m[:count], intensity=s.intensity[:count]
-    )
-    return replace(log, scans=kept)
-
-
 def with_ranges(log: Log, ranges: Array) -> Log:
-    assert log.scans is not None
-    return replace(log, scans=replace(log.scans, range_m=ranges))
+    return replace(log, scans=replace(present(log.scans), range_m=ranges))
 
 
 def squared_errors(log: Log) -> tuple[ScanMotion, Array]:
-    assert log.truth.poses is not None
     motion = run_scan_odometry(log)
-    return motion, normalised_errors(motion, log.truth.poses)
+    return motion, normalised_errors(motion, present(log.truth.poses))
 
 
 def beginning(experiment: ScanExperiment, seed: int, seconds: float) -> Log:
@@ -96,12 +85,10 @@ def test_errors_of_whole_drives_are_as_large_as_the_covariances_say() -> None:
 @pytest.mark.parametrize("name", ["scan-loop-fine", "scan-loop-3d"])
 def test_drift_stays_below_one_percent(name: str) -> None:
     log = scan_loop(name=name)
-    assert log.truth.poses is not None
-    stream = log.scans or log.clouds
-    assert stream is not None
+    stream = log.scans or present(log.clouds)
     assert len(stream.time_s) >= 200
     motion = run_scan_odometry(log)
-    poses = log.truth.poses
+    poses = present(log.truth.poses)
     true = np.column_stack([np.interp(motion.time_s, poses.time_s, c) for c in poses.pose.T])
     way = np.hypot(*np.diff(true[:, :2], axis=0).T).sum()
     for k in range(0, len(true), 20):
@@ -110,9 +97,8 @@ def test_drift_stays_below_one_percent(name: str) -> None:
 
 
 def test_scans_that_cannot_be_used_are_counted_not_passed_over() -> None:
-    log = first_scans(scan_loop(), 30)
-    assert log.scans is not None
-    ranges = log.scans.range_m.copy()
+    log = with_scans(scan_loop(), slice(30))
+    ranges = present(log.scans).range_m.copy()
     ranges[5] = np.nan
     ranges[9, 3:] = np.nan
     ranges[12:14] = 1e6
@@ -126,29 +112,23 @@ def test_scans_that_cannot_be_used_are_counted_not_passed_over() -> None:
 
 
 def test_no_usable_scan_is_an_error() -> None:
-    log = first_scans(scan_loop(), 5)
-    assert log.scans is not None
+    log = with_scans(scan_loop(), slice(5))
     with pytest.raises(InputError, match="none of 5 scans could be used; the first: 0 of 0"):
-        run_scan_odometry(with_ranges(log, np.full_like(log.scans.range_m, np.nan)))
-    with pytest.raises(InputError, match="holds no scans"):
-        run_scan_odometry(open_log("simulated-loop"))
+        run_scan_odometry(with_ranges(log, np.full_like(present(log.scans).range_m, np.nan)))
 
 
 def test_a_lost_track_is_bridged_by_wheels_or_is_an_error() -> None:
-    log = first_scans(scan_loop(), 30)
-    assert log.scans is not None
-    ranges = log.scans.range_m.copy()
+    log = with_scans(scan_loop(), slice(30))
+    ranges = present(log.scans).range_m.copy()
     ranges[8:16] = np.nan
     blind = with_ranges(log, ranges)
     motion = run_scan_odometry(blind)
     assert motion.breaks == 1
     after = int(np.flatnonzero(motion.bridged)[1])
     assert motion.row[after] == 16
-    assert motion.wheels is not None
-    assert np.array_equal(motion.displacement[after], motion.wheels[after])
-    none = RelativePoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    assert np.array_equal(motion.displacement[after], present(motion.wheels)[after])
     with pytest.raises(InputError, match=r"lost track at 5\.\d+ s, and there is no wheel odometry"):
-        run_scan_odometry(replace(blind, odometry=none))
+        run_scan_odometry(without_odometry(blind))
 
 
 def test_divided_increments_compose_to_the_whole() -> None:
@@ -183,17 +163,14 @@ def test_both_estimators_move_by_scans() -> None:
     assert by_scans.agreement.algebra.sigma < 1e-9
     assert by_scans.agreement.model.sigma < 1e-9
     assert by_scans.smoother.optimality.chi_square.reading == "plausible"
-    assert by_scans.assessment.ekf is not None
-    assert by_wheels.assessment.ekf is not None
-    assert by_scans.assessment.ekf.ate_aligned_m is not None
-    assert by_wheels.assessment.ekf.ate_aligned_m is not None
-    assert by_scans.assessment.ekf.ate_aligned_m < 0.5 * by_wheels.assessment.ekf.ate_aligned_m
+    assert present(present(by_scans.assessment.ekf).ate_aligned_m) < 0.5 * present(
+        present(by_wheels.assessment.ekf).ate_aligned_m
+    )
 
 
 def with_fixes(log: Log, sigma_m: float, seed: int = 0) -> Log:
     """The log with positions made from its truth, which it then lacks."""
-    poses = log.truth.poses
-    assert poses is not None
+    poses = present(log.truth.poses)
     rng = np.random.default_rng(seed)
     rows = np.arange(3, len(poses.time_s), 11)
     fixes = poses.pose[rows, :2] + sigma_m * rng.standard_normal((len(rows), 2))
@@ -207,8 +184,7 @@ def with_fixes(log: Log, sigma_m: float, seed: int = 0) -> Log:
 def test_positions_tell_by_how_much_sigmas_are_wrong(scale: float) -> None:
     """Increments drawn from covariances that are then stated wrongly by a known factor."""
     log = with_fixes(scan_loop(), 0.1)
-    true = scan_loop().truth.poses
-    assert true is not None
+    true = present(scan_loop().truth.poses)
     motion = run_scan_odometry(log)
     rng = np.random.default_rng(5)
     at = np.column_stack([np.interp(motion.time_s, true.time_s, c) for c in true.pose.T])
@@ -219,8 +195,7 @@ def test_positions_tell_by_how_much_sigmas_are_wrong(scale: float) -> None:
         moves.append(planar.compose(planar.between(before, after), noise))
     stated = np.broadcast_to((scale**2) * spread, (len(moves), 3, 3))
     drawn = replace(motion, displacement=np.array(moves), covariance=stated)
-    check = check_increments(drawn, log)
-    assert check is not None
+    check = present(check_increments(drawn, log))
     assert check.against == "positions"
     assert check.factor == pytest.approx(1.0 / scale, rel=0.2)
     assert check.reference_factor == pytest.approx(1.0, abs=0.35)
@@ -230,6 +205,5 @@ def test_the_car_park_by_its_scans(shared_data: Path) -> None:
     log = read_log(shared_data / "acfr_car_park")
     motion = run_scan_odometry(log)
     assert len(motion.row) == 585
-    check = check_increments(motion, log)
-    assert check is not None
+    check = present(check_increments(motion, log))
     assert 0.5 < check.factor < 2.0

@@ -18,7 +18,7 @@ from comparisons.pipeline.compare import REQUIRED, compare_prepared, run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.pipeline.size import GIB, check_size, needed
 from comparisons.pipeline.solve import solve
-from tests.helpers import simulated
+from tests.helpers import present, simulated
 
 
 def prepared(kind: str = "compressed", loop_s: float = 20.0) -> Prepared[RunConfig]:
@@ -70,8 +70,7 @@ def test_a_control_group_leaves_its_limit_and_what_files_hold(
     ):
         (tmp_path / name).write_text(f"{text}\n")
     monkeypatch.setattr(size, "_CGROUP", tmp_path)
-    available = size.available_bytes()
-    assert available is not None
+    available = present(size.available_bytes())
     assert (available == 1500.0) == (most == "3000")
 
 

@@ -24,7 +24,7 @@ from comparisons.report.rows import spurious_rows
 from comparisons.trace.events import Event, Update
 from comparisons.trace.reader import Trace
 from tests.comparisons.test_known_landmarks import with_survey
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
 from tests.scenarios import scenario
 
 
@@ -34,9 +34,7 @@ def sound() -> Comparison:
 
 
 def learnt(c: Comparison) -> Learnt:
-    found = c.spurious
-    assert found is not None
-    return found
+    return present(c.spurious)
 
 
 def with_information(information: float) -> Learnt:
@@ -57,8 +55,7 @@ def test_a_run_says_how_its_information_grew() -> None:
     assert time_s[0] == c.ekf.estimate.time_s[0]
     assert time_s[-1] == c.ekf.estimate.time_s[-1]
     assert result.information == found.of(HEADING).information == result.growth[-1]
-    assert result.sigma_deg is not None
-    assert np.isclose(np.deg2rad(result.sigma_deg), result.information**-0.5, rtol=1e-12)
+    assert np.isclose(np.deg2rad(present(result.sigma_deg)), result.information**-0.5, rtol=1e-12)
     assert len(result.time_s) == len(result.growth) <= 101
     assert result.largest is not None
     assert result.largest.landmark.startswith("landmark ")
@@ -158,8 +155,7 @@ def test_a_pose_of_four_entries_is_turned_in_its_own() -> None:
 
 def test_the_curve_starts_where_something_was_learnt() -> None:
     c = sound()
-    panel = consistency_panels(c).learnt
-    assert panel is not None
+    panel = present(consistency_panels(c).learnt)
     assert panel.logarithmic
     data = panel_data(panel, 0.0)
     told, own = data["curves"]
@@ -176,9 +172,8 @@ def test_the_page_has_its_figures() -> None:
     rows = [row for row in run_rows(c, result) if row.group.startswith("Heading learnt")]
     named = ["standard deviation", "grew fastest", "most by one update"]
     assert [row.quantity for row in rows] == named
-    assert result.spurious_heading is not None
-    assert rows[0].value == f"{result.spurious_heading.sigma_deg:.3g} deg"
-    nothing = result.spurious_heading.model_copy(update={"sigma_deg": 1e12})
+    assert rows[0].value == f"{present(result.spurious_heading).sigma_deg:.3g} deg"
+    nothing = present(result.spurious_heading).model_copy(update={"sigma_deg": 1e12})
     assert [row.value for row in spurious_rows(nothing)] == ["nothing learnt"]
     assert spurious_rows(None) == []
 

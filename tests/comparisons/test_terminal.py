@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +11,6 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from comparisons.cli.app import main
 from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.pipeline.check import check
@@ -36,6 +32,7 @@ from comparisons.report.terminal import (
     table,
 )
 from comparisons.words import Row
+from tests.commands import Done, slamcheck
 from tests.helpers import compared, first_seconds, simulated
 
 LONG = "a cause with many words " * 40
@@ -184,35 +181,23 @@ def test_colour_is_for_terminals() -> None:
     assert "\x1b" not in printed()
 
 
-def command(
-    tmp_path: Path, *arguments: str, **environment: str
-) -> subprocess.CompletedProcess[str]:
-    code = "from comparisons.cli import app; app.main()"
-    root = str(Path(main.__code__.co_filename).parents[2])
-    return subprocess.run(
-        [sys.executable, "-c", code, "solve", "simulated-loop", "--out", "out", *arguments],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PATH": os.defpath, "PYTHONPATH": root, **environment},
-        timeout=120,
-    )
+def solved(folder: Path, *arguments: str) -> Done:
+    return slamcheck("solve", "simulated-loop", "--out", "out", *arguments, cwd=folder, columns=80)
 
 
 @pytest.mark.slow
 def test_json_quiet_and_verbose(tmp_path: Path) -> None:
-    plain = command(tmp_path, FORCE_COLOR="", NO_COLOR="1")
+    plain = solved(tmp_path)
     assert plain.stdout.splitlines()[0] == "verdict: verified"
     assert "\x1b" not in plain.stdout
-    asked = command(tmp_path, "--json")
+    asked = solved(tmp_path, "--json")
     assert json.loads(asked.stdout) == json.loads((tmp_path / "out/solution.json").read_text())
-    silent = command(tmp_path, "-q")
+    silent = solved(tmp_path, "-q")
     assert (silent.returncode, silent.stdout, silent.stderr) == (0, "", "")
-    full = command(tmp_path, "-v").stdout
+    full = solved(tmp_path, "-v").stdout
     assert full.startswith(plain.stdout)
     assert "\nSmoother\n" in full
-    both = command(tmp_path, "-q", "-v")
+    both = solved(tmp_path, "-q", "-v")
     assert (both.returncode, both.stdout) == (2, "")
     assert "--verbose and --quiet exclude each other" in both.stderr
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,25 +17,14 @@ from comparisons.report import viewer
 from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
-from tests.commands import flat
 from tests.helpers import compared, first_seconds, simulated
 
-CODE = "from comparisons.cli.app import main; main()"
 PACKAGE = "rerun"
 
 
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
     return compared(first_seconds(simulated(seed=2), 10.0))
-
-
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", CODE, "run", "simulated-loop", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
 
 
 def without(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,26 +79,6 @@ def test_without_rerun_one_line_says_what_to_install(
         with pytest.raises(InputError, match=r"pip install slamcheck\[rerun\]"):
             viewer.check_viewer(live, record)
     viewer.check_viewer(False, None)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--record", "run.txt"), "run.txt: expected a file name that ends with .rrd"),
-        (
-            ("--figures", "svg"),
-            "Invalid value for '--figures': 'svg' is not one of 'png', 'pdf'.",
-        ),
-    ],
-)
-def test_what_cannot_be_written_is_told_before_the_work(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
-) -> None:
-    done = command(*arguments, "--out", str(tmp_path / "out"))
-    assert done.returncode == 2
-    assert message in flat(done.stderr)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -26,11 +26,11 @@ from comparisons.trace.reader import Trace
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import KalmanState
 from tests.comparisons.audit.test_spurious import by_definition
-from tests.comparisons.test_initialisation_run import initialised_boundless
+from tests.comparisons.test_ekf_run import initialised_boundless
 from tests.comparisons.test_known_landmarks import with_survey
 from tests.comparisons.test_pose_landmark_run import Frames
 from tests.comparisons.test_pose_landmark_run import log as with_frames
-from tests.helpers import Array, Source, compared, simulated
+from tests.helpers import Array, Source, compared, present, simulated
 
 
 @cache
@@ -59,9 +59,7 @@ CASES: dict[str, Callable[[], Comparison]] = {
 
 
 def all_learnt(c: Comparison) -> Learnt:
-    found = learnt(run_events(c.ekf))
-    assert found is not None
-    return found
+    return present(learnt(run_events(c.ekf)))
 
 
 def at_the_end(events: list[Event]) -> tuple[Replay, Snapshot]:
@@ -114,8 +112,7 @@ def test_a_sensor_that_is_left_out_changes_what_was_learnt() -> None:
         else event
         for event in run_events(framed().ekf)
     ]
-    found = learnt(events)
-    assert found is not None
+    found = present(learnt(events))
     whole = all_learnt(framed()).directions[2]
     assert not np.isclose(found.directions[2].information, whole.information, rtol=1e-6)
 
@@ -171,8 +168,7 @@ def test_the_file_holds_the_same_events(tmp_path: Path) -> None:
         for one, other in zip(run_events(c.ekf), Trace(place), strict=True):
             assert type(one) is type(other)
             assert all(map(same, one, other))
-        found = learnt(Trace(place))
-        assert found is not None
+        found = present(learnt(Trace(place)))
         assert np.array_equal(found.information, all_learnt(c).information)
 
 
@@ -194,7 +190,6 @@ def test_audit_and_run_measure_the_same_algebra_gap(
     c = compared(simulated(seed=3, loop_s=40.0), *planted)
     write_run(c.ekf, tmp_path / "run.trace")
     found = audit(tmp_path / "run.trace")
-    assert found.largest is not None
-    right, gap = c.agreement.algebra.covariance, found.largest.covariance
+    right, gap = c.agreement.algebra.covariance, present(found.largest).covariance
     assert gap == pytest.approx(right, rel=1e-9, abs=1e-9)
     assert (right < 1e-9) == found.sound == (state is None)

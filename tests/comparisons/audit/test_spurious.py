@@ -38,6 +38,7 @@ from comparisons.trace.events import (
     Update,
 )
 from tests.comparisons.montecarlo.worlds import short_world
+from tests.helpers import present
 
 BLIND = "camera"
 HEADING_ONLY = LearntDirection("heading", "deg", 3.0, {}, None)
@@ -69,9 +70,7 @@ class Written:
         self.events.append(kind(*self._at(), *arguments))
 
     def learnt(self) -> Learnt:
-        found = learnt(self.events)
-        assert found is not None
-        return found
+        return present(learnt(self.events))
 
 
 def two_landmarks(moved: float = 0.0) -> Written:
@@ -106,8 +105,7 @@ def test_by_hand() -> None:
     assert np.allclose(found.growth[:, 0], np.cumsum((0.0, *shares)), rtol=1e-14)
     assert found.event.tolist() == [1, 5, 6]
     assert found.time_s.tolist() == [0.5, 2.5, 3.0]
-    largest = found.directions[0].largest
-    assert largest is not None
+    largest = present(found.directions[0].largest)
     assert largest[:3] == (5, 2.5, BLIND)
     assert np.isclose(largest.information, shares[0], rtol=1e-14)
     assert largest.blocks == ("pose", "a")
@@ -335,9 +333,7 @@ def learnt_on_the_circle(filter_: BatchFilter, place: World) -> Learnt:
         filter_.predict(data.control[:, k])
         if len(seen):
             filter_.observe(data.z[k], place.sigma[k], seen)
-    found = learnt(events)
-    assert found is not None
-    return found
+    return present(learnt(events))
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,7 @@ from comparisons.trace.events import (
     Remove,
     Update,
 )
+from tests.helpers import present
 
 STEP_S, STEPS = 0.1, 25
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -127,9 +128,7 @@ def flown(attitude: Part, off: float) -> Learnt:
             flight.look(f"point {i}", point, *names)
         if k % 2:
             flight.events.append(Remove(len(flight.events), 0.0, names))
-    found = learnt(flight.events)
-    assert found is not None
-    return found
+    return present(learnt(flight.events))
 
 
 @pytest.mark.parametrize("attitude", ["attitude, world", "attitude, body"])

@@ -37,8 +37,10 @@ from comparisons.logs.log import Log, Poses, Truth
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
-from tests.comparisons.montecarlo.test_command import ENVIRONMENT, SLAMCHECK, slamcheck
-from tests.comparisons.montecarlo.worlds import short, short_world, study_of
+from tests.commands import refused, works
+from tests.comparisons.montecarlo.test_command import ENVIRONMENT, SLAMCHECK
+from tests.comparisons.montecarlo.worlds import short, short_world, shortened, study_of
+from tests.helpers import present
 
 PROGRAM = """
 import shutil, sys
@@ -63,11 +65,7 @@ def ekf(log: Log) -> Estimate:
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short circle in a file."""
-    path = tmp_path_factory.mktemp("scenario") / "short.toml"
-    source = Path(__file__).parents[3] / "comparisons/experiments/scenarios"
-    text = (source / "circle-range-bearing.toml").read_text()
-    path.write_text(text.replace("steps = 2500", "steps = 40"))
-    return path
+    return shortened(tmp_path_factory.mktemp("scenario"), 40, "circle-range-bearing")
 
 
 @pytest.fixture
@@ -82,9 +80,9 @@ def program(tmp_path: Path) -> Callable[[str], str]:
     return write
 
 
-def study(scenario: Path, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
-    words = (str(scenario), "--runs", "3", "--filters", "ekf", "--out", str(out))
-    return slamcheck(*words, *more)
+def study(scenario: Path, out: Path, *more: str) -> tuple[str, ...]:
+    words = ("montecarlo", str(scenario), "--runs", "3", "--filters", "ekf", "--out", str(out))
+    return (*words, *more)
 
 
 @pytest.mark.parametrize("name", ["circle-range-bearing", "nieto-loop"])
@@ -151,11 +149,11 @@ def test_a_command_sees_a_folder_without_truth(
     scenario: Path, program: Callable[[str], str], tmp_path: Path
 ) -> None:
     body = f"shutil.copytree(log.parent, {str(tmp_path / 'seen')!r})" + COPY
-    done = study(scenario, tmp_path / "out", "--runs", "1", "--command", program(body))
-    assert done.returncode == 0, done.stderr
+    asked = study(scenario, tmp_path / "out", "--runs", "1", "--command", program(body))
+    printed = works(*asked, cwd=tmp_path)
     found = {p.relative_to(tmp_path / "seen").as_posix() for p in (tmp_path / "seen").rglob("*")}
     assert found == {"log", "log/log.toml", "log/odometry.csv", "log/measurements.csv", "stderr"}
-    assert "mine: no covariances, so no NEES, of pose, position, heading, landmarks" in done.stdout
+    assert "mine: no covariances, so no NEES, of pose, position, heading, landmarks" in printed
     result = json.loads((tmp_path / "out" / "montecarlo.json").read_text())
     assert result["filters"]["mine"]["consistency"]["pose"]["place"] == "not given"
     assert result["filters"]["mine"]["rmse_position_m"] > 1.0
@@ -166,13 +164,13 @@ def test_a_failure_is_named_and_its_log_is_kept(
 ) -> None:
     places = tmp_path / "places"
     places.mkdir()
-    monkeypatch.setitem(ENVIRONMENT, "TMPDIR", str(places))
+    monkeypatch.setattr(tempfile, "tempdir", str(places))
     body = COPY + "\nif seed == 1: sys.exit('first line\\nno such landmark: 7')"
-    done = study(scenario, tmp_path / "out", "--command", f"own={program(body)}")
-    assert done.returncode == 0, done.stderr
+    asked = study(scenario, tmp_path / "out", "--command", f"own={program(body)}")
+    printed = works(*asked, cwd=tmp_path)
     kept = tmp_path / "out" / "logs" / "000001"
-    assert "own: 1 of 3 runs failed" in done.stdout
-    assert "seed 1: exit code 1: no such landmark: 7; its log is logs/000001" in done.stdout
+    assert "own: 1 of 3 runs failed" in printed
+    assert "seed 1: exit code 1: no such landmark: 7; its log is logs/000001" in printed
     assert len(read_log_folder(kept).odometry.time_s) == 41
     assert "first line" in (kept.parent / "own-000001.stderr").read_text()
     result = json.loads((tmp_path / "out" / "montecarlo.json").read_text())
@@ -182,19 +180,17 @@ def test_a_failure_is_named_and_its_log_is_kept(
     assert result["filters"]["own"]["lost"] == 1
     assert all(pair["runs"] in (0, 2) for pair in result["pairs"])
     assert list(places.iterdir()) == []
-    assert "failed" in done.stdout
-    mended = study(scenario, tmp_path / "out", "--command", f"own={program(COPY)}")
-    assert "failed" not in mended.stdout
+    program(COPY)
+    assert "failed" not in works(*asked, cwd=tmp_path)
     assert not (kept.parent / "own-000001.stderr").exists()
 
 
 def test_all_failing_ends_with_exit_code_2(
     scenario: Path, program: Callable[[str], str], tmp_path: Path
 ) -> None:
-    done = study(scenario, tmp_path / "out", "--command", program("import nowhere"))
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "mine: all 3 runs failed; seed 0: exit code 1: ModuleNotFoundError: " in done.stderr
+    asked = study(scenario, tmp_path / "out", "--command", program("import nowhere"))
+    said = refused(*asked, cwd=tmp_path)
+    assert "mine: all 3 runs failed; seed 0: exit code 1: ModuleNotFoundError: " in said
     assert (tmp_path / "out" / "logs" / "000000" / "log.toml").exists()
 
 
@@ -269,22 +265,15 @@ def test_a_configuration_runs_no_command(
 ) -> None:
     mark, out = tmp_path / "ran", tmp_path / "out"
     command = program(COPY + f"\nPath({str(mark)!r}).touch()")
-    assert study(scenario, out, "--command", command).returncode == 0
+    works(*study(scenario, out, "--command", command), cwd=tmp_path)
     mark.unlink()
-    config = str(out / "config.toml")
-    done = slamcheck(config, "--out", str(tmp_path / "again"))
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "names the command 'mine', which is never run from a file; give --command" in done.stderr
+    again = ("montecarlo", "out/config.toml", "--out", "again")
+    said = refused(*again, cwd=tmp_path)
+    assert "names the command 'mine', which is never run from a file; give --command" in said
     assert not mark.exists()
-    done = slamcheck(config, "--command", command, "--out", str(tmp_path / "again"))
-    assert done.returncode == 0, done.stderr
+    works(*again, "--command", command, cwd=tmp_path)
     for name in ("montecarlo.json", "runs.csv", "config.toml"):
         assert (out / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
-
-
-def given_of(estimate: Estimate) -> ExternalEstimate:
-    return ExternalEstimate.of(estimate)
 
 
 def rows(estimate: Estimate, which: slice) -> Estimate:
@@ -357,7 +346,7 @@ def test_pairs_are_told_with_a_correction_for_their_number(scenario: Path) -> No
 
 def test_poses_are_found_by_their_times() -> None:
     world = short_world("circle-range-bearing", 40)
-    given = given_of(ekf(log_of_run(world, 0, "x")))
+    given = ExternalEstimate.of(ekf(log_of_run(world, 0, "x")))
     exact = errors_of(given, world)
     late = errors_of(replace(given, time_s=given.time_s + 4e-4), world)
     assert np.array_equal(exact.position_square, late.position_square)
@@ -368,7 +357,6 @@ def test_poses_are_found_by_their_times() -> None:
 
 def rows_twice(given: ExternalEstimate) -> ExternalEstimate:
     """With a wrong pose between every two."""
-    assert given.pose_covariance is not None
     order = np.arange(2 * len(given.time_s) - 1) / 2
     low = order.astype(int)
     off = (order % 1.0)[:, None] * 100.0
@@ -376,7 +364,7 @@ def rows_twice(given: ExternalEstimate) -> ExternalEstimate:
         given,
         time_s=given.time_s[low] + order % 1.0 * (given.time_s[1] - given.time_s[0]),
         pose=given.pose[low] + off,
-        pose_covariance=given.pose_covariance[low],
+        pose_covariance=present(given.pose_covariance)[low],
     )
 
 
@@ -414,9 +402,9 @@ def test_a_study_that_is_ended_ends_the_command(
     places, began, alive = (tmp_path / name for name in ("places", "began", "alive"))
     places.mkdir()
     body = f"import time; Path({str(began)!r}).touch(); time.sleep(5); Path({str(alive)!r}).touch()"
-    words = (str(scenario), "--runs", "1", "--out", str(tmp_path / "out"))
+    asked = study(scenario, tmp_path / "out", "--runs", "1", "--command", program(body))
     job = subprocess.Popen(
-        (*SLAMCHECK, *words, "--filters", "ekf", "--command", program(body)),
+        (*SLAMCHECK, *asked),
         env={**ENVIRONMENT, "TMPDIR": str(places)},
         stderr=subprocess.DEVNULL,
     )

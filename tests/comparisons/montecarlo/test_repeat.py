@@ -14,35 +14,29 @@ from comparisons.experiments.montecarlo.config import FilterName, MonteCarloConf
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.montecarlo.study import read_study
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
-from tests.commands import slamcheck as cli
-from tests.comparisons.montecarlo.test_command import ROOT, contents, slamcheck
-
-CIRCLE = (ROOT / "comparisons/experiments/scenarios/circle.toml").read_text()
+from tests.commands import refused, works
+from tests.comparisons.montecarlo.test_command import contents
+from tests.comparisons.montecarlo.worlds import shortened
 
 
 @pytest.fixture
 def scenario(tmp_path: Path) -> Path:
     """The circle, much shorter."""
-    path = tmp_path / "mine.toml"
-    path.write_text(CIRCLE.replace("steps = 2500", "steps = 30"))
-    return path
+    return shortened(tmp_path, 30).rename(tmp_path / "mine.toml")
 
 
 @pytest.fixture
 def finished(scenario: Path) -> Path:
     """A study's folder."""
     out = scenario.parent / "a"
-    done = slamcheck(str(scenario), "--runs", "4", "--filters", "riekf,ekf", "--out", str(out))
-    assert done.returncode == 0, done.stderr
+    study = (str(scenario), "--runs", "4", "--filters", "riekf,ekf")
+    works("montecarlo", *study, "--out", str(out), cwd=scenario.parent)
     return out
 
 
 def assert_refused(*arguments: str, reported: tuple[str, ...], out: Path) -> None:
-    done = slamcheck(*arguments, "--out", str(out))
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    for one in reported:
-        assert one in done.stderr
+    said = refused("montecarlo", *arguments, "--out", str(out), cwd=out.parent)
+    assert all(one in said for one in reported), said
     assert not out.exists()
 
 
@@ -51,8 +45,7 @@ def test_a_study_is_repeated_from_its_folder(
     finished: Path, scenario: Path, tmp_path: Path
 ) -> None:
     config = str(finished / "config.toml")
-    done = slamcheck(config, "--out", str(tmp_path / "b"))
-    assert done.returncode == 0, done.stderr
+    works("montecarlo", config, "--out", "b", cwd=tmp_path)
     assert contents(tmp_path / "b") == contents(finished)
     result = json.loads((finished / "montecarlo.json").read_text())
     written = tomllib.loads((finished / "config.toml").read_text())
@@ -65,8 +58,8 @@ def test_a_study_is_repeated_from_its_folder(
         "sha256": read_scenario(str(scenario)).sha256,
     }  # fmt: skip
     assert list(result["filters"]) == ["riekf", "ekf"]
-    more = slamcheck(config, "--runs", "5", "--filters", "oc", "--out", str(tmp_path / "c"))
-    assert more.returncode == 0, more.stderr
+    more = ("--runs", "5", "--filters", "oc", "--out", "c")
+    works("montecarlo", config, *more, cwd=tmp_path)
     result = json.loads((tmp_path / "c" / "montecarlo.json").read_text())
     assert (result["config"]["runs"], result["config"]["filters"]) == (5, ["oc"])
 
@@ -79,8 +72,7 @@ def test_a_scenario_that_has_changed_is_refused(
     scenario.write_text(text.replace("sigma_share = 0.1", "sigma_share = 0.2"))
     reported = (f"{scenario}: has changed since", "give --allow-changed-scenario")
     assert_refused(config, reported=reported, out=tmp_path / "b")
-    done = slamcheck(config, "--allow-changed-scenario", "--out", str(tmp_path / "b"))
-    assert done.returncode == 0, done.stderr
+    works("montecarlo", config, "--allow-changed-scenario", "--out", "b", cwd=tmp_path)
     found, kept = (json.loads((tmp_path / x / "montecarlo.json").read_text()) for x in "ba")
     assert found["filters"] != kept["filters"]
     assert found["config"]["sha256"] == read_scenario(str(scenario)).sha256
@@ -148,11 +140,10 @@ def test_the_filters_are_those_that_there_are() -> None:
 
 
 def test_the_command_prints_settings_that_can_be_used(tmp_path: Path) -> None:
-    printed = cli("config", "montecarlo", cwd=tmp_path)
-    assert printed.returncode == 0, printed.stderr
-    assert "# ekf | fej | oc | riekf | ideal\n" in printed.stdout
-    assert MonteCarloConfig.of(**tomllib.loads(printed.stdout)) == MonteCarloConfig()
-    schema = cli("config", "montecarlo", "--schema", cwd=tmp_path)
-    assert json.loads(schema.stdout)["title"] == "MonteCarloConfig"
-    (tmp_path / "my.toml").write_text(printed.stdout)
+    printed = works("config", "montecarlo", cwd=tmp_path)
+    assert "# ekf | fej | oc | riekf | ideal\n" in printed
+    assert MonteCarloConfig.of(**tomllib.loads(printed)) == MonteCarloConfig()
+    schema = works("config", "montecarlo", "--schema", cwd=tmp_path)
+    assert json.loads(schema)["title"] == "MonteCarloConfig"
+    (tmp_path / "my.toml").write_text(printed)
     assert is_config(str(tmp_path / "my.toml"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +26,8 @@ from comparisons.experiments.reproduction.interface import (
 )
 from comparisons.experiments.reproduction.models import ReproductionResult
 from comparisons.experiments.reproduction.runner import reproduce
-from tests.commands import slamcheck
-
-HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
+from tests.commands import refused, slamcheck, works
+from tests.comparisons.test_html_report import HOSTILE, read
 
 
 @dataclass(frozen=True)
@@ -79,19 +77,6 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folder, "CONTENTS", names | {"gallery.html", "claims.json"})
 
 
-class Reader(HTMLParser):
-    """Keeps tags, attributes and text."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.attributes: list[tuple[str, str]] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.attributes += [(name, value or "") for name, value in attrs]
-
-
 @pytest.mark.usefixtures("made_up")
 def test_the_gallery_is_whole_and_safe_whatever_it_is_told(tmp_path: Path) -> None:
     found = reproduce(("A1", "A2"), Sources(drives=2))
@@ -105,14 +90,13 @@ def test_the_gallery_is_whole_and_safe_whatever_it_is_told(tmp_path: Path) -> No
         "gallery.html",
     ]
     text = (tmp_path / "out/gallery.html").read_text(encoding="utf-8")
-    reader = Reader()
-    reader.feed(text)
-    assert "script" not in reader.tags
-    assert not [name for name, _ in reader.attributes if name.startswith("on")]
-    assert all(v.startswith("data:") for name, v in reader.attributes if name in ("src", "href"))
-    policy = dict(reader.attributes)["content"]
+    found_in = read(tmp_path / "out/gallery.html")
+    assert "script" not in found_in.tags
+    attributes = [(name, value) for _, name, value in found_in.attributes]
+    assert not [name for name, _ in attributes if name.startswith("on")]
+    assert all(v.startswith("data:") for name, v in attributes if name in ("src", "href"))
+    assert dict(attributes)["content"]
     assert "script-src" not in text
-    assert policy
     assert "default-src 'none'" in text
     assert "&lt;script&gt;document.title" in text
     assert "does not hold" in text
@@ -192,18 +176,13 @@ def test_each_experiment_runs_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_the_command_lists_runs_and_refuses(tmp_path: Path) -> None:
-    listed = slamcheck("reproduce", cwd=tmp_path)
-    assert listed.returncode == 0
-    names = [line.split()[0] for line in listed.stdout.splitlines()]
+    listed = works("reproduce", cwd=tmp_path)
+    names = [line.split()[0] for line in listed.splitlines()]
     assert names == [row.name for row in registry.FIGURES]
-    unknown = slamcheck("reproduce", "N3.5", "N9.9", cwd=tmp_path)
-    assert unknown.returncode == 2
-    assert len(unknown.stderr.splitlines()) == 1
-    assert all(name in unknown.stderr for name in ("N9.9", *names))
+    unknown = refused("reproduce", "N3.5", "N9.9", cwd=tmp_path)
+    assert all(name in unknown for name in ("N9.9", *names))
     assert list(tmp_path.iterdir()) == []
-    done = slamcheck("reproduce", "n2.12", "--out", "out", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "1 of 1 claims hold" in done.stdout
+    assert "1 of 1 claims hold" in works("reproduce", "n2.12", "--out", "out", cwd=tmp_path)
     assert (tmp_path / "out/N2.12.pdf").read_bytes().startswith(b"%PDF")
     false = slamcheck("reproduce", "M5", "--drives", "1", "--out", "out", cwd=tmp_path)
     assert false.returncode == 1, false.stderr

@@ -24,7 +24,7 @@ from comparisons.logs.simulate.drive import Drive, true_drive
 from comparisons.logs.simulate.worlds import nieto_loop
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.triangles import contains, to_local
-from tests.helpers import simulated
+from tests.helpers import present, simulated
 
 NORTH = 1
 SCAN_S = 0.2
@@ -117,8 +117,7 @@ def test_another_view_or_another_world_gives_another_cast() -> None:
         log, measurements=log.measurements.chosen(log.measurements.landmark != min(base))
     )
     assert labels(hidden, rightmost(hidden))[1] != base
-    true = log.truth.landmarks
-    assert true is not None
+    true = present(log.truth.landmarks)
     moved = true.position_m.copy()
     moved[true.id == point] -= (30.0, 0.0)
     other = replace(log, truth=replace(log.truth, landmarks=replace(true, position_m=moved)))
@@ -134,7 +133,6 @@ def test_the_example_is_of_a_point_within_its_triangle_that_is_never_seen_again(
     assert Conditions().pairs(triangle, joint)[np.triu_indices(3, 1)].all()
     assert Conditions().well_conditioned(triangle[None], joint[None]).all()
     assert np.linalg.norm(shown.distant[0] - shown.point[0]) > 10.0
-    assert shown.true_point is not None
-    assert np.linalg.norm(shown.point - shown.true_point, axis=1).max() < 1.5
+    assert np.linalg.norm(shown.point - present(shown.true_point), axis=1).max() < 1.5
     with pytest.raises(InputError, match="within three others"):
         decorrelation_example(simulated(0, loop_s=0.4))

@@ -116,20 +116,13 @@ def test_odd_forms_of_numbers_are_taken(path: Path) -> None:
         recorder.augment("c", [[1.0, 2.0]], 1.0, 2.0)
         recorder.augment("d", np.ones((2, 1)), np.zeros((2, 0)), np.zeros((0, 0)), ["c"])
         recorder.snapshot(np.eye(5), mean=3.0, error=np.ones((5, 1)))
-    _, predict, update, second, first, other, snapshot = Trace(path)
-    assert isinstance(predict, Predict)
-    assert isinstance(update, Update)
-    assert isinstance(second, Update)
-    assert isinstance(first, Augment)
-    assert isinstance(other, Augment)
-    assert isinstance(snapshot, Snapshot)
+    events: list[Any] = list(Trace(path))
+    _, predict, update, second, _, other, snapshot = events
     assert predict.jacobian.tolist() == [[0.0, 1.0], [2.0, 3.0]]
     assert predict.noise.tolist() == [[1.0, 0.5], [0.5, 2.0]]
-    assert update.correction is not None
     assert update.correction.tolist() == [1.0, 2.0]
     assert second.residual.tolist() == [1.0, 1.0]
     assert other.noise_jacobian.shape == (2, 0)
-    assert snapshot.mean is not None
     assert snapshot.mean.tolist() == [3.0]
 
 
@@ -282,12 +275,9 @@ def test_a_recording_is_gone_on_with(path: Path) -> None:
             recorder.snapshot(np.eye(4))
     trace = Trace(path)
     assert trace.sensors["gps"].gate == 0.95
-    events = list(trace)
+    events: list[Any] = list(trace)
     assert [event.number for event in events] == list(range(9))
-    last = events[-1]
-    assert isinstance(last, Snapshot)
-    assert last.blocks == ("b", "copy", "new")
-    assert isinstance(events[5], Predict)
+    assert events[-1].blocks == ("b", "copy", "new")
     assert events[5].jacobian.tolist() == P.tolist()
 
 
