@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
@@ -20,6 +21,7 @@ from comparisons.pipeline.prepare import Clock
 from comparisons.report.consistency_result import (
     consistency_line,
     external_consistency_result,
+    innovation_rows,
     nees_rows,
     smoothed_rows,
 )
@@ -37,7 +39,7 @@ from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import check_ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.model import Model, finite, package_versions
+from comparisons.report.model import InnovationResult, Model, finite, package_versions
 from comparisons.report.models import (
     AccuracyResult,
     BlockResult,
@@ -297,6 +299,7 @@ def _check_rows(result: CheckResult) -> list[Row]:
         *_agreement_rows(result),
         *gap_rows(check_ladder(result) if result.trace else ()),
         *nees_rows("Estimate", truth),
+        *innovation_rows(result.trace.innovations if result.trace else ()),
         *smoothed_rows("estimate", f),
         *accuracy_rows("the estimate", result.accuracy),
         *accuracy_rows("the smoother", result.smoother_accuracy),
@@ -407,6 +410,7 @@ def _trace(check: TraceCheck | None) -> TraceResult | None:
         linearisation_gap_covariance=finite(rest.covariance),
         algebra_limit_sigma=check.algebra_allowed.sigma,
         model_limit_sigma=check.model_allowed.sigma,
+        innovations=[InnovationResult.of(sensor) for sensor in check.innovations],
     )
 
 
@@ -485,6 +489,7 @@ class TraceResult(Model):
         linearisation_gap_covariance: as in `result.json`.
         algebra_limit_sigma: as in `result.json`.
         model_limit_sigma: as in `result.json`.
+        innovations: by sensor, whitened by the recorded equations.
     """
 
     steps: int
@@ -499,6 +504,7 @@ class TraceResult(Model):
     linearisation_gap_covariance: float | None
     algebra_limit_sigma: float = ROUNDING
     model_limit_sigma: float = ROUNDING
+    innovations: list[InnovationResult] = Field(default_factory=list)
 
 
 class CheckResult(Model):

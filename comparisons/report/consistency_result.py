@@ -101,7 +101,17 @@ def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | 
 def consistency_rows(c: ConsistencyResult) -> list[Row]:
     """Return NEES of both estimators by truth, NIS by sensor, and the filter by the smoother."""
     rows = [*nees_rows("EKF", c.ekf, _NEES_BANDS), *nees_rows("Smoother", c.smoother)]
-    for sensor in c.innovations:
+    return [
+        *rows,
+        *innovation_rows(c.innovations),
+        *smoothed_rows("EKF", c.filter_against_smoother),
+    ]
+
+
+def innovation_rows(innovations: Sequence[InnovationResult]) -> list[Row]:
+    """Return NIS and the first autocorrelation of each sensor and component."""
+    rows = list[Row]()
+    for sensor in innovations:
         group = f"Innovations of {sensor.sensor} ({_NIS_BANDS})"
         rows += sensor.nis_rows(group)
         rows += [
@@ -114,7 +124,7 @@ def consistency_rows(c: ConsistencyResult) -> list[Row]:
             )
             for w in sensor.whiteness
         ]
-    return [*rows, *smoothed_rows("EKF", c.filter_against_smoother)]
+    return rows
 
 
 def nees_rows(name: str, t: TruthConsistencyResult | None, bands: str = "95 % bands") -> list[Row]:
