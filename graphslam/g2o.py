@@ -7,13 +7,14 @@ line: range, bearing and sigmas, and covariances in place of informations. With 
 back every bit that was written; files without it are read as well, and so are TORO's VERTEX2 and
 EDGE2, iSAM's EDGE2, gtsam's BR (bearing, range and their sigmas), FIX and PARAMS_SE2OFFSET.
 
-Poses are vertices 0 to K - 1 in driving order, landmarks follow.
+Landmarks keep their numbers. Poses have the lowest numbers from 0 that no landmark has, in driving
+order: those of the file that a problem was read from, unless it had gaps.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -87,12 +88,16 @@ def _spatial(tag: str) -> bool:
 
 
 class G2oContents(NamedTuple):
-    """A problem and its values: poses (K, 3), landmarks (L, 2). notes: how a file was read."""
+    """A problem and its values: poses (K, 3), landmarks (L, 2).
+
+    notes: how a file was read. landmark_ids: (L,) numbers of landmarks; where empty, from K on.
+    """
 
     problem: SlamProblem
     poses: Array
     landmarks: Array
     notes: Mapping[str, str] = MappingProxyType({})
+    landmark_ids: Index = np.zeros(0, dtype=np.intp)
 
 
 def holds(problem: SlamProblem) -> bool:
@@ -119,22 +124,29 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
             which g2o has no edge: they would be taken for the pose's own.
         SingularProblemError: A covariance has no inverse; its edge is named.
     """
-    problem, poses, landmarks, _ = contents
+    problem, poses, landmarks, _, landmark_ids = contents
     if problem.pose_landmarks.count:
         raise ValueError("g2o cannot distinguish pose landmarks from poses")
     if not holds(problem):
         raise ValueError("g2o has no edge for positions of an antenna away from the pose")
     count = problem.pose_count
-    lines = [f"VERTEX_SE2 {k} {_text(pose)}" for k, pose in enumerate(poses)]
-    lines += [f"VERTEX_XY {count + j} {_text(point)}" for j, point in enumerate(landmarks)]
+    if not len(landmark_ids):
+        landmark_ids = np.arange(count, count + len(landmarks))
+    mark = landmark_ids.tolist()
+    pose_ids = np.setdiff1d(np.arange(count + len(mark)), landmark_ids)[:count]
+    node = pose_ids.tolist()
+    lines = [f"VERTEX_SE2 {i} {_text(pose)}" for i, pose in zip(node, poses, strict=True)]
+    lines += [f"VERTEX_XY {i} {_text(point)}" for i, point in zip(mark, landmarks, strict=True)]
     turn = to_tangent(problem.prior_pose[2:3])[0]
     covariance = turn @ problem.prior_covariance @ turn.T
     prior = problem.prior_covariance
     start, steps, closed = problem.prior_pose[None], problem.steps, problem.loop_closures
-    lines += _edges("EDGE_PRIOR_SE2", [(0,)], start, covariance[None], prior[None])
-    chain, spread = list(zip(steps, steps + 1, strict=True)), problem.increment_covariance[steps]
+    lines += _edges("EDGE_PRIOR_SE2", [(node[0],)], start, covariance[None], prior[None])
+    chain = list(zip(pose_ids[steps], pose_ids[steps + 1], strict=True))
+    spread = problem.increment_covariance[steps]
     lines += _edges("EDGE_SE2", chain, problem.increment[steps], spread, spread)
-    pairs, spread = list(zip(closed.first, closed.second, strict=True)), closed.covariance
+    pairs = list(zip(pose_ids[closed.first], pose_ids[closed.second], strict=True))
+    spread = closed.covariance
     lines += _edges("EDGE_SE2", pairs, closed.motion, spread, spread)
     for k, j, (r, bearing), sigma in zip(
         problem.measurement_pose,
@@ -147,11 +159,11 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
         # Of the whitened point: its covariance would lose the smaller of two unlike sigmas.
         root = np.array([[cos, sin], [-sin / r, cos / r]]) / sigma[:, None]
         point = np.array([r * cos, r * sin])
-        line = _line("EDGE_SE2_XY", (k, count + j), point, root.T @ root)
+        line = _line("EDGE_SE2_XY", (node[k], mark[j]), point, root.T @ root)
         lines.append(f"{line} # {_text((r, bearing, *sigma))}")
-    at, spread = [(k,) for k in problem.position_pose], problem.position_covariance
+    at, spread = [(node[k],) for k in problem.position_pose], problem.position_covariance
     lines += _edges("EDGE_PRIOR_SE2_XY", at, problem.position, spread, spread)
-    at, spread = [(count + j,) for j in range(len(problem.surveyed))], problem.surveyed_covariance
+    at, spread = [(i,) for i in mark[: len(problem.surveyed)]], problem.surveyed_covariance
     lines += _edges("EDGE_PRIOR_XY", at, problem.surveyed, spread, spread)
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
@@ -168,9 +180,16 @@ class _Record(NamedTuple):
 
 
 class _Nodes:
-    """Vertices of one kind, numbered from 0 in the order of their ids."""
+    """Vertices of one kind, numbered from 0 in the order of their ids, some of them first."""
 
-    def __init__(self, path: Path, what: str, given: list[_Record], named: Iterator[int]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        what: str,
+        given: list[_Record],
+        named: Iterator[int],
+        first: Container[int] = (),
+    ) -> None:
         """given: their VERTEX lines; where there are none, those that edges name."""
         self.path, self.what = path, what
         self.values: dict[int, list[float]] = {}
@@ -180,7 +199,7 @@ class _Nodes:
                     f"{path}:{record.line}: {record.written} {record.ids[0]} is defined twice"
                 )
             self.values[record.ids[0]] = record.numbers
-        self.ids = sorted(self.values or set(named))
+        self.ids = sorted(self.values or set(named), key=lambda key: (key not in first, key))
         self._number = {key: k for k, key in enumerate(self.ids)}
 
     def of(self, records: Sequence[_Record], position: int) -> Index:
@@ -217,7 +236,11 @@ def read_g2o(path: Path) -> G2oContents:
     moves, seen = found["EDGE_SE2"], found["EDGE_SE2_XY"]
     pose_ids = (key for r in moves for key in r.ids)
     nodes = _Nodes(path, "pose", found["VERTEX_SE2"], pose_ids)
-    marks = _Nodes(path, "landmark", found["VERTEX_XY"], (r.ids[1] for r in seen))
+    survey = sorted(found["EDGE_PRIOR_XY"], key=lambda r: r.ids)
+    known = {r.ids[0] for r in survey}
+    marks = _Nodes(path, "landmark", found["VERTEX_XY"], (r.ids[1] for r in seen), known)
+    if len(marks.of(survey, 0)) > len(known):
+        raise ValueError(f"{path}: EDGE_PRIOR_XY must hold each landmark once")
     if not nodes.ids:
         raise ValueError(f"{path}: no VERTEX_SE2 and no EDGE_SE2 line, expected poses")
     both = sorted(set(nodes.ids) & set(marks.ids))
@@ -245,11 +268,7 @@ def read_g2o(path: Path) -> G2oContents:
             increment[k] = planar.wrapped(planar.between(guess[k], guess[k + 1]))
     increment[step], covariance[step] = motion[chain], spread[chain]
     prior_pose, prior_covariance = _prior(path, found, start, nodes)
-    fixes, survey = found["EDGE_PRIOR_SE2_XY"], found["EDGE_PRIOR_XY"]
-    landmark_indices = marks.of(survey, 0)
-    if sorted(landmark_indices) != list(range(len(landmark_indices))):
-        raise ValueError(f"{path}: EDGE_PRIOR_XY must hold the first landmarks, each once")
-    survey = [survey[i] for i in np.argsort(landmark_indices)]
+    fixes = found["EDGE_PRIOR_SE2_XY"]
     polar = _polar(path, seen)
     problem = SlamProblem(
         prior_pose=prior_pose,
@@ -278,6 +297,7 @@ def read_g2o(path: Path) -> G2oContents:
         dead_reckoned(prior_pose, increment) if poses is None else poses,
         places.reshape(-1, 2),
         notes,
+        np.array(marks.ids, dtype=np.intp),
     )
 
 

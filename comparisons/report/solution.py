@@ -131,7 +131,9 @@ def _pose_graph_rows(result: SolutionResult) -> list[Row]:
 def solution_folder(solution: Solution, result: SolutionResult) -> JobFolder:
     """Return what is to be written."""
     estimate, smoothed = solution.estimate, solution.result
-    contents = G2oContents(smoothed.problem, estimate.pose, estimate.landmark)
+    contents = G2oContents(
+        smoothed.problem, estimate.pose, estimate.landmark, landmark_ids=estimate.landmark_id
+    )
     files = {}
     if holds(smoothed.problem):
         files["graph.g2o"] = lambda path: write_g2o(path, contents)

@@ -18,7 +18,7 @@ from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.solve import solve
 from comparisons.report.folder import write_job_folder
 from comparisons.report.solution import build_solution_result, solution_folder
-from graphslam.g2o import G2oContents, write_g2o
+from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything
 from tests.helpers import compared, simulated
 
@@ -40,6 +40,37 @@ def test_as_a_log_it_gives_the_same_optimum(tmp_path: Path) -> None:
     comparison = compared(log)
     assert abs(comparison.smoother.error - result.error) < 1e-6 * result.error
     assert comparison.verdict.outcome == "agree"
+
+
+def vertices(path: Path) -> set[tuple[str, ...]]:
+    lines = path.read_text().splitlines()
+    return {tuple(line.split()[:2]) for line in lines if line.startswith("VERTEX")}
+
+
+@pytest.mark.parametrize("surveyed", [0, 2])
+def test_landmarks_keep_their_numbers(tmp_path: Path, surveyed: int) -> None:
+    """Numbers among those of the poses, in another order than that in which they are seen."""
+    first = solve(simulated(3, loop_s=30.0)).result
+    count = len(first.landmarks)
+    ids = np.arange(count)[::-1] * 3 + 1
+    problem = replace(
+        first.problem,
+        surveyed=first.landmarks[:surveyed],
+        surveyed_covariance=np.tile(np.eye(2), (surveyed, 1, 1)),
+    )
+    contents = G2oContents(problem, first.poses, first.landmarks, landmark_ids=ids)
+    write_g2o(tmp_path / "loop.g2o", contents)
+    again = read_g2o(tmp_path / "loop.g2o")
+    where = {i: tuple(place) for i, place in zip(ids.tolist(), first.landmarks, strict=True)}
+    assert again.landmark_ids[:surveyed].tolist() == sorted(ids[:surveyed].tolist())
+    assert [where[i] for i in again.landmark_ids.tolist()] == [tuple(p) for p in again.landmarks]
+    if surveyed:  # such a graph is no log yet
+        return
+    log = open_log(str(tmp_path / "loop.g2o"))
+    solution = solve(log)
+    assert set(solution.estimate.landmark_id.tolist()) == set(ids.tolist())
+    write_job_folder(solution_folder(solution, build_solution_result(solution)), tmp_path / "out")
+    assert vertices(tmp_path / "out" / "graph.g2o") == vertices(tmp_path / "loop.g2o")
 
 
 @pytest.mark.parametrize(("change", "complaint"), FAULTS)
