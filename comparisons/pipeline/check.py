@@ -379,7 +379,7 @@ def check_external(
         *small,
         *_remarks(given, found),
         *_beside(grade, known, found, outcome),
-        *_on_association(solution),
+        *solution.doubts,
     )
     if short:
         own = tuple(one for one in causes if one.gap in OWN)  # a wrong filter may have broken down
@@ -425,12 +425,6 @@ def _short(
         f"{clock_words(given.time_s, covered.span_s)}; so {covered.evidence}"
     )
     return cause.coverage(evidence, least, "check the clock of the estimate before any other cause")
-
-
-def _on_association(solution: Solution) -> list[str]:
-    """What speaks against the smoother's own association."""
-    checked = solution.association_check
-    return [] if checked is None else checked.remarks
 
 
 def _information(given: ExternalEstimate, near: Likeness | None) -> str | None:

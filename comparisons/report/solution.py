@@ -38,12 +38,7 @@ LARGEST_DRAWN = 150
 
 def build_solution_result(solution: Solution, read: Clock | None = None) -> SolutionResult:
     """Return the findings, read being the time that reading the log took."""
-    s, optimality = solution, solution.result.optimality
-    remarks = misfit_remarks(optimality)
-    if optimality.lacks and not remarks:
-        remarks.append(optimality.lacks)
-    if s.association_check is not None:
-        remarks += s.association_check.remarks
+    s, lacks, misfit = solution, solution.lacks, misfit_remarks(solution.result.optimality)
     return SolutionResult(
         config=s.prepared.config.model_dump(mode="json"),
         settings=settings_result(s.prepared.config, s.log.format),
@@ -59,7 +54,8 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
         association_check=association_check_result(s.association_check),
         pose_graph=_pose_graph(s),
         verdict="verified" if s.verified else "unverified",
-        remarks=remarks,
+        reasons=lacks,
+        remarks=[] if s.misread else [one for one in misfit if one not in lacks],
         **s.prepared.clock.after(read),
         versions=package_versions(),
     )
@@ -88,8 +84,8 @@ def solution_summary(result: SolutionResult) -> Summary:
     return Summary(
         headline=f"verdict: {result.verdict}",
         style=STYLES[result.verdict],
-        reasons=() if result.verdict == "verified" else result.remarks,
-        remarks=result.remarks if result.verdict == "verified" else (),
+        reasons=result.reasons,
+        remarks=result.remarks,
         lines=[
             (
                 "map",

@@ -17,9 +17,11 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.solve import solve
 from comparisons.report.folder import write_job_folder
-from comparisons.report.solution import build_solution_result, solution_folder
+from comparisons.report.solution import build_solution_result, solution_folder, solution_summary
+from comparisons.report.terminal import brief
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
-from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything
+from graphslam.problem import SlamProblem
+from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything, rounds
 from tests.helpers import compared, simulated
 
 
@@ -167,6 +169,39 @@ def test_only_closures_stand_for_odometry() -> None:
 def test_spatial_graphs_say_so(name: str) -> None:
     with pytest.raises(InputError, match=r":1: .*3D is not supported yet"):
         open_log(str(Path(gtsam.__file__).parent / "Data" / name))
+
+
+def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:
+    """Before a chi-square that is too low, which only is a note."""
+    problem = rounds()
+    closed = problem.loop_closures
+    tame = replace(
+        problem,
+        increment_covariance=100.0 * problem.increment_covariance,
+        loop_closures=replace(closed, covariance=100.0 * closed.covariance),
+    )
+    for one, reason in ((tame, ""), (misread(problem), "the odometry's edges fit when what")):
+        write_g2o(tmp_path / "rounds.g2o", G2oContents(one, np.zeros((49, 3)), np.zeros((0, 2))))
+        solution = solve(open_log(str(tmp_path / "rounds.g2o")))
+        result = build_solution_result(solution)
+        assert result.verdict == ("unverified" if reason else "verified")
+        assert result.reasons[:1] == ([] if not reason else solution.lacks[:1])
+        assert "".join(result.reasons).startswith(reason)
+        assert bool(result.remarks) is not bool(reason)
+    optimality = replace(solution.result.optimality, agreed=False)
+    doubtful = replace(
+        solution, misread=None, result=replace(solution.result, optimality=optimality)
+    )
+    result = build_solution_result(doubtful)
+    assert result.reasons == [optimality.lacks]
+    [note] = result.remarks
+    assert "is too low" in note
+    shown = brief(solution_summary(result))
+    assert shown[1].text.strip() in optimality.lacks
+
+
+def misread(problem: SlamProblem) -> SlamProblem:
+    return replace(problem, increment_covariance=np.linalg.inv(problem.increment_covariance))
 
 
 def test_a_small_chi_square_is_not_told_as_zero() -> None:
