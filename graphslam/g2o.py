@@ -5,7 +5,8 @@ point in the pose's frame), EDGE_PRIOR_SE2, EDGE_PRIOR_SE2_XY, EDGE_PRIOR_XY, ea
 upper triangle of its information. What they would lose or round stands behind a `#` on the same
 line: range, bearing and sigmas, and covariances in place of informations. With it, reading gives
 back every bit that was written; files without it are read as well, and so are TORO's VERTEX2 and
-EDGE2, iSAM's EDGE2, gtsam's BR (bearing, range and their sigmas), FIX and PARAMS_SE2OFFSET.
+EDGE2, iSAM's EDGE2, ODOMETRY and LANDMARK, gtsam's BR (bearing, range and their sigmas), FIX and
+PARAMS_SE2OFFSET.
 
 Landmarks keep their numbers. Poses have the lowest numbers from 0 that no landmark has, in driving
 order: those of the file that a problem was read from, unless it had gaps.
@@ -47,7 +48,9 @@ _TAGS = {
     "VERTEX_XY": _Tag(1, 2, "VERTEX_XY"),
     "EDGE_SE2": _Tag(2, 9, "EDGE_SE2"),
     "EDGE2": _Tag(2, 9, "EDGE_SE2"),
+    "ODOMETRY": _Tag(2, 9, "EDGE_SE2"),
     "EDGE_SE2_XY": _Tag(2, 5, "EDGE_SE2_XY"),
+    "LANDMARK": _Tag(2, 5, "EDGE_SE2_XY"),
     "BR": _Tag(2, 4, "EDGE_SE2_XY"),
     "EDGE_PRIOR_SE2": _Tag(1, 9, "EDGE_PRIOR_SE2"),
     "EDGE_PRIOR_SE2_XY": _Tag(1, 5, "EDGE_PRIOR_SE2_XY"),
@@ -63,6 +66,8 @@ _SETTINGS = {
     "EDGE_PRIOR_XY": "give the known landmarks larger variances",
 }
 """What in a log to change where an edge of a tag has no information."""
+_ISAM = ("ODOMETRY", "LANDMARK")
+"""Tags of iSAM alone, whose landmarks are numbered apart from the poses."""
 _SPATIAL = ("SE3", "XYZ", "VERTEX3", "EDGE3")
 _LARGEST_ID = 2**53
 _TORO = [0, 1, 4, 2, 5, 3]
@@ -244,7 +249,8 @@ def read_g2o(path: Path) -> G2oContents:
     if not nodes.ids:
         raise ValueError(f"{path}: no VERTEX_SE2 and no EDGE_SE2 line, expected poses")
     both = sorted(set(nodes.ids) & set(marks.ids))
-    if both:
+    isam = any(r.written in _ISAM for r in (*moves, *seen))
+    if both and not isam:
         raise ValueError(f"{path}: {both[0]} is the number of a pose and of a landmark")
     first, second = nodes.of(moves, 0), nodes.of(moves, 1)
     for row in np.flatnonzero(first == second).tolist():
@@ -253,7 +259,7 @@ def read_g2o(path: Path) -> G2oContents:
             f"{path}:{record.line}: {record.written} from pose {record.ids[0]} to itself"
         )
     motion = np.array([r.numbers[:3] for r in moves]).reshape(-1, 3)
-    triangles, note = _informations(path, moves)
+    triangles, note = _informations(moves, isam=isam)
     spread = _covariances(path, moves, triangles, 3)
     count = len(nodes.ids)
     forward = np.flatnonzero(second == first + 1)
@@ -394,27 +400,32 @@ def _behind(records: Sequence[_Record], start: int) -> Array:
     return np.array([r.numbers[start:] for r in records]).reshape(-1, size)
 
 
-def _informations(path: Path, moves: Sequence[_Record]) -> tuple[Array, str]:
-    """(N, 6) upper triangles of EDGE_SE2 and EDGE2 lines, and a note where there is a choice.
+def _informations(moves: Sequence[_Record], *, isam: bool) -> tuple[Array, str]:
+    """(N, 6) upper triangles of edges between poses, and a note where there is a choice.
 
     TORO's EDGE2 holds xx, xy, yy, hh, xh, yh of the information, iSAM's the upper triangle of its
-    square root by rows. A file is of the program whose reading makes more lines regular, of TORO
-    where both do.
+    square root by rows. A file without iSAM's own tags is of the program whose reading makes more
+    lines regular, of TORO where both do.
     """
     triangles = _behind(moves, 3)
-    rows = np.array([r.written == "EDGE2" and not r.exact for r in moves], dtype=bool)
+    rows = np.array([r.written in ("EDGE2", *_ISAM) and not r.exact for r in moves], dtype=bool)
     if not rows.any():
         return triangles, ""
-    toro = triangles[rows][:, _TORO]
-    root = np.zeros((len(toro), 3, 3))
-    root[:, *np.triu_indices(3)] = triangles[rows]
-    isam = (root.transpose(0, 2, 1) @ root)[:, *np.triu_indices(3)]
-    regular = [int(np.count_nonzero(inverses(_symmetric(one, 3))[1])) for one in (toro, isam)]
-    if regular[1] > regular[0]:
-        triangles[rows] = isam
-        return triangles, "EDGE2 as iSAM writes it: the square root of the information, by rows"
+    toro, squared = triangles[rows][:, _TORO], _squared(triangles[rows], 3)
+    regular = [int(np.count_nonzero(inverses(_symmetric(one, 3))[1])) for one in (toro, squared)]
+    if isam or regular[1] > regular[0]:
+        triangles[rows] = squared
+        tags = ", ".join(sorted({r.written for r in moves if r.written in ("EDGE2", *_ISAM)}))
+        return triangles, f"{tags} as iSAM writes it: the square root of the information, by rows"
     triangles[rows] = toro
     return triangles, "EDGE2 as TORO writes it: the information as xx, xy, yy, hh, xh, yh"
+
+
+def _squared(triangles: Array, size: int) -> Array:
+    """(N, n (n + 1) / 2) upper triangles of informations, from those of their square roots."""
+    root = np.zeros((len(triangles), size, size))
+    root[:, *np.triu_indices(size)] = triangles
+    return np.asarray((root.transpose(0, 2, 1) @ root)[:, *np.triu_indices(size)])
 
 
 def _covariances(path: Path, records: Sequence[_Record], triangles: Array, size: int) -> Array:
@@ -471,7 +482,10 @@ def _polar(path: Path, records: Sequence[_Record]) -> Array:
             polar[row] = [r.numbers[i] for i in (1, 0, 3, 2)]
     bare = [i for i, r in enumerate(records) if r.written != "BR" and len(r.exact) != 4]
     points = [records[i] for i in bare]
-    spread = _covariances(path, points, _behind(points, 2), 2)
+    triangles = _behind(points, 2)
+    roots = np.array([r.written == "LANDMARK" for r in points], dtype=bool)
+    triangles[roots] = _squared(triangles[roots], 2)
+    spread = _covariances(path, points, triangles, 2)
     for i, record, covariance in zip(bare, points, spread, strict=True):
         x, y = record.numbers[:2]
         distance, bearing = math.hypot(x, y), math.atan2(y, x)

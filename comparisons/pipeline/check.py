@@ -624,6 +624,8 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
             else "the covariance of every pose"
         )
         remarks.append(f"the estimate has no {', no '.join(absent)}; compared: {', '.join(judged)}")
+    if given.left_out:
+        remarks.append(given.left_out)
     if len(found.time_s) < len(given.time_s):
         remarks.append(
             f"{len(given.time_s) - len(found.time_s)} poses lie outside the log's time and "

@@ -200,6 +200,18 @@ def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:
     assert shown[1].text.strip() in optimality.lacks
 
 
+@pytest.mark.parametrize(("variance", "kind"), [(0.25, "gtsam-2d"), (50.0, "g2o")])
+def test_isam_and_gtsam_share_tags(tmp_path: Path, variance: float, kind: str) -> None:
+    """A step's heading is known to better than a radian, be it by covariance or by root."""
+    edge = f"{variance} 0 0 {variance} 0 {variance}"
+    lines = [f"ODOMETRY {k} {k + 1} 1 0 0.1 {edge}\nLANDMARK {k} 9 {4 - k} 2 2 0 2" for k in (0, 1)]
+    (tmp_path / "few.txt").write_text("\n".join(lines))
+    log = open_log(str(tmp_path / "few.txt"))
+    assert log.format == kind
+    assert isinstance(log.odometry, RelativePoses)
+    assert np.isclose(log.odometry.covariance[0, 2, 2], min(variance, variance**-2.0))
+
+
 def misread(problem: SlamProblem) -> SlamProblem:
     return replace(problem, increment_covariance=np.linalg.inv(problem.increment_covariance))
 

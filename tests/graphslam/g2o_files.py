@@ -69,7 +69,7 @@ def everything() -> G2oContents:
 
 
 def rounds(turns: int = 4) -> SlamProblem:
-    """Round a circle of twelve poses a few times, with a closure from each pose to the fifteenth after."""
+    """Round a circle of twelve poses a few times, with closures over fifteen steps."""
     rng = np.random.default_rng(3)
     sigma, steps = np.array((0.05, 0.03, 0.01)), 12 * turns
     truth = dead_reckoned(np.zeros(3), np.tile((1.0, 0.1, 2.0 * np.pi / 12), (steps, 1)))
