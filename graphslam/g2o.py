@@ -27,11 +27,13 @@ from graphslam.arrays import Array, Index
 from graphslam.graph_builder import to_tangent
 from graphslam.increments import dead_reckoned
 from graphslam.marginals import SingularProblemError
-from graphslam.problem import LoopClosures, SlamProblem
+from graphslam.problem import OPEN_PRIOR, LoopClosures, SlamProblem
 from graphslam.scan import planar
 
 _FREE_PRIOR = 1e-12
-"""Variance of the first pose where a file has no prior."""
+"""Variance of the first pose where a file says nothing of the frame, or fixes that pose."""
+_FIXING = 2
+"""Poses and landmarks of known places that fix the frame."""
 
 
 class _Tag(NamedTuple):
@@ -273,7 +275,7 @@ def read_g2o(path: Path) -> G2oContents:
         for k in range(count - 1):
             increment[k] = planar.wrapped(planar.between(guess[k], guess[k + 1]))
     increment[step], covariance[step] = motion[chain], spread[chain]
-    prior_pose, prior_covariance = _prior(path, found, start, nodes)
+    prior_pose, prior_covariance = _prior(path, found, start, nodes, closed=len(closed) > 0)
     fixes = found["EDGE_PRIOR_SE2_XY"]
     polar = _polar(path, seen)
     problem = SlamProblem(
@@ -296,6 +298,10 @@ def read_g2o(path: Path) -> G2oContents:
     poses = np.array([nodes.values[key] for key in nodes.ids]) if nodes.values else None
     places = np.array([marks.values.get(key, (np.nan, np.nan)) for key in marks.ids])
     notes = {"edges": note} if note else {}
+    if not (found["FIX"] or found["EDGE_PRIOR_SE2"]):
+        held = f"pose {nodes.ids[0]} is held at its vertex, since no line fixes the frame"
+        opened = "absolute positions fix it; the first vertex is a guess"
+        notes["frame"] = opened if problem.open_prior else held
     if found["EQUIV"]:
         notes["passed over"] = f"EQUIV on {len(found['EQUIV'])} lines"
     return G2oContents(
@@ -372,9 +378,12 @@ def _spanned(
 
 
 def _prior(
-    path: Path, found: Mapping[str, list[_Record]], start: Array, nodes: _Nodes
+    path: Path, found: Mapping[str, list[_Record]], start: Array, nodes: _Nodes, *, closed: bool
 ) -> tuple[Array, Array]:
-    """Pose (3,) and covariance (3, 3), of the additive global error."""
+    """Pose (3,) and covariance (3, 3), of the additive global error.
+
+    closed: there are loop closures, so that no filter, which must know its start, reads the graph.
+    """
     records, fixed = found["EDGE_PRIOR_SE2"], found["FIX"]
     wrong = [r for r in (*fixed, *records) if r.ids[0] != nodes.ids[0]]
     if wrong or len(records) > 1 or (records and fixed):
@@ -384,7 +393,9 @@ def _prior(
             f"({nodes.ids[0]})"
         )
     if not records:
-        return start, _FREE_PRIOR * np.eye(3)
+        placed = {r.ids for r in (*found["EDGE_PRIOR_SE2_XY"], *found["EDGE_PRIOR_XY"])}
+        held = fixed or not closed or len(placed) < _FIXING
+        return start, _FREE_PRIOR * np.eye(3) if held else OPEN_PRIOR
     [record] = records
     pose = np.array(record.numbers[:3])
     [covariance] = _covariances(path, records, _behind(records, 3), 3)

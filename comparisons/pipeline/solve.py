@@ -149,7 +149,10 @@ def solve(
     )
     if log.loop_closures is not None and not known:
         raise InputError(f"{log.name}: holds closures, expected measurements associated by labels")
-    ekf = EkfConfig(association="known" if known else "nn", gps=config.gps)
+    gps = config.gps
+    if gps == "off" and log.positions is not None and log.prior.open:
+        gps = "on"
+    ekf = EkfConfig(association="known" if known else "nn", gps=gps)
     other = "use slamcheck odometry for its scans"
     required = Required(None if log.loop_closures is not None else other, other, loop_closures=True)
     prepared = prepare(log, config, ekf, progress, required)

@@ -32,6 +32,7 @@ from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
 
+FRAME = "no line fixes the frame but the absolute positions, which therefore are used"
 LARGEST_DRAWN = 150
 """Variables of the largest graph that is drawn as dot."""
 
@@ -55,7 +56,10 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
         pose_graph=_pose_graph(s),
         verdict="verified" if s.verified else "unverified",
         reasons=lacks,
-        remarks=[] if s.misread else [one for one in misfit if one not in lacks],
+        remarks=[
+            *([FRAME] if s.log.prior.open else []),
+            *([] if s.misread else [one for one in misfit if one not in lacks]),
+        ],
         **s.prepared.clock.after(read),
         versions=package_versions(),
     )

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
@@ -17,10 +18,16 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.solve import solve
 from comparisons.report.folder import write_job_folder
-from comparisons.report.solution import build_solution_result, solution_folder, solution_summary
+from comparisons.report.solution import (
+    FRAME,
+    build_solution_result,
+    solution_folder,
+    solution_summary,
+)
 from comparisons.report.terminal import brief
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from graphslam.problem import SlamProblem
+from graphslam.smoother import smooth
 from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything, rounds
 from tests.helpers import compared, simulated
 
@@ -169,6 +176,49 @@ def test_only_closures_stand_for_odometry() -> None:
 def test_spatial_graphs_say_so(name: str) -> None:
     with pytest.raises(InputError, match=r":1: .*3D is not supported yet"):
         open_log(str(Path(gtsam.__file__).parent / "Data" / name))
+
+
+def turned_start(folder: Path, name: str, poses: Array, fixes: int) -> Path:
+    """Closed rounds with some positions and no prior, their vertices at the poses given."""
+    problem = rounds(2)
+    optimum, sigma = smooth(problem, {}).poses, 0.1
+    at = np.linspace(0, 24, fixes).astype(np.intp)
+    noise = np.random.default_rng(0).standard_normal((fixes, 2))
+    fixed = replace(
+        problem,
+        position_pose=at,
+        position=optimum[at, :2] + sigma * noise,
+        position_covariance=np.tile(sigma**2 * np.eye(2), (fixes, 1, 1)),
+    )
+    path = folder / f"{name}.g2o"
+    write_g2o(path, G2oContents(fixed, poses, np.zeros((0, 2))))
+    kept = [one for one in path.read_text().splitlines(True) if "EDGE_PRIOR_SE2 " not in one]
+    path.write_text("".join(kept))
+    return path
+
+
+def test_positions_fix_the_frame_and_not_a_guess(tmp_path: Path) -> None:
+    """Vertices turned by half have the optimum of those that are not; one position fixes none."""
+    poses = smooth(rounds(2), {}).poses
+    half = poses * (-1, -1, 1) + (3, 4, np.pi)
+    right, other = (
+        solve(open_log(str(turned_start(tmp_path, name, start, 9))))
+        for name, start in (("right", poses), ("half", half))
+    )
+    for one in (right, other):
+        result = build_solution_result(one)
+        assert result.verdict == "verified"
+        assert result.smoother.dof == 3 * (24 + 10) + 2 * 9 - 3 * 25
+        assert result.gps == "on"
+        assert result.remarks == [FRAME]
+    assert np.abs(other.estimate.pose[:, :2] - right.estimate.pose[:, :2]).max() < 1e-3
+    turns = (other.estimate.pose[:, 2] - right.estimate.pose[:, 2]) / (2.0 * np.pi)
+    assert np.abs(turns - np.round(turns)).max() < 1e-3
+    held = open_log(str(turned_start(tmp_path, "one", half, 1)))
+    assert not held.prior.open
+    assert held.provenance["frame"].startswith("pose 0 is held at its vertex")
+    kept = build_solution_result(solve(held))
+    assert (kept.gps, kept.remarks) == ("off", [])
 
 
 def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:
