@@ -5,15 +5,17 @@ point in the pose's frame), EDGE_PRIOR_SE2, EDGE_PRIOR_SE2_XY, EDGE_PRIOR_XY, ea
 upper triangle of its information. What they would lose or round stands behind a `#` on the same
 line: range, bearing and sigmas, and covariances in place of informations. With it, reading gives
 back every bit that was written; files without it are read as well, and so are TORO's VERTEX2 and
-EDGE2, iSAM's EDGE2, gtsam's BR (bearing, range and their sigmas), FIX and PARAMS_SE2OFFSET.
+EDGE2, iSAM's EDGE2, ODOMETRY and LANDMARK, gtsam's BR (bearing, range and their sigmas), FIX and
+PARAMS_SE2OFFSET.
 
-Poses are vertices 0 to K - 1 in driving order, landmarks follow.
+Landmarks keep their numbers. Poses have the lowest numbers from 0 that no landmark has, in driving
+order: those of the file that a problem was read from, unless it had gaps.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -25,11 +27,13 @@ from graphslam.arrays import Array, Index
 from graphslam.graph_builder import to_tangent
 from graphslam.increments import dead_reckoned
 from graphslam.marginals import SingularProblemError
-from graphslam.problem import LoopClosures, SlamProblem
+from graphslam.problem import OPEN_PRIOR, LoopClosures, SlamProblem
 from graphslam.scan import planar
 
 _FREE_PRIOR = 1e-12
-"""Variance of the first pose where a file has no prior."""
+"""Variance of the first pose where a file says nothing of the frame, or fixes that pose."""
+_FIXING = 2
+"""Poses and landmarks of known places that fix the frame."""
 
 
 class _Tag(NamedTuple):
@@ -46,7 +50,9 @@ _TAGS = {
     "VERTEX_XY": _Tag(1, 2, "VERTEX_XY"),
     "EDGE_SE2": _Tag(2, 9, "EDGE_SE2"),
     "EDGE2": _Tag(2, 9, "EDGE_SE2"),
+    "ODOMETRY": _Tag(2, 9, "EDGE_SE2"),
     "EDGE_SE2_XY": _Tag(2, 5, "EDGE_SE2_XY"),
+    "LANDMARK": _Tag(2, 5, "EDGE_SE2_XY"),
     "BR": _Tag(2, 4, "EDGE_SE2_XY"),
     "EDGE_PRIOR_SE2": _Tag(1, 9, "EDGE_PRIOR_SE2"),
     "EDGE_PRIOR_SE2_XY": _Tag(1, 5, "EDGE_PRIOR_SE2_XY"),
@@ -62,6 +68,8 @@ _SETTINGS = {
     "EDGE_PRIOR_XY": "give the known landmarks larger variances",
 }
 """What in a log to change where an edge of a tag has no information."""
+_ISAM = ("ODOMETRY", "LANDMARK")
+"""Tags of iSAM alone, whose landmarks are numbered apart from the poses."""
 _SPATIAL = ("SE3", "XYZ", "VERTEX3", "EDGE3")
 _LARGEST_ID = 2**53
 _TORO = [0, 1, 4, 2, 5, 3]
@@ -87,12 +95,16 @@ def _spatial(tag: str) -> bool:
 
 
 class G2oContents(NamedTuple):
-    """A problem and its values: poses (K, 3), landmarks (L, 2). notes: how a file was read."""
+    """A problem and its values: poses (K, 3), landmarks (L, 2).
+
+    notes: how a file was read. landmark_ids: (L,) numbers of landmarks; where empty, from K on.
+    """
 
     problem: SlamProblem
     poses: Array
     landmarks: Array
     notes: Mapping[str, str] = MappingProxyType({})
+    landmark_ids: Index = np.zeros(0, dtype=np.intp)
 
 
 def holds(problem: SlamProblem) -> bool:
@@ -119,22 +131,29 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
             which g2o has no edge: they would be taken for the pose's own.
         SingularProblemError: A covariance has no inverse; its edge is named.
     """
-    problem, poses, landmarks, _ = contents
+    problem, poses, landmarks, _, landmark_ids = contents
     if problem.pose_landmarks.count:
         raise ValueError("g2o cannot distinguish pose landmarks from poses")
     if not holds(problem):
         raise ValueError("g2o has no edge for positions of an antenna away from the pose")
     count = problem.pose_count
-    lines = [f"VERTEX_SE2 {k} {_text(pose)}" for k, pose in enumerate(poses)]
-    lines += [f"VERTEX_XY {count + j} {_text(point)}" for j, point in enumerate(landmarks)]
+    if not len(landmark_ids):
+        landmark_ids = np.arange(count, count + len(landmarks))
+    mark = landmark_ids.tolist()
+    pose_ids = np.setdiff1d(np.arange(count + len(mark)), landmark_ids)[:count]
+    node = pose_ids.tolist()
+    lines = [f"VERTEX_SE2 {i} {_text(pose)}" for i, pose in zip(node, poses, strict=True)]
+    lines += [f"VERTEX_XY {i} {_text(point)}" for i, point in zip(mark, landmarks, strict=True)]
     turn = to_tangent(problem.prior_pose[2:3])[0]
     covariance = turn @ problem.prior_covariance @ turn.T
     prior = problem.prior_covariance
     start, steps, closed = problem.prior_pose[None], problem.steps, problem.loop_closures
-    lines += _edges("EDGE_PRIOR_SE2", [(0,)], start, covariance[None], prior[None])
-    chain, spread = list(zip(steps, steps + 1, strict=True)), problem.increment_covariance[steps]
+    lines += _edges("EDGE_PRIOR_SE2", [(node[0],)], start, covariance[None], prior[None])
+    chain = list(zip(pose_ids[steps], pose_ids[steps + 1], strict=True))
+    spread = problem.increment_covariance[steps]
     lines += _edges("EDGE_SE2", chain, problem.increment[steps], spread, spread)
-    pairs, spread = list(zip(closed.first, closed.second, strict=True)), closed.covariance
+    pairs = list(zip(pose_ids[closed.first], pose_ids[closed.second], strict=True))
+    spread = closed.covariance
     lines += _edges("EDGE_SE2", pairs, closed.motion, spread, spread)
     for k, j, (r, bearing), sigma in zip(
         problem.measurement_pose,
@@ -147,11 +166,11 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
         # Of the whitened point: its covariance would lose the smaller of two unlike sigmas.
         root = np.array([[cos, sin], [-sin / r, cos / r]]) / sigma[:, None]
         point = np.array([r * cos, r * sin])
-        line = _line("EDGE_SE2_XY", (k, count + j), point, root.T @ root)
+        line = _line("EDGE_SE2_XY", (node[k], mark[j]), point, root.T @ root)
         lines.append(f"{line} # {_text((r, bearing, *sigma))}")
-    at, spread = [(k,) for k in problem.position_pose], problem.position_covariance
+    at, spread = [(node[k],) for k in problem.position_pose], problem.position_covariance
     lines += _edges("EDGE_PRIOR_SE2_XY", at, problem.position, spread, spread)
-    at, spread = [(count + j,) for j in range(len(problem.surveyed))], problem.surveyed_covariance
+    at, spread = [(i,) for i in mark[: len(problem.surveyed)]], problem.surveyed_covariance
     lines += _edges("EDGE_PRIOR_XY", at, problem.surveyed, spread, spread)
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
@@ -168,9 +187,16 @@ class _Record(NamedTuple):
 
 
 class _Nodes:
-    """Vertices of one kind, numbered from 0 in the order of their ids."""
+    """Vertices of one kind, numbered from 0 in the order of their ids, some of them first."""
 
-    def __init__(self, path: Path, what: str, given: list[_Record], named: Iterator[int]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        what: str,
+        given: list[_Record],
+        named: Iterator[int],
+        first: Container[int] = (),
+    ) -> None:
         """given: their VERTEX lines; where there are none, those that edges name."""
         self.path, self.what = path, what
         self.values: dict[int, list[float]] = {}
@@ -180,7 +206,7 @@ class _Nodes:
                     f"{path}:{record.line}: {record.written} {record.ids[0]} is defined twice"
                 )
             self.values[record.ids[0]] = record.numbers
-        self.ids = sorted(self.values or set(named))
+        self.ids = sorted(self.values or set(named), key=lambda key: (key not in first, key))
         self._number = {key: k for k, key in enumerate(self.ids)}
 
     def of(self, records: Sequence[_Record], position: int) -> Index:
@@ -217,11 +243,16 @@ def read_g2o(path: Path) -> G2oContents:
     moves, seen = found["EDGE_SE2"], found["EDGE_SE2_XY"]
     pose_ids = (key for r in moves for key in r.ids)
     nodes = _Nodes(path, "pose", found["VERTEX_SE2"], pose_ids)
-    marks = _Nodes(path, "landmark", found["VERTEX_XY"], (r.ids[1] for r in seen))
+    survey = sorted(found["EDGE_PRIOR_XY"], key=lambda r: r.ids)
+    known = {r.ids[0] for r in survey}
+    marks = _Nodes(path, "landmark", found["VERTEX_XY"], (r.ids[1] for r in seen), known)
+    if len(marks.of(survey, 0)) > len(known):
+        raise ValueError(f"{path}: EDGE_PRIOR_XY must hold each landmark once")
     if not nodes.ids:
         raise ValueError(f"{path}: no VERTEX_SE2 and no EDGE_SE2 line, expected poses")
     both = sorted(set(nodes.ids) & set(marks.ids))
-    if both:
+    isam = any(r.written in _ISAM for r in (*moves, *seen))
+    if both and not isam:
         raise ValueError(f"{path}: {both[0]} is the number of a pose and of a landmark")
     first, second = nodes.of(moves, 0), nodes.of(moves, 1)
     for row in np.flatnonzero(first == second).tolist():
@@ -230,7 +261,7 @@ def read_g2o(path: Path) -> G2oContents:
             f"{path}:{record.line}: {record.written} from pose {record.ids[0]} to itself"
         )
     motion = np.array([r.numbers[:3] for r in moves]).reshape(-1, 3)
-    triangles, note = _informations(path, moves)
+    triangles, note = _informations(moves, isam=isam)
     spread = _covariances(path, moves, triangles, 3)
     count = len(nodes.ids)
     forward = np.flatnonzero(second == first + 1)
@@ -244,12 +275,8 @@ def read_g2o(path: Path) -> G2oContents:
         for k in range(count - 1):
             increment[k] = planar.wrapped(planar.between(guess[k], guess[k + 1]))
     increment[step], covariance[step] = motion[chain], spread[chain]
-    prior_pose, prior_covariance = _prior(path, found, start, nodes)
-    fixes, survey = found["EDGE_PRIOR_SE2_XY"], found["EDGE_PRIOR_XY"]
-    landmark_indices = marks.of(survey, 0)
-    if sorted(landmark_indices) != list(range(len(landmark_indices))):
-        raise ValueError(f"{path}: EDGE_PRIOR_XY must hold the first landmarks, each once")
-    survey = [survey[i] for i in np.argsort(landmark_indices)]
+    prior_pose, prior_covariance = _prior(path, found, start, nodes, closed=len(closed) > 0)
+    fixes = found["EDGE_PRIOR_SE2_XY"]
     polar = _polar(path, seen)
     problem = SlamProblem(
         prior_pose=prior_pose,
@@ -271,6 +298,10 @@ def read_g2o(path: Path) -> G2oContents:
     poses = np.array([nodes.values[key] for key in nodes.ids]) if nodes.values else None
     places = np.array([marks.values.get(key, (np.nan, np.nan)) for key in marks.ids])
     notes = {"edges": note} if note else {}
+    if not (found["FIX"] or found["EDGE_PRIOR_SE2"]):
+        held = f"pose {nodes.ids[0]} is held at its vertex, since no line fixes the frame"
+        opened = "absolute positions fix it; the first vertex is a guess"
+        notes["frame"] = opened if problem.open_prior else held
     if found["EQUIV"]:
         notes["passed over"] = f"EQUIV on {len(found['EQUIV'])} lines"
     return G2oContents(
@@ -278,6 +309,7 @@ def read_g2o(path: Path) -> G2oContents:
         dead_reckoned(prior_pose, increment) if poses is None else poses,
         places.reshape(-1, 2),
         notes,
+        np.array(marks.ids, dtype=np.intp),
     )
 
 
@@ -346,9 +378,12 @@ def _spanned(
 
 
 def _prior(
-    path: Path, found: Mapping[str, list[_Record]], start: Array, nodes: _Nodes
+    path: Path, found: Mapping[str, list[_Record]], start: Array, nodes: _Nodes, *, closed: bool
 ) -> tuple[Array, Array]:
-    """Pose (3,) and covariance (3, 3), of the additive global error."""
+    """Pose (3,) and covariance (3, 3), of the additive global error.
+
+    closed: there are loop closures, so that no filter, which must know its start, reads the graph.
+    """
     records, fixed = found["EDGE_PRIOR_SE2"], found["FIX"]
     wrong = [r for r in (*fixed, *records) if r.ids[0] != nodes.ids[0]]
     if wrong or len(records) > 1 or (records and fixed):
@@ -358,7 +393,9 @@ def _prior(
             f"({nodes.ids[0]})"
         )
     if not records:
-        return start, _FREE_PRIOR * np.eye(3)
+        placed = {r.ids for r in (*found["EDGE_PRIOR_SE2_XY"], *found["EDGE_PRIOR_XY"])}
+        held = fixed or not closed or len(placed) < _FIXING
+        return start, _FREE_PRIOR * np.eye(3) if held else OPEN_PRIOR
     [record] = records
     pose = np.array(record.numbers[:3])
     [covariance] = _covariances(path, records, _behind(records, 3), 3)
@@ -374,27 +411,32 @@ def _behind(records: Sequence[_Record], start: int) -> Array:
     return np.array([r.numbers[start:] for r in records]).reshape(-1, size)
 
 
-def _informations(path: Path, moves: Sequence[_Record]) -> tuple[Array, str]:
-    """(N, 6) upper triangles of EDGE_SE2 and EDGE2 lines, and a note where there is a choice.
+def _informations(moves: Sequence[_Record], *, isam: bool) -> tuple[Array, str]:
+    """(N, 6) upper triangles of edges between poses, and a note where there is a choice.
 
     TORO's EDGE2 holds xx, xy, yy, hh, xh, yh of the information, iSAM's the upper triangle of its
-    square root by rows. A file is of the program whose reading makes more lines regular, of TORO
-    where both do.
+    square root by rows. A file without iSAM's own tags is of the program whose reading makes more
+    lines regular, of TORO where both do.
     """
     triangles = _behind(moves, 3)
-    rows = np.array([r.written == "EDGE2" and not r.exact for r in moves], dtype=bool)
+    rows = np.array([r.written in ("EDGE2", *_ISAM) and not r.exact for r in moves], dtype=bool)
     if not rows.any():
         return triangles, ""
-    toro = triangles[rows][:, _TORO]
-    root = np.zeros((len(toro), 3, 3))
-    root[:, *np.triu_indices(3)] = triangles[rows]
-    isam = (root.transpose(0, 2, 1) @ root)[:, *np.triu_indices(3)]
-    regular = [int(np.count_nonzero(inverses(_symmetric(one, 3))[1])) for one in (toro, isam)]
-    if regular[1] > regular[0]:
-        triangles[rows] = isam
-        return triangles, "EDGE2 as iSAM writes it: the square root of the information, by rows"
+    toro, squared = triangles[rows][:, _TORO], _squared(triangles[rows], 3)
+    regular = [int(np.count_nonzero(inverses(_symmetric(one, 3))[1])) for one in (toro, squared)]
+    if isam or regular[1] > regular[0]:
+        triangles[rows] = squared
+        tags = ", ".join(sorted({r.written for r in moves if r.written in ("EDGE2", *_ISAM)}))
+        return triangles, f"{tags} as iSAM writes it: the square root of the information, by rows"
     triangles[rows] = toro
     return triangles, "EDGE2 as TORO writes it: the information as xx, xy, yy, hh, xh, yh"
+
+
+def _squared(triangles: Array, size: int) -> Array:
+    """(N, n (n + 1) / 2) upper triangles of informations, from those of their square roots."""
+    root = np.zeros((len(triangles), size, size))
+    root[:, *np.triu_indices(size)] = triangles
+    return np.asarray((root.transpose(0, 2, 1) @ root)[:, *np.triu_indices(size)])
 
 
 def _covariances(path: Path, records: Sequence[_Record], triangles: Array, size: int) -> Array:
@@ -451,7 +493,10 @@ def _polar(path: Path, records: Sequence[_Record]) -> Array:
             polar[row] = [r.numbers[i] for i in (1, 0, 3, 2)]
     bare = [i for i, r in enumerate(records) if r.written != "BR" and len(r.exact) != 4]
     points = [records[i] for i in bare]
-    spread = _covariances(path, points, _behind(points, 2), 2)
+    triangles = _behind(points, 2)
+    roots = np.array([r.written == "LANDMARK" for r in points], dtype=bool)
+    triangles[roots] = _squared(triangles[roots], 2)
+    spread = _covariances(path, points, triangles, 2)
     for i, record, covariance in zip(bare, points, spread, strict=True):
         x, y = record.numbers[:2]
         distance, bearing = math.hypot(x, y), math.atan2(y, x)

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from graphslam.arrays import Array, Index
 from graphslam.layout import Layout
 
+OPEN_PRIOR = np.diag((1e8, 1e8, 1e6))
+"""A prior's covariance [m^2, rad^2] that says nothing and only keeps the equations regular."""
+
 
 @dataclass(frozen=True)
 class Merges:
@@ -157,11 +160,16 @@ class SlamProblem:
         return np.union1d(self.measurement_landmark, np.arange(len(self.surveyed)))
 
     @property
+    def open_prior(self) -> bool:
+        """The prior says nothing, not even where in a whole turn the vehicle heads."""
+        return bool(self.prior_covariance[2, 2] > (2.0 * np.pi) ** 2)
+
+    @property
     def residual_dimension(self) -> int:
-        """Scalar measurements, the prior's three included."""
+        """Scalar measurements, the prior's three included unless it is open."""
         pairs = len(self.z) + len(self.position) + len(self.surveyed)
         seen = self.pose_landmarks
-        triples = 1 + len(self.steps) + len(self.loop_closures.motion)
+        triples = int(not self.open_prior) + len(self.steps) + len(self.loop_closures.motion)
         triples += len(seen.measured) + len(seen.merges.measured)
         return 3 * triples + 2 * pairs
 

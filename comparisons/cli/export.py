@@ -53,7 +53,7 @@ def export(
         given = read_external(estimate, times)
         trajectory = Trajectory(given.time_s, given.pose, given.pose_covariance)
         write_trajectory(trajectory, file, kind)
-        typer.echo(f"{file}: {len(given.pose):,} poses")
+        typer.echo(f"{file}: {len(given.pose):,} poses{given.left_out and '; '}{given.left_out}")
 
 
 def _format(file: Path, asked: str | None) -> str:

@@ -52,6 +52,9 @@ def convert(log: str, folder: Path, **given: Any) -> None:
         write_log_folder(source, folder)
         records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
         typer.echo(f"{folder}: {records}")
+        for key in ("times", "edges", "frame", "passed over", "left_out"):
+            if key in source.provenance:
+                typer.echo(f"{key.replace('_', ' ')}: {source.provenance[key]}")
 
 
 _FLAGS = [flag for flag in LOG if flag.field.startswith("log.")]

@@ -52,6 +52,7 @@ class ExternalEstimate:
         estimator: What made it: `ekf`, `smoother` or `other`.
         trace: Where the filter linearised, for its algebra and model gaps.
         sha256: Of the files that it was read from, by name.
+        left_out: Which poses of its file were not read, and why; empty where all were.
     """
 
     time_s: Array
@@ -65,6 +66,7 @@ class ExternalEstimate:
     estimator: Estimator = "other"
     trace: TraceFile | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
+    left_out: str = ""
 
     @classmethod
     def of(cls, estimate: Estimate) -> ExternalEstimate:
@@ -203,13 +205,17 @@ def read_external(
         return replace(_read_folder(path, chosen), sha256=_hashes(own))
     if trace is not None:
         raise InputError(f"{path}: is no folder; --trace needs one, with landmarks.csv")
-    (time_s, pose, covariance), files = read_with_files(
+    (time_s, pose, covariance, left_out), files = read_with_files(
         path, None if times is None else Path(times)
     )
     if not len(pose):
         raise InputError(f"{path}: holds no poses")
     return ExternalEstimate(
-        time_s=time_s, pose=pose, pose_covariance=covariance, sha256=_hashes(files)
+        time_s=time_s,
+        pose=pose,
+        pose_covariance=covariance,
+        sha256=_hashes(files),
+        left_out=left_out,
     )
 
 

@@ -23,7 +23,9 @@ SCAN_LANDMARKS = "scan_landmarks.csv"
 FILES = ("trajectory.tum", "landmarks.csv", SCAN_LANDMARKS, "covariances.npz", "estimate.toml")
 """What an estimate folder holds; scan landmarks only where there are any."""
 
-_TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
+TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
+_ALONG = 0.5
+"""Share of the way that a vehicle in the plane x, y may move along its third axis."""
 _LANDMARKS = ("id", "x_m", "y_m")
 _POSE_LANDMARKS = (*_LANDMARKS, "heading_rad")
 
@@ -127,17 +129,45 @@ def read_meta(path: Path) -> Meta:
 
 def read_trajectory(path: Path) -> tuple[Array, Array]:
     """Times (K,) and planar poses (K, 3) of a TUM file, headings unwrapped. Raises InputError."""
-    tum = Table(path, _TUM)
+    tum = Table(path, TUM)
     with tum.locating():
-        for name in ("time_s", "x", "y"):
-            within("trajectory", name, tum[name], -LARGEST, LARGEST)
         increasing("trajectory", tum["time_s"])
-        norm = np.linalg.norm(tum.data[:, 4:], axis=1)
-        within("trajectory", "quaternion's norm", norm, 0.99, 1.01)
-        up = 1.0 - 2.0 * (tum["qx"] ** 2 + tum["qy"] ** 2)
-        within("trajectory", "cosine of the tilt (of qx, qy, qz, qw, w last)", up, 0.5, 1.01)
-    heading = np.unwrap(2.0 * np.arctan2(tum["qz"], tum["qw"]))
-    return tum["time_s"], np.column_stack((tum["x"], tum["y"], heading))
+        within("trajectory", "time_s", tum["time_s"], -LARGEST, LARGEST)
+    return tum["time_s"], planar_poses(tum, "w last")
+
+
+def planar_poses(table: Table, order: str) -> Array:
+    """Poses (K, 3) of positions x, y, z and quaternions qx, qy, qz, qw. Raises InputError.
+
+    order: in which the quaternion's numbers stand, for errors.
+    """
+    x, y, z, w = (table[f"q{axis}"] for axis in "xyzw")
+    up = np.column_stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x**2 + y**2)))
+    in_plane(table, np.column_stack([table[axis] for axis in "xyz"]), up)
+    with table.locating():
+        within("trajectory", "quaternion's norm", np.sqrt(x**2 + y**2 + z**2 + w**2), 0.99, 1.01)
+        name = f"cosine of the tilt (of qx, qy, qz, qw, {order})"
+        within("trajectory", name, up[:, 2], 0.5, 1.01)
+    return np.column_stack((table["x"], table["y"], np.unwrap(2.0 * np.arctan2(z, w))))
+
+
+def in_plane(table: Table, place: Array, up: Array) -> None:
+    """Check that positions (K, 3) are finite and do not move along their third axes up (K, 3).
+
+    Raises InputError.
+    """
+    with table.locating():
+        for axis, column in zip("xyz", place.T, strict=True):
+            within("trajectory", axis, column, -LARGEST, LARGEST)
+    moves = np.diff(place, axis=0)
+    way, along = np.linalg.norm(moves, axis=1).sum(), np.abs((moves * up[:-1]).sum(axis=1)).sum()
+    if along > _ALONG * way:
+        raise InputError(
+            f"{table.path}: {along:.4g} of {way:.4g} m lie along the poses' third axis, as in a "
+            "camera's frame (x right, y down, z ahead), expected poses with x ahead, y left, z up; "
+            "replace each 4 x 4 matrix T by C T C^-1, C being 0 0 1 0 / -1 0 0 0 / 0 -1 0 0 / "
+            "0 0 0 1"
+        )
 
 
 def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:

@@ -1,8 +1,9 @@
-"""Trajectories as one file: TUM, KITTI with its times beside it, and CSV with covariances.
+"""Trajectories as one file: TUM, KITTI with its times beside it, CSV with covariances, and EuRoC's.
 
 KITTI holds twelve numbers a line, the upper three rows of a pose's 4 x 4 matrix; here the drive's
 plane is x and y, and z points up. It knows no times; they stand in a file of their own, a number a
-line.
+line. EuRoC's ground truth holds nanoseconds, a position and a quaternion, w first, with commas;
+what follows them is passed over. Of poses whose times repeat the first is taken.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.atomic import check_file, write_whole
 from comparisons.errors import InputError
-from comparisons.estimates.folder import read_trajectory, tum_text
-from comparisons.logs.table import Table, first_record
+from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
+from comparisons.logs.table import Table, first_record, shorten
 from comparisons.logs.validation import LARGEST, increasing, within
 
 FORMATS = ("tum", "kitti", "csv")
@@ -30,16 +31,21 @@ _KITTI = (
     *("r00", "r01", "r02", "x", "r10", "r11", "r12", "y"),
     *("r20", "r21", "r22", "z"),
 )
+_EUROC = ("time_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
 _UPPER = np.triu_indices(3)
 _WHOLE = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 
 
 class Trajectory(NamedTuple):
-    """time_s: (K,). pose: (K, 3) x, y [m], heading [rad], unwrapped. covariance: (K, 3, 3)."""
+    """time_s: (K,). pose: (K, 3) x, y [m], heading [rad], unwrapped. covariance: (K, 3, 3).
+
+    left_out: how many poses of the file were, and why; empty where none.
+    """
 
     time_s: Array
     pose: Array
     covariance: Array | None = None
+    left_out: str = ""
 
 
 def read_trajectory_file(path: Path, times: Path | None = None) -> Trajectory:
@@ -58,8 +64,38 @@ def read_with_files(path: Path, times: Path | None = None) -> tuple[Trajectory, 
         return _read_kitti(path, clock), (path, clock)
     if times is not None:
         raise InputError(f"{path}: holds its own times; --times is for KITTI files")
-    csv = first.startswith(_CSV[0] + ",")
-    return _read_csv(path, first) if csv else Trajectory(*read_trajectory(path)), (path,)
+    if first.startswith(_CSV[0] + ","):
+        return _read_csv(path, first), (path,)
+    more = first.count(",") + 1 - len(_EUROC)
+    if more >= 0:
+        table = Table(
+            path, (*_EUROC, *(f"column {len(_EUROC) + i + 1}" for i in range(more))), comma=True
+        )
+        return _timed(table, table["time_ns"] / 1e9, planar_poses(table, "w first")), (path,)
+    if "," in first:
+        raise InputError(
+            f"{path}: '{shorten(first, 60)}' begins no trajectory, expected TUM ({' '.join(TUM)}, "
+            f"with blanks), CSV with the header {','.join(_CSV)}, or EuRoC's ({','.join(_EUROC)})"
+        )
+    table = Table(path, TUM)
+    return _timed(table, table["time_s"], planar_poses(table, "w last")), (path,)
+
+
+def _timed(table: Table, time_s: Array, pose: Array, covariance: Array | None = None) -> Trajectory:
+    """Poses whose times rise, the first of those whose times repeat. Raises InputError."""
+    with table.locating():
+        within("trajectory", "time_s", time_s, -LARGEST, LARGEST)
+        increasing("trajectory", time_s, equal=True)
+    kept = np.diff(time_s, prepend=-np.inf) > 0.0
+    lost = int((~kept).sum())
+    left_out = ""
+    if lost:
+        left_out = (
+            f"{lost} of {len(kept)} poses of {table.path.name} repeat the time of the one before "
+            f"(first at {time_s[int(np.argmin(kept))]:.6f} s) and were left out"
+        )
+    covariance = None if covariance is None else covariance[kept]
+    return Trajectory(time_s[kept], pose[kept], covariance, left_out)
 
 
 def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> None:
@@ -85,7 +121,6 @@ def _read_csv(path: Path, header: str) -> Trajectory:
     with table.locating():
         for name in columns[:4]:
             within("trajectory", name, table[name], -LARGEST, LARGEST)
-        increasing("trajectory", table["time_s"])
     covariance = None
     if len(columns) > 4:
         with table.locating():
@@ -93,7 +128,7 @@ def _read_csv(path: Path, header: str) -> Trajectory:
                 within("trajectory", name, table[name], -(LARGEST**2), LARGEST**2)
         covariance = table.data[:, 4:][:, _WHOLE].reshape(-1, 3, 3)
     pose = np.column_stack((table.data[:, 1:3], np.unwrap(table["heading_rad"])))
-    return Trajectory(table["time_s"], pose, covariance)
+    return _timed(table, table["time_s"], pose, covariance)
 
 
 def _read_kitti(path: Path, times: Path) -> Trajectory:
@@ -104,17 +139,14 @@ def _read_kitti(path: Path, times: Path) -> Trajectory:
     table, clock = Table(path, _KITTI), Table(times, ("time_s",))
     if len(table) != len(clock):
         raise InputError(f"{times}: {len(clock)} times, expected {len(table)} as poses in {path}")
-    with clock.locating():
-        within("times", "time_s", clock["time_s"], -LARGEST, LARGEST)
-        increasing("times", clock["time_s"])
+    place, up = (table.data[:, [i, i + 4, i + 8]] for i in (3, 2))
+    in_plane(table, place, up)
     with table.locating():
-        for name in ("x", "y"):
-            within("trajectory", name, table[name], -LARGEST, LARGEST)
         within("trajectory", "r22 (of a pose in the plane x, y)", table["r22"], 0.99, 1.01)
         norm = np.hypot(table["r00"], table["r10"])
         within("trajectory", "rotation's norm", norm, 0.99, 1.01)
     heading = np.unwrap(np.arctan2(table["r10"], table["r00"]))
-    return Trajectory(clock["time_s"], np.column_stack((table["x"], table["y"], heading)))
+    return _timed(clock, clock["time_s"], np.column_stack((table["x"], table["y"], heading)))
 
 
 def _csv_text(trajectory: Trajectory) -> str:

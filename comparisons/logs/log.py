@@ -222,7 +222,10 @@ class Truth:
 
 @dataclass(frozen=True)
 class Prior:
-    """Where the vehicle starts. pose: (3,). covariance: (3, 3) of the additive global error."""
+    """Where the vehicle starts. pose: (3,). covariance: (3, 3) of the additive global error.
+
+    open: the covariance says nothing, so that absolute positions must fix the frame.
+    """
 
     time_s: float
     pose: Array
@@ -241,6 +244,11 @@ class Prior:
                     f"prior: {name} must hold {shape} finite numbers, at most {LARGEST:g}"
                 )
         positive_definite("prior", self.covariance[None])
+
+    @property
+    def open(self) -> bool:
+        """Not even where in a whole turn the vehicle heads is known."""
+        return bool(self.covariance[2, 2] > (2.0 * np.pi) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True)

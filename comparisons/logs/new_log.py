@@ -248,7 +248,8 @@ class _Reading:
             return odometry_kind([name for name in table.columns if name != "time_s"])
         except InputError as error:
             text = str(error).replace("one of these kinds", "one of them: give --kind")
-            raise InputError(f"{table.path}: {text}; {SEE}") from None
+            found = ", ".join(table.headers)
+            raise InputError(f"{table.path}: {text}; found {found}; {SEE}") from None
 
     def _take(self, name: str) -> float:
         if name not in self.stated:

@@ -36,8 +36,8 @@ _SECONDS_END = 1e10
 
 NAMES: dict[str, tuple[str, ...]] = {
     "time_s": ("time", "t", "timestamp", "stamp"),
-    "speed_mps": ("speed", "v", "velocity"),
-    "yaw_rate_radps": ("yaw_rate", "yawrate", "w", "omega"),
+    "speed_mps": ("speed", "v", "velocity", "forward_velocity", "linear_velocity"),
+    "yaw_rate_radps": ("yaw_rate", "yawrate", "w", "omega", "angular_velocity"),
     "steering_rad": ("steering", "steer", "steering_angle"),
     "x_m": ("x",),
     "y_m": ("y",),
@@ -49,8 +49,8 @@ NAMES: dict[str, tuple[str, ...]] = {
     "bearing_rad": ("bearing",),
     "sigma_range_m": ("sigma_range",),
     "sigma_bearing_rad": ("sigma_bearing",),
-    "landmark": ("landmark", "id", "label", "landmark_id"),
-    "id": ("id", "label", "landmark", "landmark_id"),
+    "landmark": ("landmark", "id", "label", "landmark_id", "subject_nb"),
+    "id": ("id", "label", "landmark", "landmark_id", "subject_nb"),
     "diameter_m": ("diameter",),
     "intensity": ("intensity",),
     "var_x_m2": ("var_x",),

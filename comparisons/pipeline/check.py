@@ -382,7 +382,7 @@ def check_external(
         *small,
         *_remarks(given, found),
         *_beside(grade, known, found, outcome),
-        *_on_association(solution),
+        *solution.doubts,
     )
     if short:
         own = tuple(one for one in causes if one.gap in OWN)  # a wrong filter may have broken down
@@ -428,12 +428,6 @@ def _short(
         f"{clock_words(given.time_s, covered.span_s)}; so {covered.evidence}"
     )
     return cause.coverage(evidence, least, "check the clock of the estimate before any other cause")
-
-
-def _on_association(solution: Solution) -> list[str]:
-    """What speaks against the smoother's own association."""
-    checked = solution.association_check
-    return [] if checked is None else checked.remarks
 
 
 def _information(given: ExternalEstimate, near: Likeness | None) -> str | None:
@@ -636,6 +630,8 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
             else "the covariance of every pose"
         )
         remarks.append(f"the estimate has no {', no '.join(absent)}; compared: {', '.join(judged)}")
+    if given.left_out:
+        remarks.append(given.left_out)
     if len(found.time_s) < len(given.time_s):
         remarks.append(
             f"{len(given.time_s) - len(found.time_s)} poses lie outside the log's time and "

@@ -18,6 +18,7 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.association_variants import AssociationCheck, check_association
+from comparisons.checks.verdict import misfit_remarks, rounded
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -34,6 +35,7 @@ from comparisons.pipeline.prepare import (
 )
 from graphslam.association_variants import variants
 from graphslam.increments import dead_reckoned
+from graphslam.misread_edges import EdgeReading, misread_edges
 from graphslam.smoother import SmootherOptions, SmootherResult
 
 if TYPE_CHECKING:
@@ -56,6 +58,7 @@ class Solution:
         association: How its own association compares with the log's labels; None where it used
             them.
         association_check: How its own association compares with others made without labels.
+        misread: How edges between poses fit that do not as they are read; None where they do.
     """
 
     prepared: Prepared[SolveConfig]
@@ -67,6 +70,7 @@ class Solution:
     accuracy_dead_reckoned: Accuracy | None
     association: AssociationScore | None
     association_check: AssociationCheck | None
+    misread: EdgeReading | None = None
 
     def __repr__(self) -> str:
         """Return log, error and whether that is verified, in one line."""
@@ -97,9 +101,28 @@ class Solution:
 
     @property
     def verified(self) -> bool:
-        """The optimum is, and so is the association, where it is the smoother's own."""
-        checked = self.association_check
-        return self.result.optimality.verified and (checked is None or checked.verified)
+        """Nothing is lacking."""
+        return not self.lacks
+
+    @property
+    def lacks(self) -> list[str]:
+        """What is lacking for `verified`: edges, the optimum, the smoother's own association."""
+        optimality = self.result.optimality
+        misfit = self.misread is None and optimality.lacks.startswith("chi-square")
+        optimum = misfit_remarks(optimality) if misfit else [optimality.lacks]
+        return [*self.doubts, *(one for one in optimum if one)]
+
+    @property
+    def doubts(self) -> list[str]:
+        """What is lacking but for the optimum's own evidence: how edges are read, association."""
+        checked, found = self.association_check, []
+        if self.misread is not None:
+            fit, chi2 = self.misread.chi_square, self.result.optimality.chi_square.chi2
+            found.append(
+                f"{self.misread.words}: chi-square {rounded(fit.chi2)} for {fit.dof} degrees of "
+                f"freedom in place of {rounded(chi2)}"
+            )
+        return found if checked is None else [*found, *checked.remarks]
 
     @property
     def log(self) -> Log:
@@ -126,7 +149,10 @@ def solve(
     )
     if log.loop_closures is not None and not known:
         raise InputError(f"{log.name}: holds closures, expected measurements associated by labels")
-    ekf = EkfConfig(association="known" if known else "nn", gps=config.gps)
+    gps = config.gps
+    if gps == "off" and log.positions is not None and log.prior.open:
+        gps = "on"
+    ekf = EkfConfig(association="known" if known else "nn", gps=gps)
     other = "use slamcheck odometry for its scans"
     required = Required(None if log.loop_closures is not None else other, other, loop_closures=True)
     prepared = prepare(log, config, ekf, progress, required)
@@ -156,6 +182,8 @@ def solve(
         progress("marginals", 0, 0)
         name = "known" if known else "own"
         estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name)
+    with clock.stage("edges"):
+        misread = misread_edges(result.problem, result.optimality.chi_square)
     checked = None
     if own is not None and associator is not None:
         with clock.stage("association check"):
@@ -172,6 +200,7 @@ def solve(
         accuracy_dead_reckoned=assess_trajectory(timeline.epoch_time_s, reckoned, prepared.judged),
         association=None if known else score_association(landmark_index, result.landmarks, log),
         association_check=checked,
+        misread=misread,
     )
 
 

@@ -719,6 +719,7 @@ class SolutionResult(Model):
             must hold for `verified`, too.
         pose_graph: of a log with closures.
         verdict: whether the optimum is verified.
+        reasons: what is lacking for `verified`, the gravest first.
         remarks: sentences that change no verdict.
         seconds: wall time, by stage.
         cpu_s: processor time, by stage.
@@ -740,6 +741,7 @@ class SolutionResult(Model):
     association_check: AssociationCheckResult | None = None
     pose_graph: PoseGraphResult | None = None
     verdict: Literal["verified", "unverified"]
+    reasons: list[str]
     remarks: list[str]
     seconds: dict[str, float]
     cpu_s: dict[str, float] | None = None

@@ -93,7 +93,7 @@ def solution_html(s: Solution) -> str:
     """Return the smoother's evidence and map."""
     word = "verified" if s.verified else "unverified"
     optimality, result = s.result.optimality, s.result
-    lacks = "" if s.verified else f": {optimality.lacks or 'its association is not confirmed'}"
+    lacks = f": {s.lacks[0]}" if s.lacks else ""
     test = optimality.chi_square
     rows = [
         ("error (half the chi-square)", f"{result.error:,.2f}"),

@@ -169,7 +169,9 @@ def front_end_folder(front_end: FrontEnd, result: FrontEndResult) -> JobFolder:
     if f.wheels is not None:
         files["wheels.tum"] = _tum(f.time_s, f.wheels)
     if holds(problem):
-        contents = G2oContents(problem, f.estimate.pose, f.estimate.landmark)
+        contents = G2oContents(
+            problem, f.estimate.pose, f.estimate.landmark, landmark_ids=f.estimate.landmark_id
+        )
         files["graph.g2o"] = lambda path: write_g2o(path, contents)
     if cloud is not None:
         files[f"map.{cloud}"] = lambda path: write_cloud(path, points)

@@ -32,18 +32,14 @@ from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
 
+FRAME = "no line fixes the frame but the absolute positions, which therefore are used"
 LARGEST_DRAWN = 150
 """Variables of the largest graph that is drawn as dot."""
 
 
 def build_solution_result(solution: Solution, read: Clock | None = None) -> SolutionResult:
     """Return the findings, read being the time that reading the log took."""
-    s, optimality = solution, solution.result.optimality
-    remarks = misfit_remarks(optimality)
-    if optimality.lacks and not remarks:
-        remarks.append(optimality.lacks)
-    if s.association_check is not None:
-        remarks += s.association_check.remarks
+    s, lacks, misfit = solution, solution.lacks, misfit_remarks(solution.result.optimality)
     return SolutionResult(
         config=s.prepared.config.model_dump(mode="json"),
         settings=settings_result(s.prepared.config, s.log.format),
@@ -59,7 +55,11 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
         association_check=association_check_result(s.association_check),
         pose_graph=_pose_graph(s),
         verdict="verified" if s.verified else "unverified",
-        remarks=remarks,
+        reasons=lacks,
+        remarks=[
+            *([FRAME] if s.log.prior.open else []),
+            *([] if s.misread else [one for one in misfit if one not in lacks]),
+        ],
         **s.prepared.clock.after(read),
         versions=package_versions(),
     )
@@ -88,8 +88,8 @@ def solution_summary(result: SolutionResult) -> Summary:
     return Summary(
         headline=f"verdict: {result.verdict}",
         style=STYLES[result.verdict],
-        reasons=() if result.verdict == "verified" else result.remarks,
-        remarks=result.remarks if result.verdict == "verified" else (),
+        reasons=result.reasons,
+        remarks=result.remarks,
         lines=[
             (
                 "map",
@@ -131,7 +131,9 @@ def _pose_graph_rows(result: SolutionResult) -> list[Row]:
 def solution_folder(solution: Solution, result: SolutionResult) -> JobFolder:
     """Return what is to be written."""
     estimate, smoothed = solution.estimate, solution.result
-    contents = G2oContents(smoothed.problem, estimate.pose, estimate.landmark)
+    contents = G2oContents(
+        smoothed.problem, estimate.pose, estimate.landmark, landmark_ids=estimate.landmark_id
+    )
     files = {}
     if holds(smoothed.problem):
         files["graph.g2o"] = lambda path: write_g2o(path, contents)

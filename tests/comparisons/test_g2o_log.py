@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.bundled import open_log
@@ -19,10 +20,18 @@ from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
 from comparisons.report.folder import write_job_folder
-from comparisons.report.solution import build_solution_result, solution_folder
-from graphslam.g2o import G2oContents, write_g2o
+from comparisons.report.solution import (
+    FRAME,
+    build_solution_result,
+    solution_folder,
+    solution_summary,
+)
+from comparisons.report.terminal import brief
+from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from graphslam.increments import dead_reckoned
-from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything
+from graphslam.problem import SlamProblem
+from graphslam.smoother import smooth
+from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything, rounds
 from tests.helpers import compared, present, simulated
 
 
@@ -43,6 +52,37 @@ def test_as_a_log_it_gives_the_same_optimum(tmp_path: Path) -> None:
     comparison = compared(log)
     assert abs(comparison.smoother.error - result.error) < 1e-6 * result.error
     assert comparison.verdict.outcome == "agree"
+
+
+def vertices(path: Path) -> set[tuple[str, ...]]:
+    lines = path.read_text().splitlines()
+    return {tuple(line.split()[:2]) for line in lines if line.startswith("VERTEX")}
+
+
+@pytest.mark.parametrize("surveyed", [0, 2])
+def test_landmarks_keep_their_numbers(tmp_path: Path, surveyed: int) -> None:
+    """Numbers among those of the poses, in another order than that in which they are seen."""
+    first = solve(simulated(3, loop_s=30.0)).result
+    count = len(first.landmarks)
+    ids = np.arange(count)[::-1] * 3 + 1
+    problem = replace(
+        first.problem,
+        surveyed=first.landmarks[:surveyed],
+        surveyed_covariance=np.tile(np.eye(2), (surveyed, 1, 1)),
+    )
+    contents = G2oContents(problem, first.poses, first.landmarks, landmark_ids=ids)
+    write_g2o(tmp_path / "loop.g2o", contents)
+    again = read_g2o(tmp_path / "loop.g2o")
+    where = {i: tuple(place) for i, place in zip(ids.tolist(), first.landmarks, strict=True)}
+    assert again.landmark_ids[:surveyed].tolist() == sorted(ids[:surveyed].tolist())
+    assert [where[i] for i in again.landmark_ids.tolist()] == [tuple(p) for p in again.landmarks]
+    if surveyed:  # such a graph is no log yet
+        return
+    log = open_log(str(tmp_path / "loop.g2o"))
+    solution = solve(log)
+    assert set(solution.estimate.landmark_id.tolist()) == set(ids.tolist())
+    write_job_folder(solution_folder(solution, build_solution_result(solution)), tmp_path / "out")
+    assert vertices(tmp_path / "out" / "graph.g2o") == vertices(tmp_path / "loop.g2o")
 
 
 @pytest.mark.parametrize(("change", "complaint"), FAULTS)
@@ -138,6 +178,94 @@ def test_only_closures_stand_for_odometry() -> None:
 def test_spatial_graphs_say_so(name: str) -> None:
     with pytest.raises(InputError, match=r":1: .*3D is not supported yet"):
         open_log(str(Path(gtsam.__file__).parent / "Data" / name))
+
+
+def turned_start(folder: Path, name: str, poses: Array, fixes: int) -> Path:
+    """Closed rounds with some positions and no prior, their vertices at the poses given."""
+    problem = rounds(2)
+    optimum, sigma = smooth(problem, {}).poses, 0.1
+    at = np.linspace(0, 24, fixes).astype(np.intp)
+    noise = np.random.default_rng(0).standard_normal((fixes, 2))
+    fixed = replace(
+        problem,
+        position_pose=at,
+        position=optimum[at, :2] + sigma * noise,
+        position_covariance=np.tile(sigma**2 * np.eye(2), (fixes, 1, 1)),
+    )
+    path = folder / f"{name}.g2o"
+    write_g2o(path, G2oContents(fixed, poses, np.zeros((0, 2))))
+    kept = [one for one in path.read_text().splitlines(True) if "EDGE_PRIOR_SE2 " not in one]
+    path.write_text("".join(kept))
+    return path
+
+
+def test_positions_fix_the_frame_and_not_a_guess(tmp_path: Path) -> None:
+    """Vertices turned by half have the optimum of those that are not; one position fixes none."""
+    poses = smooth(rounds(2), {}).poses
+    half = poses * (-1, -1, 1) + (3, 4, np.pi)
+    right, other = (
+        solve(open_log(str(turned_start(tmp_path, name, start, 9))))
+        for name, start in (("right", poses), ("half", half))
+    )
+    for one in (right, other):
+        result = build_solution_result(one)
+        assert result.verdict == "verified"
+        assert result.smoother.dof == 3 * (24 + 10) + 2 * 9 - 3 * 25
+        assert result.gps == "on"
+        assert result.remarks == [FRAME]
+    assert np.abs(other.estimate.pose[:, :2] - right.estimate.pose[:, :2]).max() < 1e-3
+    turns = (other.estimate.pose[:, 2] - right.estimate.pose[:, 2]) / (2.0 * np.pi)
+    assert np.abs(turns - np.round(turns)).max() < 1e-3
+    held = open_log(str(turned_start(tmp_path, "one", half, 1)))
+    assert not held.prior.open
+    assert held.provenance["frame"].startswith("pose 0 is held at its vertex")
+    kept = build_solution_result(solve(held))
+    assert (kept.gps, kept.remarks) == ("off", [])
+
+
+def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:
+    """Before a chi-square that is too low, which only is a note."""
+    problem = rounds()
+    closed = problem.loop_closures
+    tame = replace(
+        problem,
+        increment_covariance=100.0 * problem.increment_covariance,
+        loop_closures=replace(closed, covariance=100.0 * closed.covariance),
+    )
+    for one, reason in ((tame, ""), (misread(problem), "the odometry's edges fit when what")):
+        write_g2o(tmp_path / "rounds.g2o", G2oContents(one, np.zeros((49, 3)), np.zeros((0, 2))))
+        solution = solve(open_log(str(tmp_path / "rounds.g2o")))
+        result = build_solution_result(solution)
+        assert result.verdict == ("unverified" if reason else "verified")
+        assert result.reasons[:1] == ([] if not reason else solution.lacks[:1])
+        assert "".join(result.reasons).startswith(reason)
+        assert bool(result.remarks) is not bool(reason)
+    optimality = replace(solution.result.optimality, agreed=False)
+    doubtful = replace(
+        solution, misread=None, result=replace(solution.result, optimality=optimality)
+    )
+    result = build_solution_result(doubtful)
+    assert result.reasons == [optimality.lacks]
+    [note] = result.remarks
+    assert "is too low" in note
+    shown = brief(solution_summary(result))
+    assert shown[1].text.strip() in optimality.lacks
+
+
+@pytest.mark.parametrize(("variance", "kind"), [(0.25, "gtsam-2d"), (50.0, "g2o")])
+def test_isam_and_gtsam_share_tags(tmp_path: Path, variance: float, kind: str) -> None:
+    """A step's heading is known to better than a radian, be it by covariance or by root."""
+    edge = f"{variance} 0 0 {variance} 0 {variance}"
+    lines = [f"ODOMETRY {k} {k + 1} 1 0 0.1 {edge}\nLANDMARK {k} 9 {4 - k} 2 2 0 2" for k in (0, 1)]
+    (tmp_path / "few.txt").write_text("\n".join(lines))
+    log = open_log(str(tmp_path / "few.txt"))
+    assert log.format == kind
+    assert isinstance(log.odometry, RelativePoses)
+    assert np.isclose(log.odometry.covariance[0, 2, 2], min(variance, variance**-2.0))
+
+
+def misread(problem: SlamProblem) -> SlamProblem:
+    return replace(problem, increment_covariance=np.linalg.inv(problem.increment_covariance))
 
 
 def test_a_small_chi_square_is_not_told_as_zero() -> None:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.estimates.trajectory_files import (
@@ -64,7 +66,64 @@ def test_a_wrong_order_of_the_matrix_is_seen(tmp_path: Path, trajectory: Traject
     assert np.abs(turns - np.round(turns)).max() > 0.1
 
 
+def in_camera(pose: Array) -> Array:
+    """(K, 3, 4) of the camera's frame: x right, y down, z ahead."""
+    turn = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    rotation = Rotation.from_euler("z", pose[:, 2:]).as_matrix()
+    place = np.column_stack((pose[:, :2], np.zeros(len(pose)))) @ turn.T
+    return np.concatenate((turn @ rotation @ turn.T, place[:, :, None]), axis=2)
+
+
+@pytest.mark.parametrize("format_name", ["tum", "kitti"])
+@pytest.mark.parametrize("turn_rad", [0.01, 0.5])
+def test_the_frame_of_a_camera_is_named(tmp_path: Path, format_name: str, turn_rad: float) -> None:
+    """A drive ahead with small headings, of which the way ahead would be lost, and with large."""
+    pose = np.column_stack((np.arange(20.0), 0.05 * np.arange(20.0), np.full(20, turn_rad)))
+    pose[:, :2] = pose[:, :2] @ Rotation.from_euler("z", turn_rad).as_matrix()[:2, :2].T
+    matrix = in_camera(pose)
+    if format_name == "kitti":
+        np.savetxt(tmp_path / "a", matrix.reshape(-1, 12))
+        np.savetxt(tmp_path / "times.txt", np.arange(20))
+    else:
+        quaternion = Rotation.from_matrix(matrix[:, :, :3]).as_quat()
+        np.savetxt(tmp_path / "a", np.column_stack((np.arange(20), matrix[:, :, 3], quaternion)))
+    with pytest.raises(InputError, match=r"a: 19 of 19.02 m lie along .* camera's frame"):
+        read_trajectory_file(tmp_path / "a")
+    trajectory = Trajectory(np.arange(20.0), pose)
+    write_trajectory(trajectory, tmp_path / "right" / "b", format_name)
+    assert np.allclose(read_trajectory_file(tmp_path / "right" / "b").pose, pose)
+
+
+EUROC = "#timestamp, p_RS_R_x [m], ...\n" + "".join(
+    f"{1403715524907143168 + 5_000_000 * k},{k},2,1,{w},0,0,{z},0.1,0.2\n"
+    for k, (w, z) in enumerate(((1, 0), (np.cos(0.1), np.sin(0.1)), (np.cos(0.2), np.sin(0.2))))
+)
+
+
+def test_euroc_is_read(tmp_path: Path) -> None:
+    """Nanoseconds, and quaternions w first; read as TUM's the headings would be others."""
+    (tmp_path / "a.csv").write_text(EUROC)
+    found = read_trajectory_file(tmp_path / "a.csv")
+    assert np.allclose(found.pose, ((0, 2, 0), (1, 2, 0.2), (2, 2, 0.4)))
+    assert np.allclose(found.time_s - 1403715524.907143168, (0.0, 0.005, 0.01), atol=1e-6)
+
+
+def test_times_that_repeat_are_left_out(tmp_path: Path) -> None:
+    rows = [(0, 1), (1, 2), (1, 3), (2, 4), (2, 5)]
+    (tmp_path / "a").write_text("".join(f"{t} {x} 0 0 0 0 0 1\n" for t, x in rows))
+    found = read_external(tmp_path / "a")
+    assert found.pose[:, 0].tolist() == [1, 2, 4]
+    assert found.left_out == (
+        "2 of 5 poses of a repeat the time of the one before (first at 1.000000 s) and were left "
+        "out"
+    )
+    done = slamcheck("export", "a", "b.csv", cwd=tmp_path)
+    assert done.stdout == f"b.csv: 3 poses; {found.left_out}\n"
+
+
 BAD = {
+    "back in TUM": ("1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", None, "a:2: time 0.000000 s follows 1"),
+    "commas": ("0,1,2\n", None, "a: '0,1,2' begins no trajectory, expected TUM (time_s x y z"),
     "no times": (
         "1 0 0 0 0 1 0 0 0 0 1 0\n",
         None,

@@ -6,7 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from graphslam.arrays import Array, Index
 from graphslam.g2o import G2oContents
+from graphslam.increments import dead_reckoned
+from graphslam.problem import LoopClosures, SlamProblem
+from graphslam.scan import planar
 from graphslam.smoother import smooth
 from tests.graphslam import worlds
 
@@ -62,3 +66,36 @@ def everything() -> G2oContents:
         surveyed_covariance=spread[:3],
     )
     return G2oContents(problem, result.poses, result.landmarks)
+
+
+def rounds(turns: int = 4) -> SlamProblem:
+    """Round a circle of twelve poses a few times, with closures over fifteen steps."""
+    rng = np.random.default_rng(3)
+    sigma, steps = np.array((0.05, 0.03, 0.01)), 12 * turns
+    truth = dead_reckoned(np.zeros(3), np.tile((1.0, 0.1, 2.0 * np.pi / 12), (steps, 1)))
+    first = np.arange(steps - 14)
+
+    def measured(i: Index, j: Index) -> Array:
+        noise = sigma * rng.standard_normal((len(i), 3))
+        moved = [
+            planar.wrapped(planar.between(*pair)) for pair in zip(truth[i], truth[j], strict=True)
+        ]
+        return np.array(moved) + noise
+
+    def spread(count: int) -> Array:
+        return np.tile(np.diag(sigma**2), (count, 1, 1))
+
+    return SlamProblem(
+        prior_pose=np.zeros(3),
+        prior_covariance=1e-12 * np.eye(3),
+        increment=measured(np.arange(steps), np.arange(1, steps + 1)),
+        increment_covariance=spread(steps),
+        measurement_pose=np.zeros(0, dtype=np.intp),
+        measurement_landmark=np.zeros(0, dtype=np.intp),
+        z=np.zeros((0, 2)),
+        sigma=np.zeros((0, 2)),
+        landmark_count=0,
+        loop_closures=LoopClosures(
+            first, first + 15, measured(first, first + 15), spread(len(first))
+        ),
+    )

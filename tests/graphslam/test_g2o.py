@@ -185,7 +185,7 @@ def test_toro_has_its_own_order(tmp_path: Path) -> None:
         toro.problem.loop_closures.covariance, rows.problem.loop_closures.covariance
     )
     assert "TORO" in toro.notes["edges"]
-    assert not rows.notes
+    assert "edges" not in rows.notes
     theirs = optimum_of_gtsam(str(tmp_path / "a.graph"), "TORO")
     assert abs(smooth(toro.problem, {}).error - theirs) < 1e-9 * theirs
     mistaken = square(tmp_path / "c.g2o", TORO, as_g2o)  # a reader that knows one order only
@@ -277,3 +277,31 @@ def test_what_says_nothing_of_the_graph_is_passed_over(tmp_path: Path) -> None:
     plain = square(tmp_path / "b.graph", TORO)
     assert np.array_equal(contents.problem.prior_covariance, plain.problem.prior_covariance)
     assert contents.notes["passed over"] == "EQUIV on 1 lines"
+
+
+ISAM = """ODOMETRY 0 1 1 0 1.6 50 1 0 40 0 100
+LANDMARK 1 0 2 0.5 10 1 8
+ODOMETRY 1 2 1 0.1 1.5 50 1 0 40 0 100
+ODOMETRY 0 2 1 1 3 20 0 0 20 0 30
+LANDMARK 2 7 2 -0.5 10 0 10
+LANDMARK 0 7 2 1 10 0 10
+"""
+"""Landmark 0 and pose 0 are two; all matrices are square roots of informations, by rows."""
+
+
+def test_isam_numbers_landmarks_apart(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(ISAM)
+    contents = read_g2o(tmp_path / "a.txt")
+    problem = contents.problem
+    assert contents.landmark_ids.tolist() == [0, 7]
+    assert problem.pose_count == 3
+    assert problem.loop_closures.first.tolist() == [0]
+    root = np.array(((50.0, 1.0, 0.0), (0.0, 40.0, 0.0), (0.0, 0.0, 100.0)))
+    information = np.linalg.inv(problem.increment_covariance[0])
+    assert relative_error(information, root.T @ root) < 1e-12
+    assert np.allclose(problem.sigma[1], (0.1, 0.1 / problem.z[1, 0]), rtol=1e-12)
+    assert "ODOMETRY as iSAM writes it" in contents.notes["edges"]
+    write_g2o(tmp_path / "b.g2o", contents._replace(landmarks=np.eye(2)))
+    again = read_g2o(tmp_path / "b.g2o")
+    assert again.landmark_ids.tolist() == [0, 7]
+    assert np.array_equal(again.problem.increment_covariance, problem.increment_covariance)

@@ -10,8 +10,8 @@ taken to be 1 degree apart and 361 and 360 half a degree, from -90 degrees on, a
 those from the maximum on, are no returns.
 
 Times are IPC's; the logger's where most of IPC's repeat, as when they were written with six digits,
-or fall back too far; and the scans' numbers where most of both repeat. Lines out of order by up to
-0.1 s are sorted. ODOM lines of time 0, which gmapping writes, have no time and are left out.
+or fall back too far; and the scans' numbers where neither serves. Lines out of order by up to 0.1 s
+are sorted. ODOM lines of time 0, which gmapping writes, have no time and are left out.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def read(path: Path) -> Log:
     if not sweeps.line:
         raise InputError(f"{path}: expected at least one FLASER or ROBOTLASER1 line")
     mount = _mount(path, sweeps)
-    clock = _clock(path, sweeps.line, np.array(sweeps.times))
+    clock = _clock(sweeps.line, np.array(sweeps.times))
     order, time_s, repeated, swapped = _in_order(sweeps, clock)
     start, pose = time_s[0], np.array(sweeps.robot)[order]
     time_s = time_s - start
@@ -77,7 +77,7 @@ def read(path: Path) -> Log:
     if untimed > 1:
         source += ", which a mapper may have corrected: gmapping writes ODOM lines of time 0"
     if reader.odometry and not np.ptp(pose, axis=0).any():
-        samples = _odometry(path, np.array(reader.odometry), clock)
+        samples = _odometry(path, np.array(reader.odometry), clock, sweeps.line)
         sample_s = samples[:, 0] - start
         inside = (time_s >= sample_s[0]) & (time_s <= sample_s[-1])
         if not inside.any():
@@ -112,8 +112,8 @@ def read(path: Path) -> Log:
     return scan_log(path.stem, "carmen", time_s, pose, provenance, scans=scans)
 
 
-def _clock(path: Path, lines: list[int], times: Array) -> _Clock:
-    """Which of the two times (N, 2) are used. Raises InputError where both fall back."""
+def _clock(lines: list[int], times: Array) -> _Clock:
+    """Which of the two times (N, 2) are used, or neither where both repeat or fall back."""
     steps = np.diff(times, axis=0)
     repeating = (steps == 0).mean(axis=0) if len(steps) else np.zeros(2)
     coarse = (repeating > 0.5) | np.isnan(times).any(axis=0)
@@ -123,16 +123,17 @@ def _clock(path: Path, lines: list[int], times: Array) -> _Clock:
         return _Clock(0, _COLUMNS[0])
     why = f"IPC's repeat in {100 * repeating[0]:.0f} % of the scans"
     if not coarse[0]:
-        row = int(np.flatnonzero(fall[:, 0] > _LARGEST_FALL_S)[0])
-        why = f"IPC's fall back by {fall[row, 0]:.6g} s in line {lines[row]}"
-        if not usable[1]:
-            raise InputError(_fallen(path, lines[row], times[row, 0], fall[row, 0]))
+        fallen = np.flatnonzero(fall[:, 0] > _LARGEST_FALL_S)
+        why = f"IPC's fall back by {fall[fallen[0], 0]:.6g} s in line {lines[fallen[0]]}"
+        if len(fallen) > 1:
+            why += f" and, by up to {fall[:, 0].max():.6g} s, in {len(fallen) - 1} more"
     if usable[1]:
         return _Clock(1, f"the logger's, since {why}")
-    if not coarse[1]:
-        row = int(np.flatnonzero(fall[:, 1] > _LARGEST_FALL_S)[0])
-        raise InputError(_fallen(path, lines[row], times[row, 1], fall[row, 1]))
-    other = "are missing" if np.isnan(times[:, 1]).any() else "do so, too"
+    other = "do so, too"
+    if coarse[0] is not coarse[1]:
+        other = "repeat" if coarse[1] else "fall back"
+    if np.isnan(times[:, 1]).any():
+        other = "are missing"
     return _Clock(None, f"scan numbers in place of seconds, since {why} and the logger's {other}")
 
 
@@ -154,15 +155,16 @@ def _in_order(sweeps: Sweeps, clock: _Clock) -> tuple[Index, Array, int, int]:
     return order, time[order], len(time) - len(order), swapped
 
 
-def _odometry(path: Path, rows: Array, clock: _Clock) -> Array:
+def _odometry(path: Path, rows: Array, clock: _Clock, scans: list[int]) -> Array:
     """(N, 4) time, x, y, heading of ODOM lines by time, without those of none.
 
-    rows: (M, 6) as read. Raises InputError where their times are no use.
+    rows: (M, 6) as read. scans: lines of the scans, between which ODOM lines lie evenly where times
+    are scan numbers. Raises InputError where their times are no use.
     """
     if clock.column is None:
-        raise InputError(
-            f"{path}: times are {clock.text}; the robot stands still in the laser lines, so that "
-            "ODOM lines would move it, expected times that tell where these lie between the scans"
+        lines = np.array((0, *scans, max(scans[-1], int(rows[-1, 0])) + 1))
+        return np.column_stack(
+            (np.interp(rows[:, 0], lines, np.arange(-1.0, len(scans) + 1)), rows[:, 3:])
         )
     time = rows[:, 1 + clock.column]
     lost = np.isnan(time) | (time == 0)

@@ -1,6 +1,6 @@
 """g2o graphs of poses and of landmarks, as graphslam.g2o reads them.
 
-There are no times, so pose k gets k seconds; landmarks keep the order of their numbers.
+There are no times, so pose k gets k seconds; landmarks keep their numbers.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def read(path: Path) -> Log:
     """Read the file. Raises InputError naming the line at fault."""
     check_regular(path)
     try:
-        problem, _, _, notes = read_g2o(path)
+        problem, _, _, notes, ids = read_g2o(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (ValueError, ArithmeticError) as error:
@@ -59,7 +59,7 @@ def read(path: Path) -> Log:
             bearing_rad=problem.z[order, 1],
             sigma_range_m=problem.sigma[order, 0],
             sigma_bearing_rad=problem.sigma[order, 1],
-            landmark=problem.measurement_landmark[order].astype(np.int64),
+            landmark=ids[problem.measurement_landmark[order]],
             diameter_m=np.full(len(order), np.nan),
         ),
         positions=Positions(

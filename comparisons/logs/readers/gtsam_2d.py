@@ -3,7 +3,8 @@
 `ODOMETRY i j dx dy dheading` and the covariance's upper triangle: pose j seen from pose i.
 `LANDMARK i j x y` and the covariance's upper triangle: landmark j in the frame of pose i. Poses
 and landmarks share one numbering; poses come in driving order. There are no times, so pose k
-gets k seconds.
+gets k seconds. iSAM's files have the same tags with square roots of informations, and are read as
+graphs (graphslam.g2o).
 """
 
 from __future__ import annotations
@@ -28,14 +29,26 @@ _PRIOR_SIGMA = 1e-6
 
 
 def recognises(path: Path) -> bool:
-    """A text file whose first record starts with one of the two tags."""
+    """A text file whose first record starts with one of the two tags, but for iSAM's."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
         for line in file.read(4096).splitlines():
             if line.strip() and not line.startswith(b"#"):
-                return line.split()[0] in (b"ODOMETRY", b"LANDMARK")
+                words = line.decode("ascii", "replace").split()
+                return words[0] in _COLUMNS and not _of_isam(words)
     return False
+
+
+def _of_isam(words: list[str]) -> bool:
+    """Whether a line's last variance is one that only a root of an information may be.
+
+    As a covariance it would say that a step's heading is known worse than to a radian.
+    """
+    try:
+        return words[0] == "ODOMETRY" and float(words[-1]) > 1.0
+    except ValueError:
+        return False
 
 
 def read(path: Path) -> Log:
@@ -55,7 +68,10 @@ def read(path: Path) -> Log:
             if not moves:
                 pose_of[i] = 0
             if pose_of.get(i) != len(moves):
-                raise InputError(f"{place}: departs from {i}, expected the latest pose")
+                raise InputError(
+                    f"{place}: departs from {i}, expected the latest pose (graphs with "
+                    "loop closures are read from EDGE_SE2 lines of g2o)"
+                )
             if j in pose_of:
                 raise InputError(f"{place}: arrives at {j}, which is a pose already")
             pose_of[j] = len(moves) + 1

@@ -417,14 +417,13 @@ def _sweep(stream: _Stream, start: int, version: int) -> Sweep:
 
 def _odometry(stream: _Stream, start: int, version: int) -> Odometry:
     """Pose, label, time, ticks of encoders and velocities where there are any."""
-    del version
     pose = stream.read(_POSES_2D)
     stream.text()
     ticks = stream.number("Q")
     if stream.number("B"):
         stream.numbers("2i")
     if stream.number("B"):
-        stream.numbers("3d")
+        stream.numbers("3d" if version > 1 else "2f")
     return Odometry(at=start, ticks=ticks, pose=pose)
 
 
@@ -454,7 +453,7 @@ _MOVEMENTS: dict[str, _Known] = {"CActionRobotMovement2D": ((6, 7), _movement)}
 _OBSERVATIONS: dict[str, _Known] = {
     "CObservationBearingRange": ((3,), _bearing_range),
     "CObservation2DRangeScan": ((6, 7), _sweep),
-    "CObservationOdometry": ((2,), _odometry),
+    "CObservationOdometry": ((1, 2), _odometry),
     "CObservationBeaconRanges": ((3,), _beacons),
     "CObservationComment": ((0,), _comment),
 }

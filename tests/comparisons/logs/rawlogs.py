@@ -98,9 +98,12 @@ def sweep(
     return thing("CObservation2DRangeScan", version, fields)
 
 
-def odometry(x: float, y: float, heading: float, ticks: int) -> bytes:
+def odometry(x: float, y: float, heading: float, ticks: int, version: int = 2) -> bytes:
     fields = pose_2d(x, y, heading, "mrpt::poses::") + text("ODOMETRY")
-    return thing("mrpt::obs::CObservationOdometry", 2, fields + struct.pack("<QBB", ticks, 0, 0))
+    more = struct.pack("<QBB", ticks, 0, 0)
+    if version == 1:  # encoders, and velocities as two floats
+        more = struct.pack("<QB2iB2f", ticks, 1, 7, 8, 1, 0.5, 0.1)
+    return thing("mrpt::obs::CObservationOdometry", version, fields + more)
 
 
 def beacons() -> bytes:

@@ -63,6 +63,14 @@ def test_decimal_commas_beside_other_separators(tmp_path: Path) -> None:
             build(files(tmp_path, f"t;v;w\n{rows}\n"))
 
 
+def test_names_of_mrclam_are_known(tmp_path: Path) -> None:
+    drive = "time,forward_velocity,angular_velocity\n0,1,0.1\n1,2,0.1\n"
+    log = build(files(tmp_path, drive, "time,subject_nb,range,bearing\n0.1,27,5,0\n")).log
+    assert isinstance(log.odometry, VelocityOdometry)
+    assert log.odometry.yaw_rate_radps.tolist() == [0.1, 0.1]
+    assert log.measurements.landmark.tolist() == [27]
+
+
 def test_repeated_records_are_no_further_information(tmp_path: Path) -> None:
     trees = "id,range,bearing,t\n1,5,0,0.1\n1,5,0,0.1\n1,5,0.01,0.1\n"
     log, _, notes = build(files(tmp_path, trees=trees))
@@ -228,7 +236,11 @@ BAD: dict[str, tuple[str, str, str]] = {
     "twice": ("t,v,speed,w\n0,1,1,0\n", TREES, r"'v' and 'speed' both mean speed_mps"),
     "no time": ("v,w\n1,0\n", TREES, r"no column for time_s, expected one named time or t or"),
     "two kinds": ("t,v,w,x,y,yaw\n0,1,0,0,0,0\n", TREES, r"holds velocity and poses.*--kind"),
-    "no kind": ("t,a\n0,1\n", TREES, r"odo.csv: odometry: columns are .*speed_mps, yaw_rate_radps"),
+    "no kind": (
+        "t,a\n0,1\n",
+        TREES,
+        r"odo.csv: odometry: columns are .*speed_mps, yaw_rate_radps.*; found t, a; see",
+    ),
     "unit": ("t [h],v,w\n0,1,0\n", TREES, r"unit 'h' of column 't \[h\]' is unknown, expected s,"),
     "ns": (
         "t,v,w\n1700000000000000000,1,0\n", TREES,

@@ -172,10 +172,11 @@ def test_a_scanner_upside_down_and_eyes_that_look_aside(tmp_path: Path) -> None:
     assert other.measurements.bearing_rad[0] == pytest.approx(3.5 - 2.0 * np.pi)
 
 
-def test_observations_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [1, 2])
+def test_observations_alone(version: int, tmp_path: Path) -> None:
     """Odometry's poses where the scans are; scans outside its time are left out."""
     step = 1_000_000
-    parts = [odometry(0.1 * i, 0.0, 0.05 * i, START + i * step) for i in range(5)]
+    parts = [odometry(0.1 * i, 0.0, 0.05 * i, START + i * step, version) for i in range(5)]
     parts += [sweep(RANGES, START + step * i // 2, version=7) for i in (1, 4, 99)]
     log = read_log(rawlog(tmp_path, b"".join(parts)))
     assert isinstance(log.odometry, RelativePoses)
