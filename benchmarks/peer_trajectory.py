@@ -64,7 +64,7 @@ def write_pair(folder: Path, count: int) -> None:
 
 def truth_alone(path: Path) -> Log:
     """A log of a trajectory file's poses as truth, and no more than a log must have."""
-    time_s, pose, _ = read_trajectory_file(path)
+    time_s, pose, *_ = read_trajectory_file(path)
     one, noise = np.ones(1), OdometryNoise(0.1, 0.1)
     return Log(
         name="truth",

@@ -265,7 +265,8 @@ def test_isam_and_gtsam_share_tags(tmp_path: Path, variance: float, kind: str) -
 
 
 def misread(problem: SlamProblem) -> SlamProblem:
-    return replace(problem, increment_covariance=np.linalg.inv(problem.increment_covariance))
+    inverse: Array = np.asarray(np.linalg.inv(problem.increment_covariance), dtype=np.float64)
+    return replace(problem, increment_covariance=inverse)
 
 
 def test_a_small_chi_square_is_not_told_as_zero() -> None:

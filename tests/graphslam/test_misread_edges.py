@@ -23,13 +23,17 @@ def root(covariance: Array) -> Array:
     return np.asarray(np.linalg.inv(np.triu(upper) + np.triu(upper, 1).transpose(0, 2, 1)))
 
 
+def inverse(covariance: Array) -> Array:
+    return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+
+
 def inverted(problem: SlamProblem) -> SlamProblem:
     closed = problem.loop_closures
     return replace(problem, loop_closures=replace(closed, first=closed.second, second=closed.first))
 
 
 def odometry_as_covariance(problem: SlamProblem) -> SlamProblem:
-    return replace(problem, increment_covariance=np.linalg.inv(problem.increment_covariance))
+    return replace(problem, increment_covariance=inverse(problem.increment_covariance))
 
 
 def closures_as_root(problem: SlamProblem) -> SlamProblem:
@@ -39,7 +43,7 @@ def closures_as_root(problem: SlamProblem) -> SlamProblem:
 
 def all_as_covariance(problem: SlamProblem) -> SlamProblem:
     closed = problem.loop_closures
-    changed = replace(closed, covariance=np.linalg.inv(closed.covariance))
+    changed = replace(closed, covariance=inverse(closed.covariance))
     return replace(odometry_as_covariance(problem), loop_closures=changed)
 
 
