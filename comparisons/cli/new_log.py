@@ -99,6 +99,8 @@ def _read_truth(path: Path, *, degrees: bool) -> PlainTable:
     if not lines or not lines[0].split()[0][:1].isdigit():
         return read_plain(path, names, degrees=degrees)
     found = read_trajectory_file(path)
+    if found.left_out:
+        typer.echo(found.left_out)
     columns = dict(zip(names, (found.time_s, *found.pose.T), strict=True))
     line = list(range(1, len(found.time_s) + 1))
     return PlainTable(path=path, columns=columns, line=line, origin={}, headers=[])

@@ -130,7 +130,7 @@ def _clock(lines: list[int], times: Array) -> _Clock:
     if usable[1]:
         return _Clock(1, f"the logger's, since {why}")
     other = "do so, too"
-    if coarse[0] is not coarse[1]:
+    if coarse[0] != coarse[1]:
         other = "repeat" if coarse[1] else "fall back"
     if np.isnan(times[:, 1]).any():
         other = "are missing"
