@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -37,6 +38,8 @@ _IN_CACHE = 16384
 _ASYMMETRY, _NEGATIVE = 1e-6, 1e-9
 """Beyond rounding, of a covariance scaled to a unit diagonal: differences of entries that should be
 equal, and eigenvalues below zero."""
+_ROUNDING = 1e-12
+"""Entries of a noise below it, beside the variances of the errors that it is added to."""
 _SINGLE = 64.0 * 2.0**-24
 """The same, of a covariance whose numbers are all of single precision."""
 
@@ -101,7 +104,8 @@ class EventReader:
         self._charts: dict[str, str] = {}
         self._size = 0
         self._named: dict[Blocks, int] = {}
-        self._unchecked: list[tuple[int, str, bool, Array]] = []
+        self._sigma: dict[str, Array] = {}
+        self._unchecked: list[tuple[int, str, bool, Array, Blocks]] = []
         self._make: dict[str, Callable[[Row], Event]] = {
             "prior": self._prior,
             "predict": self._predict,
@@ -159,6 +163,7 @@ class EventReader:
         self._charts = dict(zip(names, charts, strict=True))
         self._changed(row.number)
         p = self._covariance(row, 0, "covariance (P)", self._size)
+        self._begins(names, dims, np.diagonal(p))
         plain = () if set(charts) == {ADDITIVE} else tuple(charts)
         return Prior(row.number, row.time_s, names, tuple(dims), p, self._own(row, 1), plain)
 
@@ -198,6 +203,7 @@ class EventReader:
         g_x, g_z = self._shaped(row, 0, d, n), self._shaped(row, 2, d, m)
         r = self._covariance(row, 1, "noise (R)", m)
         self._dims[name], self._charts[name] = d, chart
+        self._begins((name,), (d,), np.einsum("ij,jk,ik->i", g_z, r, g_z))
         self._changed(row.number)
         points = self._own(row, 3), self._own(row, 4), self._own(row, 5)
         weight = self._weight(row, 6)
@@ -211,6 +217,7 @@ class EventReader:
             self._refuse(row.number, f"clones {len(blocks)} blocks, expected one")
         name = self._unused(row.number, row.text)
         self._dims[name], self._charts[name] = d, self._charts[blocks[0]]
+        self._sigma[name] = self._sigma[blocks[0]]
         self._changed(row.number)
         return Clone(row.number, row.time_s, name, blocks[0])
 
@@ -305,7 +312,7 @@ class EventReader:
         own, flag = row.cells[column], 1 + definite
         if own is not None and not own.checked & flag and found.size:
             own.checked |= flag
-            self._unchecked.append((row.number, name, definite, found))
+            self._unchecked.append((row.number, name, definite, found, row.blocks or ()))
         return found
 
     def _shaped(self, row: Row, column: int, *shape: int) -> Array:
@@ -336,25 +343,43 @@ class EventReader:
     def _check_covariances(self) -> None:
         """Raise InputError for the first noise or prior that no sound filter has."""
         alike = defaultdict(list)
-        for number, name, definite, matrix in self._unchecked:
-            alike[name, definite, len(matrix)].append((number, matrix))
+        for number, name, definite, matrix, blocks in self._unchecked:
+            alike[name, definite, len(matrix)].append((number, matrix, blocks))
         self._unchecked = []
         faults = []
         for (name, definite, n), ones in alike.items():
-            stack = np.concatenate([matrix for _, matrix in ones]).reshape(-1, n, n)
-            found = _fault(stack, definite=definite)
+            stack = np.concatenate([matrix for _, matrix, _ in ones]).reshape(-1, n, n)
+            sigmas = partial(self._sigmas, [one[2] for one in ones])
+            found = _fault(stack, sigmas, definite=definite)
             if found is not None:
                 faults.append((ones[found[0]][0], f"{name} {found[1]}"))
         if faults:
             self._refuse(*min(faults))
 
+    def _begins(self, names: Sequence[str], dims: Sequence[int], variance: Array) -> None:
+        """Keep about how large the errors of new blocks are: (n,) variances."""
+        sigma, start = np.sqrt(np.maximum(variance, 0.0)), 0
+        for name, dim in zip(names, dims, strict=True):
+            self._sigma[name] = sigma[start : start + dim]
+            start += dim
+
+    def _sigmas(self, blocks: Sequence[Blocks], index: int) -> Array:
+        """As they began, of one event's blocks (n,)."""
+        return np.concatenate([np.zeros(0), *(self._sigma[name] for name in blocks[index])])
+
     def _refuse(self, number: Any, fault: str) -> NoReturn:
         raise InputError(f"{self._path}, event {shown(number)}: {fault}")
 
 
-def _fault(stack: Array, *, definite: bool) -> tuple[int, str] | None:
+def _fault(
+    stack: Array,
+    sigmas: Callable[[int], Array] = lambda index: np.zeros(0),
+    *,
+    definite: bool,
+) -> tuple[int, str] | None:
     """Index and fault of the first matrix of (k, n, n) that is no covariance.
 
+    sigmas: (n,) of the errors that each is added to, by its index; none where it is to none.
     definite: positive definite, else also semidefinite to _NEGATIVE.
     """
     few = max(1, _IN_CACHE // stack[0].size)
@@ -362,10 +387,22 @@ def _fault(stack: Array, *, definite: bool) -> tuple[int, str] | None:
         some = stack[start : start + few]
         skew = _skew(some)
         for bad in np.flatnonzero(skew | ~_sound(some, definite=definite)).tolist():
-            if not _single_sound(some[bad : bad + 1], definite=definite):
+            one = some[bad : bad + 1]
+            if definite or not _sound_beside(one, sigmas(start + bad)):
+                if _single_sound(one, definite=definite):
+                    continue
                 fault = "is not positive definite" if definite else "has a negative eigenvalue"
                 return start + bad, "is not symmetric" if skew[bad] else fault
     return None
+
+
+def _sound_beside(one: Array, sigma: Array) -> bool:
+    """Whether a matrix (1, n, n) is semidefinite but for what is rounding beside sigmas (n,)."""
+    if len(sigma) != one.shape[1]:
+        return False
+    rounding = _ROUNDING * np.outer(sigma, sigma)
+    clean = np.where(np.abs(one) <= rounding, 0.0, one)
+    return not _skew(clean)[0] and bool(_sound(clean, definite=False)[0])
 
 
 def _single_sound(one: Array, *, definite: bool) -> bool:

@@ -674,3 +674,17 @@ def test_matrices_that_are_repeated_are_one(trace: Path) -> None:
     first, again, used, rejected = events[2:6]
     assert first.jacobian is again.jacobian
     assert used.noise is rejected.noise
+
+
+def test_rounding_beside_the_state_is_no_negative_noise(tmp_path: Path) -> None:
+    """Of a block that stands still, as a regression leaves it; what is larger is a fault."""
+    for noise, sound in ((2e-16, True), (2e-7, False)):
+        q = np.diag((0.01, 0.0)) + noise * np.array(((0.0, 1.0), (1.0, -1.0)))
+        with Recorder(tmp_path / f"{noise}.trace") as recorder:
+            recorder.prior({"pose": 1, "landmark": 1}, np.diag((0.1, 0.5)))
+            recorder.predict(np.eye(2), q)
+        if sound:
+            assert len(list(Trace(tmp_path / f"{noise}.trace"))) == 2
+        else:
+            with pytest.raises(InputError, match="negative eigenvalue"):
+                list(Trace(tmp_path / f"{noise}.trace"))
