@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.checks.diagnosis.log_fit import log_fits
+from comparisons.checks.diagnosis.log_fit import explains, log_fits
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
 from comparisons.pipeline.compare import Comparison
+from graphslam.optimum import ChiSquareTest
 from tests.helpers import compared
 
 
@@ -62,6 +63,14 @@ def test_noise_that_is_larger_than_stated_is_no_number(log: Log) -> None:
     assert not found.smoother.optimality.verified
     assert not fits_of(found)
     assert any(one.gap == "noise" for one in found.verdict.causes)
+
+
+@pytest.mark.parametrize(
+    ("chi2", "said"), [(410.0, True), (330.0, True), (300.0, False), (600.0, False)]
+)
+def test_a_number_explains_what_is_too_high_and_no_more(chi2: float, said: bool) -> None:
+    """A scale that shrinks all residuals leaves less than noise does."""
+    assert explains(ChiSquareTest(812.0, 400, 318.0, 493.0), chi2, 8) is said
 
 
 def test_a_sound_log_has_none(log: Log) -> None:

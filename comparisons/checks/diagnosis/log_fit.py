@@ -24,6 +24,7 @@ from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityO
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
 from graphslam.graph_builder import build_graph, to_values
 from graphslam.optimisers import levenberg_marquardt
+from graphslam.optimum import ChiSquareTest
 from graphslam.search import relaxed_values
 from graphslam.smoother import SmootherResult
 
@@ -103,23 +104,36 @@ def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
         result: The smoother's, whose chi-square is too high.
     """
     test = result.optimality.chi_square
-    excess = test.chi2 - test.dof
     rough = []
     for one in _numbers(log):
         fit = _Fit(log, run, result, one)
         rough.append((fit.round(), fit))
     rough.sort(key=lambda pair: pair[0])
     found = []
-    numbers = len(rough)
     for _, fit in rough[:_MOST_REFINED]:
         chi2 = fit.refined()
-        f = (test.chi2 - chi2) / max(chi2 / max(test.dof - 1, 1), 1e-300)
-        sure = numbers * float(fdtrc(1, test.dof - 1, max(f, 0.0))) < LEVEL
-        if sure and test.chi2 - chi2 >= LEAST_SHARE * excess:
+        if explains(test, chi2, len(rough)):
             found.append(LogFit(fit.words, chi2, test.chi2))
     least = min((one.chi2 for one in found), default=0.0)
     alike = [one for one in found if one.chi2 <= _AS_WELL * least]
     return sorted(alike, key=lambda one: one.chi2)
+
+
+def explains(test: ChiSquareTest, chi2: float, numbers: int) -> bool:
+    """Whether a fitted number explains a chi-square that is too high.
+
+    What makes chi-square too low instead, as a scale that shrinks all residuals, explains nothing.
+
+    Args:
+        test: Without the number.
+        chi2: With it.
+        numbers: How many were tried.
+    """
+    removed = test.chi2 - chi2
+    if chi2 < test.lower or removed < LEAST_SHARE * (test.chi2 - test.dof):
+        return False
+    f = removed / (chi2 / max(test.dof - 1, 1))
+    return numbers * float(fdtrc(1, test.dof - 1, f)) < LEVEL
 
 
 class _Fit:
