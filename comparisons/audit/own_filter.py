@@ -9,6 +9,7 @@ is initialised after the others are measured in truth; the linear problem is the
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -53,6 +54,7 @@ def run_events(run: EkfRun) -> Iterator[Event]:
 class _Events:
     def __init__(self, run: EkfRun) -> None:
         self._run, self._number = run, -1
+        self._points = _distinct(run.estimate.landmark_id)
         self._time_s: float | None = None
 
     def all(self) -> Iterator[Event]:
@@ -97,7 +99,7 @@ class _Events:
 
     def _name(self, kind: LandmarkKind, landmark_index: int) -> str:
         if kind == POINT:
-            return f"landmark {self._run.estimate.landmark_id[landmark_index]}"
+            return self._points[landmark_index]
         return f"scan landmark {landmark_index}"
 
     def _landmarks(
@@ -180,6 +182,16 @@ def _directions(pose: Array) -> dict[str, Array]:
 
     along = along_circle(pose)
     return {name: along @ column for name, column in planar.items()}
+
+
+def _distinct(landmark_id: Index) -> list[str]:
+    """Names of points; of one that was initialised again, with how often."""
+    seen: Counter[int] = Counter()
+    names = []
+    for one in landmark_id.tolist():
+        seen[one] += 1
+        names.append(f"landmark {one}" + (f" ({seen[one]})" if seen[one] > 1 else ""))
+    return names
 
 
 def _by_step(step: Index) -> dict[int, list[int]]:
