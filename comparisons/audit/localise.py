@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.audit.faults import KnownFault, known_faults
 from comparisons.audit.replay import Replay, apart, largest_pair
 from comparisons.trace.events import (
@@ -88,13 +89,14 @@ def localise(
     at = plain.layout.columns(snapshot.blocks)
     expected = plain.covariance[at][:, at]
     scaled = apart(snapshot.covariance, expected)
+    dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
     allowed = max(tolerance, _SHARE * float(scaled.max()))
+    wrong = _wrong(scaled, snapshot.blocks, dims, allowed) if len(changing) == 1 else None
     tries: list[Collection[str] | None] = [before, None] if before else [None]
     for only in tries:
-        found = _search(start, changing, snapshot, allowed, only)
+        found = _search(start, changing, snapshot, allowed, only, wrong)
         if found is not None:
             return found
-    dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
     pair = largest_pair(np.where(np.isfinite(scaled), scaled, np.inf), snapshot.blocks, dims)
     of = f"block {pair[0]}" if pair[0] == pair[1] else f"block {pair[0]} with {pair[1]}"
     what = f"the covariance of {of} is off by {scaled.max():.2g} of its sigmas"
@@ -108,16 +110,18 @@ def _search(
     snapshot: Snapshot,
     allowed: float,
     only: Collection[str] | None,
+    wrong: Blocks | None,
 ) -> Cause | None:
     """Try every known error at every event, and at all like it from there on; the first that fits.
 
     An error at a single event goes before the same at several. only: none but these.
+    wrong: blocks that a single event has left wrong.
     """
     replayed, before = 0, start.copy()
     several: Cause | None = None
     for i, event in enumerate(events):
         like = _like(event, events[i + 1 :])
-        for fault in known_faults(event, before):
+        for fault in known_faults(event, before, wrong):
             if only is not None and fault.what not in only:
                 continue
             for repeated in (False, True) if like else (False,):
@@ -133,6 +137,13 @@ def _search(
                     several = found
         before.apply(event)
     return several
+
+
+def _wrong(scaled: Array, blocks: Blocks, dims: tuple[int, ...], allowed: float) -> Blocks:
+    """Blocks with a covariance that is off by more than allowed."""
+    entries = ~(scaled.max(axis=1) <= allowed) | ~(scaled.max(axis=0) <= allowed)
+    parts = np.split(entries, np.cumsum(dims)[:-1])
+    return tuple(name for name, off in zip(blocks, parts, strict=True) if off.any())
 
 
 def _like(event: Event, later: Sequence[Event]) -> bool:

@@ -35,6 +35,8 @@ _ALIKE = 1e-4
 """Relative to the largest entry, within which a shape of a gain is recognised."""
 ROUNDING = 1e-6
 """Largest difference that rounding explains, relative to the standard deviations."""
+_NAMED = 3
+"""Blocks that are named even where they are all."""
 _SINGULAR = 1e-11
 """Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
 
@@ -351,11 +353,13 @@ def _correction(
     assert event.correction is not None  # noqa: S101 - asked for above
     off = np.abs(event.correction - right) / unit
     wrong = _blocks(off, layout, max(tolerance, _ALIKE * float(np.abs(right / unit).max())))
+    everywhere = len(wrong) == len(layout.dims) > _NAMED
     if not off.max() > tolerance or not wrong:
         return []
     given = np.concatenate([event.correction[layout.entries(b)] for b in wrong])
     meant = np.concatenate([right[layout.entries(b)] for b in wrong])
-    names, near = ", ".join(wrong), _ALIKE * float(np.abs(meant).max())
+    names = "all blocks" if everywhere else ", ".join(wrong)
+    near = _ALIKE * float(np.abs(meant).max())
     if not given.any():
         text = f"does not correct the estimate of {names}, though its gain does"
     elif np.abs(given + meant).max() <= near:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from comparisons.adapters.smoother_input import (
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.checks.agreement import Agreement, Allowed, Gap, Gaussian
+from comparisons.checks.causes import ALGEBRA_HINT
 from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
 from comparisons.checks.diagnosis.known_model_errors import explain
 from comparisons.checks.diagnosis.model_differences import model_differences
@@ -36,11 +38,13 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
-from comparisons.estimates.trace_file import TraceFile
+from comparisons.estimates.trace_file import FORMER, TraceFile
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.gaps import Gaps, compute_gaps
 from comparisons.pipeline.prepare import Clock, Prepared, no_progress
+from comparisons.trace.events import Snapshot
+from comparisons.trace.reader import Trace
 from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
@@ -48,6 +52,9 @@ from ekf_reference.core.measurements import REJECTED
 from ekf_reference.core.trace import TraceArrays
 from graphslam.smoother import SmootherOptions
 
+_RECORD = (
+    f"{ALGEBRA_HINT}; a snapshot of the covariance, recorded after each event, has the event named"
+)
 OWN = ("data", "algebra", "model")
 """Causes that a filter's trace shows whatever the smoother found."""
 
@@ -92,7 +99,7 @@ def check_trace(
         gaps = compute_gaps(
             log, run, options, Clock(), no_progress, timeline=own, covariance_known=known
         )
-        diagnosis = _diagnosis(log, run, gaps, file.rounding, same_steps=theirs is own)
+        diagnosis = _diagnosis(log, run, gaps, file, same_steps=theirs is own)
     except np.linalg.LinAlgError:
         raise InputError(
             f"{file.path}: its process noise, composed between two "
@@ -143,12 +150,10 @@ def _own_equations(run: EkfRun) -> Reference:
 
 
 def _diagnosis(
-    log: Log, run: EkfRun, gaps: Gaps, rounding: float, *, same_steps: bool
+    log: Log, run: EkfRun, gaps: Gaps, file: TraceFile, *, same_steps: bool
 ) -> Diagnosis:
-    """What explains the gaps, and what storing in single precision does.
-
-    rounding: of the trace.
-    """
+    """What explains the gaps, and what storing in single precision does."""
+    rounding = file.rounding
 
     def known_model_errors() -> tuple[str, ...]:
         return explain(log, run, rounding, same_steps=same_steps)
@@ -161,6 +166,8 @@ def _diagnosis(
     if not rounding:
         return Diagnosis(
             differences=gaps.model_differences,
+            operations=lambda: _event_faults(file.path, algebra),
+            unnamed=_RECORD,
             known_model_errors=known_model_errors,
             algebra=algebra,
             model=model,
@@ -192,6 +199,21 @@ def _diagnosis(
         algebra=algebra,
         model=model.times(OPERATIONS) if single else model,
     )
+
+
+def _event_faults(path: Path, allowed: Allowed) -> tuple[str, ...]:
+    """Return what the trace's own snapshots, gains and corrections show.
+
+    A snapshot of the end alone shows no more than the gap does.
+    """
+    if path.name == FORMER:
+        return ()
+    from comparisons.audit.algebra import faults_of
+
+    trace = Trace(path)
+    several = trace.counts.snapshots > 1
+    events = (one for one in trace if several or not isinstance(one, Snapshot))
+    return faults_of(events, max(allowed.sigma, allowed.covariance))
 
 
 def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from comparisons.atomic import fresh_folder, known_files
-from comparisons.audit.audit import Audit, Finding, Verdict
+from comparisons.audit.algebra import Finding
+from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.innovations import SensorFigures
 from comparisons.audit.smoothing import Averaged
 from comparisons.audit.spurious import Learnt

@@ -106,7 +106,7 @@ class CurvedRange(RangeBearing):
 @pytest.mark.parametrize(
     ("plant", "reported"),
     [
-        (start_elsewhere, "check how the initialisation computes the mean"),
+        (start_elsewhere, "check the prior: the estimate of pose is off by"),
         (other_lever, r"antenna is \(-0.600, 0.300\) m, in the log \(0.600, -0.300\) m"),
         (
             with_observation(SlantedRange),

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
 
 from comparisons.checks.agreement import Gaussian, compare
-from comparisons.checks.diagnosis.algebra_differences import WatchedState
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import read_estimate, write_estimate
 from ekf_reference.core.layout import Layout
-from ekf_reference.core.state import KalmanState
-from tests.comparisons.test_pose_landmark_chain import Conditioned, NoCross
-from tests.ekf_reference.both_kinds import PRIOR, Script, build, drive
 from tests.helpers import random_covariance
 
 
@@ -109,30 +104,3 @@ def test_different_kinds_are_not_compared() -> None:
     e = Gaussian(np.zeros(9), np.eye(9), Layout.packed(3, 3))
     with pytest.raises(ValueError, match="3 point landmarks compared with 0"):
         compare(e, e, e, replace(e, layout=Layout.packed(3, 0, 2)))
-
-
-@pytest.mark.parametrize(
-    ("state", "steps", "operation", "block"),
-    [
-        (KalmanState, 100, None, None),
-        (
-            NoCross,
-            1,
-            "the landmark initialisation",
-            "the cross-covariance of new landmarks and map",
-        ),
-        (Conditioned, 76, "the removal", "the map's covariance"),
-    ],
-)
-def test_operations_are_repeated_with_both_kinds(
-    state: type[KalmanState], steps: int, operation: str | None, block: str | None
-) -> None:
-    ekf = build()
-    watched = WatchedState(state(ekf.state.pose, PRIOR), 1e-9)
-    ekf.state = cast(KalmanState, watched)
-    drive(ekf, 0, Script(steps=steps, fuse_at=60, remove_at=75))
-    found = watched.differences()
-    assert bool(found) == (operation is not None)
-    if operation is not None:
-        assert (operation, block) in {(d.operation, d.block) for d in found}
-        assert {d.operation for d in found} == {operation}
