@@ -13,7 +13,8 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.audit.localise import Cause, localise, name_of
-from comparisons.audit.replay import ROUNDING, Fused, Replay, apart, check_gain, units
+from comparisons.audit.replay import Fused, Replay, apart, check_gain
+from comparisons.checks.covariance_gap import ROUNDING, units
 from comparisons.trace.events import (
     Augment,
     Blocks,

@@ -18,9 +18,10 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.audit.algebra import AlgebraCheck, Finding
 from comparisons.audit.innovations import InnovationLog, SensorFigures
-from comparisons.audit.replay import ROUNDING, Fused, apart, covariance_gap, units
+from comparisons.audit.replay import Fused, apart
 from comparisons.audit.smoothing import Anchors, Averaged, averaged
 from comparisons.audit.spurious import Learnt, SpuriousInformation
+from comparisons.checks.covariance_gap import ROUNDING, covariance_gap, units
 from comparisons.statistics import faults
 from comparisons.trace.events import (
     Augment,
@@ -45,6 +46,8 @@ NO_SENSOR = Sensor(None, ())
 MOST_ANCHORS = 200
 LARGEST_ANCHORED = 500
 """Entries of a state whose smoothed marginals are kept on the way."""
+_SINGULAR = 1e-11
+"""Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
 _MOST_GAPS = 2_000
 
 Progress = Callable[[str, int, int], None]
@@ -260,7 +263,7 @@ class _Pass:
         sigma = units(snapshot.covariance, covariance)
         # The error's mean is what the estimate is off by.
         off = float((np.abs(marginal.mean[at]) / sigma).max())
-        spread = covariance_gap(snapshot.covariance, covariance)
+        spread = covariance_gap(snapshot.covariance, covariance, sigma, _SINGULAR).largest
         gap = AlgebraGap(snapshot.number, snapshot.time_s, off, spread)
         if self.snapshots % self.each_gap == 0:
             self.gaps.append(gap)

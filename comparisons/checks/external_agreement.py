@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import (
-    LARGEST_DISTANCE,
-    LEAST_VARIANCE_RATIO,
-    eigenvalue_range,
-)
+from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
+from comparisons.checks.covariance_gap import eigenvalue_range
 from comparisons.checks.diagnosis.diagnosis import rms
 from comparisons.checks.grade import (
     MOST_LATE_S,

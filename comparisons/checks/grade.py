@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import ROUNDING
+from comparisons.checks.covariance_gap import ROUNDING
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
 from ekf_reference.core.geometry import wrap_angle

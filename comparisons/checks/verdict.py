@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Literal
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks import causes as cause
-from comparisons.checks.agreement import EXACT, ROUNDING, Agreement, Allowed, Gap, block_agrees
+from comparisons.checks.agreement import EXACT, Agreement, Allowed, Gap, block_agrees
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.covariance_gap import ROUNDING
 from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.choices import FailOn
 from graphslam.optimum import Optimality

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess
-from comparisons.checks.agreement import ROUNDING, Gap
+from comparisons.checks.agreement import Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import ExternalConsistency, external_consistency
+from comparisons.checks.covariance_gap import ROUNDING
 from comparisons.checks.diagnosis.departure import first_departure
 from comparisons.checks.diagnosis.diagnosis import (
     FEWEST,

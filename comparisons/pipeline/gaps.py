@@ -22,14 +22,8 @@ from comparisons.adapters.smoother_input import (
     solve_recorded,
 )
 from comparisons.adapters.timeline import Timeline
-from comparisons.checks.agreement import (
-    ROUNDING,
-    Agreement,
-    Allowed,
-    Gaussian,
-    compare,
-    rounding_of,
-)
+from comparisons.checks.agreement import Agreement, Allowed, Gaussian, compare, rounding_of
+from comparisons.checks.covariance_gap import ROUNDING
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.beside import Beside

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from comparisons.checks.agreement import ROUNDING
+from comparisons.checks.covariance_gap import ROUNDING
 from comparisons.report.model import Model
 from comparisons.report.settings import SettingsResult
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from comparisons.adapters.defects.registry import REGISTRY
-from comparisons.checks.agreement import ROUNDING
+from comparisons.checks.covariance_gap import ROUNDING
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Modified
 from tests.helpers import compared, simulated

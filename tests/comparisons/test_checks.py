@@ -5,16 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.checks import agreement
+from comparisons.checks import covariance_gap
 from comparisons.checks.accuracy import aligned, assess, match_by_distance, relative_errors
-from comparisons.checks.agreement import (
-    BlockAgreement,
-    Gaussian,
-    block_agrees,
-    compare,
-    eigenvalue_range,
-    gap,
-)
+from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
+from comparisons.checks.covariance_gap import eigenvalue_range
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
 from ekf_reference.core.layout import Layout
@@ -214,7 +208,7 @@ def test_the_ends_of_many_eigenvalues_are_those_of_all(
     spread = 1.0 + apart * np.linspace(-0.7, 1.0, 120) ** 3
     first = root @ (turned * spread) @ turned.T @ root.T
     every = np.array(eigenvalue_range(first, second)) - 1.0
-    monkeypatch.setattr(agreement, "DENSE", 10)
+    monkeypatch.setattr(covariance_gap, "DENSE", 10)
     ends = np.array(eigenvalue_range(first, second)) - 1.0
     assert np.allclose(ends, every, rtol=1e-2, atol=0.0)
     assert not np.allclose(0.9 * ends, every, rtol=1e-2, atol=0.0)

@@ -15,7 +15,7 @@ from comparisons.adapters.ekf_factory import (
     d_min_exceeds_way,
     longest_sample_m,
 )
-from comparisons.checks.agreement import ROUNDING
+from comparisons.checks.covariance_gap import ROUNDING
 from comparisons.config import EkfConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses

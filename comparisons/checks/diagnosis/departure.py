@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.adapters.timeline import Timeline
-from comparisons.checks.agreement import ROUNDING
+from comparisons.checks.covariance_gap import ROUNDING
 from comparisons.checks.grade import Likeness
 from comparisons.logs.log import Log
 

@@ -15,7 +15,7 @@ from comparisons.adapters.defects.algebra import (
 )
 from comparisons.adapters.defects.defect import with_state
 from comparisons.audit.algebra import faults_of
-from comparisons.audit.audit import audit
+from comparisons.audit.audit import Audit, audit
 from comparisons.audit.own_filter import run_events, write_event, write_run
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import read_external
@@ -94,7 +94,8 @@ def test_run_check_and_audit_name_the_same_event_and_fault(
     events = repeated(c)
     write_estimate(c.ekf.estimate, tmp_path)
     write(events, tmp_path / TRACE)
-    first = audit(tmp_path / TRACE).findings[0]
+    found = audit(tmp_path / TRACE)
+    first = found.findings[0]
     assert first.check == "algebra"
     assert what in first.text
     named = numbered(first.text, events)
@@ -103,6 +104,29 @@ def test_run_check_and_audit_name_the_same_event_and_fault(
     for verdict, own in ((c.verdict, []), (check.trace.verdict, events)):
         cause = next(one for one in verdict.causes if one.gap == "algebra")
         assert numbered(cause.hint.removeprefix("check "), own) == named
+    assert_same_gap(c, check, found)
+
+
+def assert_same_gap(c: Comparison, check: ExternalCheck, found: Audit) -> None:
+    """Of both figures, at the end; where they are rounding, by their size."""
+    assert check.trace is not None
+    one, last = c.agreement.algebra, found.gaps[-1]
+    for other in (check.trace.agreement.algebra, last):
+        figures = other.sigma, other.covariance
+        assert figures == pytest.approx((one.sigma, one.covariance), rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "choices"),
+    [("full", "known"), ("compressed", "nn"), ("compressed", "consensus"), ("full", "euclidean")],
+)
+def test_run_check_and_audit_have_the_same_gap(name: str, choices: str, tmp_path: Path) -> None:
+    c = compared(simulated(seed=3, loop_s=20.0), filter=name, association=choices)
+    write_estimate(c.ekf.estimate, tmp_path)
+    write_run(c.ekf, tmp_path / TRACE)
+    found = audit(tmp_path / TRACE)
+    assert found.sound
+    assert_same_gap(c, handed_in(c, tmp_path), found)
 
 
 def test_a_trace_without_snapshots_says_what_is_lacking(tmp_path: Path) -> None:
