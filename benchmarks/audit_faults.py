@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.defects import interval
-from comparisons.audit.audit import Finding, audit
+from comparisons.audit.algebra import Finding
+from comparisons.audit.audit import audit
 from comparisons.trace.events import Snapshot
 from comparisons.trace.reader import Trace
 from examples.audit.faults import Fault, Planted

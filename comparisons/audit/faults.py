@@ -5,7 +5,7 @@ A snapshot that is not as replayed is explained by the error that gives it to ro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -38,10 +38,11 @@ class KnownFault:
     sound: bool = False
 
 
-def known_faults(event: Event, replay: Replay) -> Iterator[KnownFault]:
+def known_faults(event: Event, replay: Replay, wrong: Blocks | None = None) -> Iterator[KnownFault]:
     """Yield the errors that an event may have been done with, the plain ones first.
 
-    replay: as before the event; it is not changed.
+    replay: as before the event; it is not changed. wrong: blocks with a covariance that is wrong
+    after this event, None where others have followed.
     """
     match event:
         case Update():
@@ -49,7 +50,7 @@ def known_faults(event: Event, replay: Replay) -> Iterator[KnownFault]:
         case Predict():
             yield from _of_predict(event)
         case Augment():
-            yield from _of_augment(event)
+            yield from _of_augment(event, replay)
         case Clone():
             yield KnownFault(
                 f"block {event.name} was not correlated with the others",
@@ -62,7 +63,7 @@ def known_faults(event: Event, replay: Replay) -> Iterator[KnownFault]:
             yield KnownFault("its Jacobian was not applied", event.blocks, _skipped)
         case _:
             return
-    yield from _of_pairs(event, replay)
+    yield from _of_pairs(event, replay, wrong)
 
 
 def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
@@ -77,6 +78,16 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
     yield KnownFault("the covariance was updated twice", event.blocks, _twice)
     yield KnownFault(
         "the covariance is Joseph's form without K R K^T", event.blocks, _without_noise_term
+    )
+    yield KnownFault(
+        "the covariance is Joseph's form with I - K H in place of its transpose",
+        event.blocks,
+        _not_transposed,
+    )
+    yield KnownFault(
+        f"all blocks but {event.blocks[0]} were made independent of each other",
+        tuple(name for name in replay.layout.dims if name != event.blocks[0]),
+        _then(partial(_independent, but=event.blocks[0])),
     )
     if event.gain is not None:
         yield KnownFault(
@@ -169,6 +180,11 @@ def _of_predict(event: Predict) -> Iterator[KnownFault]:
         event.blocks,
         _without_others(event),
     )
+    yield KnownFault(
+        "F was applied to the covariance with other blocks on one side of the diagonal alone",
+        event.blocks,
+        _one_sided,
+    )
     for block in event.blocks:
         yield KnownFault(
             f"the process noise of block {block} was not added",
@@ -177,12 +193,18 @@ def _of_predict(event: Predict) -> Iterator[KnownFault]:
         )
 
 
-def _of_augment(event: Augment) -> Iterator[KnownFault]:
+def _of_augment(event: Augment, replay: Replay) -> Iterator[KnownFault]:
     name = event.name
     yield KnownFault(
         f"block {name} was not correlated with the others",
         (name, *event.blocks),
         _then(_uncorrelated(name)),
+    )
+    others = [block for block in replay.layout.dims if block not in event.blocks]
+    yield KnownFault(
+        f"its covariance with blocks other than {', '.join(event.blocks)} was left zero",
+        (name, *others),
+        _then(partial(_cut, name=name, others=others)),
     )
     yield KnownFault("the noise was left out", (name,), _augmented(own=True, noise=False))
     yield KnownFault(
@@ -192,21 +214,32 @@ def _of_augment(event: Augment) -> Iterator[KnownFault]:
     )
 
 
-def _of_pairs(event: Event, replay: Replay) -> Iterator[KnownFault]:
+def _of_pairs(event: Event, replay: Replay, wrong: Blocks | None) -> Iterator[KnownFault]:
     """Of single blocks of the covariance that stayed as they were, or were set to zero."""
     removed = set(event.blocks) if isinstance(event, Remove) else set()
     blocks = [name for name in replay.layout.dims if name not in removed]
-    for a, b in combinations(blocks, 2):
-        yield KnownFault(
-            f"the covariance of block {a} with {b} was not updated", (a, b), _kept(a, b)
-        )
-    for a in blocks:
+    new = [event.name] if isinstance(event, Augment | Clone) else []
+    # What is wrong with one block, or two, makes no more than these wrong.
+    seen = [*blocks, *new] if wrong is None else [b for b in (*blocks, *new) if b in wrong]
+    two = seen if wrong is None or len(wrong) <= 2 else []
+    for a, b in combinations(two, 2):
+        if b not in new:
+            yield KnownFault(
+                f"the covariance of block {a} with {b} was not updated", (a, b), _kept(a, b)
+            )
+    for a in seen:
+        if a in new:
+            continue
         yield KnownFault(f"the covariance of block {a} was not updated", (a,), _kept(a, a))
+        yield KnownFault(
+            f"the covariances of block {a} with all others were not updated",
+            (a,),
+            _kept_all(a, [b for b in blocks if b != a]),
+        )
         yield KnownFault(
             f"block {a}, with its covariances, was not updated", (a,), _kept_all(a, blocks)
         )
-    new = [event.name] if isinstance(event, Augment | Clone) else []
-    for a, b in combinations([*blocks, *new], 2):
+    for a, b in combinations(two, 2):
         yield KnownFault(
             f"the covariance of block {a} with {b} was set to zero",
             (a, b),
@@ -286,6 +319,16 @@ def _uncorrelated(name: str) -> Callable[[Replay], None]:
     return change
 
 
+def _cut(replay: Replay, name: str, others: Sequence[str]) -> None:
+    for other in others:
+        _set(replay, name, other, 0.0)
+
+
+def _independent(replay: Replay, but: str) -> None:
+    for a, b in combinations([name for name in replay.layout.dims if name != but], 2):
+        _set(replay, a, b, 0.0)
+
+
 def _conditioned(replay: Replay, event: Event) -> None:
     """Remove blocks as if they were known: the Schur complement."""
     assert isinstance(event, Remove)  # noqa: S101
@@ -328,6 +371,15 @@ def _without_noise_term(replay: Replay, event: Event) -> None:
     update = _update(event)
     gain = _gain(replay, update) if update.gain is None else update.gain
     replay.fuse(update._replace(noise=np.zeros_like(update.noise)), gain)
+
+
+def _not_transposed(replay: Replay, event: Event) -> None:
+    update, p = _update(event), replay.covariance
+    gain = _gain(replay, update) if update.gain is None else update.gain
+    keep = np.eye(len(p))
+    keep[:, replay.layout.columns(update.blocks)] -= gain @ update.jacobian
+    wrong = keep @ p @ keep + gain @ update.noise @ gain.T
+    replay.covariance = 0.5 * (wrong + wrong.T)
 
 
 def _other_noise(noise: Array, *, short: bool) -> Callable[[Replay, Event], None]:
@@ -384,6 +436,17 @@ def _without_others(event: Predict) -> Callable[[Replay, Event], None]:
                 _set(replay, a, b, before[replay.layout.entries(a), replay.layout.entries(b)])
 
     return apply
+
+
+def _one_sided(replay: Replay, event: Event) -> None:
+    assert isinstance(event, Predict)  # noqa: S101
+    at = replay.layout.columns(event.blocks)
+    others = np.delete(np.arange(replay.layout.size), at)
+    before = replay.covariance[others][:, at]
+    replay.apply(event)
+    after = replay.covariance[others]
+    after[:, at] = before
+    replay.covariance[others] = after
 
 
 def _without_noise(block: str) -> Callable[[Replay, Event], None]:

@@ -2,15 +2,15 @@
 
 Blocks are `pose`, `landmark 17` by the estimate's ids, and `scan landmark 3` by index; sensors are
 `measurements`, `scan landmarks`, `merges` and `positions`. A filter's trace keeps the order in
-time, and of an instant that of each kind: landmarks are initialised, then measured, then positions
-are fused, then scan landmarks initialised, measured and merged, and landmarks removed. A landmark
-is initialised after the others are measured in truth; the linear problem is the same.
+time, and of an instant that of each kind: landmarks are measured, then initialised, then positions
+are fused, then scan landmarks measured, initialised and merged, and landmarks removed.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from comparisons.audit.directions import planar_directions
 from comparisons.audit.spurious import VEHICLE
 from comparisons.trace.events import (
     Augment,
+    Blocks,
     Directions,
     Event,
     Predict,
@@ -28,8 +29,18 @@ from comparisons.trace.events import (
     Snapshot,
     Update,
 )
+from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
-from ekf_reference.core.trace import MeasurementRecords
+from ekf_reference.core.trace import VEHICLE as ORIGIN
+from ekf_reference.core.trace import (
+    MeasurementRecord,
+    MeasurementRecords,
+    RemovalRecord,
+    StepRecord,
+    Trace,
+    stack_records,
+)
+from ekf_reference.filters.compressed import CompressedState
 
 SENSORS = {POINT: "measurements", POSE: "scan landmarks"}
 POSITIONS, MERGES = "positions", "merges"
@@ -51,18 +62,145 @@ def run_events(run: EkfRun) -> Iterator[Event]:
     return _Events(run).all()
 
 
+def watch(ekf: Ekf, run: EkfRun, take: Callable[[Event], object]) -> None:
+    """Hand over what a filter does from now on, with a snapshot after each event.
+
+    The events are those of `run_events`, with the corrections; a snapshot has the number of the
+    event before it. There are none of a compressed state, which a look at it would change.
+
+    Args:
+        ekf: At its prior, the last that is done to it.
+        run: What the same filter has done before.
+        take: Is given the events.
+    """
+    from ekf_reference.filters.misono import HeadingTrace
+
+    if isinstance(ekf.state, CompressedState):
+        return
+    if isinstance(ekf.trace, HeadingTrace):
+        inner = _Watch(ekf, ekf.trace.trace, run, take)
+        ekf.trace = replace(ekf.trace, trace=inner)
+    else:
+        ekf.trace = _Watch(ekf, ekf.trace, run, take)
+
+
+class _Watch(Trace):
+    """Records what another trace does, and tells it with the state that follows."""
+
+    def __init__(
+        self, ekf: Ekf, trace: Trace, run: EkfRun, take: Callable[[Event], object]
+    ) -> None:
+        self._ekf, self._trace, self._take = ekf, trace, take
+        self._size, self._made = len(run.trace.prior_pose), 0
+        self._events = _Events(run)
+        for event in self._events.begin():
+            take(event)
+        self._mean = np.zeros(0)
+        self._snapshot()
+
+    def step(self, step: StepRecord) -> None:
+        """A prediction."""
+        self._trace.step(step)
+        self._made += 1
+        self._done(self._events.predict(self._made, step))
+
+    def measurement(self, used: MeasurementRecord) -> None:
+        """An update."""
+        self._trace.measurement(used)
+        size = self._size if used.origin == ORIGIN else POSE.width
+        rows = stack_records([(self._made, used)], size, used.kind)
+        before = self._mean
+        event = self._events.update(used.kind, rows, 0, len(rows.step))
+        self._done(event._replace(correction=self._state()[2] - before))
+
+    def initialisation(self, new: MeasurementRecord) -> None:
+        """New landmarks, each in its place among all that are there."""
+        self._trace.initialisation(new)
+        kind = new.kind or POINT
+        rows = stack_records([(self._made, new)], self._size, kind)
+        for event in self._events.initialise(kind, rows, range(len(rows.step))):
+            self._done(event)
+
+    def removal(self, gone: RemovalRecord) -> None:
+        """Landmarks that leave."""
+        self._trace.removal(gone)
+        for landmark_index in gone.landmark_index.tolist()[:-1]:
+            self._take(self._events.remove(gone.kind, landmark_index))
+        self._done(self._events.remove(gone.kind, int(gone.landmark_index[-1])))
+
+    def _done(self, event: Event) -> None:
+        self._take(event)
+        self._snapshot(event.name if isinstance(event, Augment) else "")
+
+    def _snapshot(self, last: str = "") -> None:
+        """Tell the state, or its part up to a block."""
+        names, dims, self._mean, covariance = self._state()
+        count = names.index(last) + 1 if last else len(names)
+        n = sum(dims[:count])
+        blocks = tuple(names[:count])
+        self._take(Snapshot(*self._events.now, blocks, covariance[:n, :n], self._mean[:n], None))
+
+    def _state(self) -> tuple[list[str], list[int], Array, Array]:
+        """Return names and dimensions of blocks, mean and covariance, in the trace's numbers."""
+        state, (pose, own, jacobian) = self._ekf.state, self._ekf.read_pose()
+        if self._size == len(own):
+            pose, jacobian = own, np.eye(len(own))
+        p, mean, covariance = len(own), state.mean, np.array(state.covariance)
+        if len(pose) != p:
+            cross = jacobian @ covariance[:p]
+            covariance = np.block(
+                [[cross[:, :p] @ jacobian.T, cross[:, p:]], [cross[:, p:].T, covariance[p:, p:]]]
+            )
+        found = sorted(
+            (int(state.layout.first[kind][i]), kind.width, self._events.name(kind, i))
+            for kind in SENSORS
+            for i in state.layout.present(kind).tolist()
+        )
+        names, dims = [VEHICLE, *(one[2] for one in found)], [len(pose), *(one[1] for one in found)]
+        return names, dims, np.concatenate((pose, mean[p:])), covariance
+
+
 class _Events:
+    """The events of a run, numbered as they are made. now: number and time of the last one."""
+
     def __init__(self, run: EkfRun) -> None:
         self._run, self._number = run, -1
         self._points = _distinct(run.estimate.landmark_id)
-        self._time_s: float | None = None
+        time_s, self._step_end_s = run.estimate.time_s, run.timeline.step_end_s.tolist()
+        made = np.arange(len(self._step_end_s) + 1)
+        epoch = np.minimum(np.searchsorted(run.timeline.steps_until(), made), len(time_s) - 1)
+        self._stands_s = time_s[epoch].tolist()
+        self._time_s = float(time_s[0])
+
+    @property
+    def now(self) -> tuple[int, float]:
+        return self._number, self._time_s
 
     def all(self) -> Iterator[Event]:
         """Yield all events."""
-        run, trace = self._run, self._run.trace
-        time_s = run.estimate.time_s
-        until = run.timeline.steps_until()
-        self._time_s = float(time_s[0])
+        trace = self._run.trace
+        yield from self.begin()
+        seen, seen_poses = (_fused(trace.measurements[kind]) for kind in SENSORS)
+        fixes, merges = _fused(trace.positions), _by_step(trace.merges.step)
+        new, new_poses = (_by_step(trace.initialisations[kind].step) for kind in SENSORS)
+        gone = _by_step(trace.removals.step)
+        made = zip(trace.departed, trace.arrived, trace.f, trace.q, strict=True)
+        for step in range(len(trace.f) + 1):
+            if step:
+                yield self.predict(step, StepRecord(*next(made)))
+            yield from self._landmarks(POINT, new.get(step, []), seen.get(step, []))
+            for begin, end in fixes.get(step, []):
+                yield self.update(None, trace.positions, begin, end)
+            yield from self._landmarks(POSE, new_poses.get(step, []), seen_poses.get(step, []))
+            for row in merges.get(step, []):
+                yield self.update(POSE, trace.merges, row, row + 1)
+            for row in gone.get(step, []):
+                yield self.remove(trace.removals.kind[row], int(trace.removals.landmark_index[row]))
+        yield self._snapshot()
+
+    def begin(self) -> Iterator[Event]:
+        """Yield the prior, and the directions."""
+        trace = self._run.trace
         p = trace.prior_pose
         charts = ("se2",) if len(p) == _PLANAR else ()
         yield Prior(*self._next(), (VEHICLE,), (len(p),), trace.prior_covariance, p, charts)
@@ -70,103 +208,91 @@ class _Events:
             basis = np.column_stack(tuple(_directions(p).values()))
             blind = (*SENSORS.values(), MERGES)
             yield Directions(*self._next(), (VEHICLE,), basis, tuple(_directions(p)), blind)
-        seen, seen_poses = (_fused(trace.measurements[kind]) for kind in SENSORS)
-        fixes, merges = _fused(trace.positions), _by_step(trace.merges.step)
-        new, new_poses = (_by_step(trace.initialisations[kind].step) for kind in SENSORS)
-        gone = _by_step(trace.removals.step)
-        made = zip(trace.f, trace.q, trace.departed, trace.arrived, strict=True)
-        ends_s = run.timeline.step_end_s.tolist()
-        epoch = np.minimum(np.searchsorted(until, np.arange(len(ends_s) + 1)), len(time_s) - 1)
-        for step, stands_s in enumerate(time_s[epoch].tolist()):
-            if step:
-                self._time_s = ends_s[step - 1]
-                yield Predict(*self._next(), (VEHICLE,), *next(made))
-                self._time_s = stands_s
-            yield from self._landmarks(POINT, new.get(step, []), seen.get(step, []))
-            for begin, end in fixes.get(step, []):
-                yield self._position(begin, end)
-            yield from self._landmarks(POSE, new_poses.get(step, []), seen_poses.get(step, []))
-            for row in merges.get(step, []):
-                yield self._merge(row)
-            for row in gone.get(step, []):
-                i = int(trace.removals.landmark_index[row])
-                yield Remove(*self._next(), (self._name(trace.removals.kind[row], i),))
-        yield self._snapshot()
 
-    def _next(self) -> tuple[int, float | None]:
-        self._number += 1
-        return self._number, self._time_s
+    def predict(self, step: int, made: StepRecord) -> Predict:
+        """Return a prediction; what follows is at the epoch that it is on the way to."""
+        self._time_s = self._step_end_s[step - 1]
+        now, (departed, arrived, f, q) = self._next(), made
+        self._time_s = self._stands_s[step]
+        return Predict(*now, (VEHICLE,), f, q, departed, arrived)
 
-    def _name(self, kind: LandmarkKind, landmark_index: int) -> str:
-        if kind == POINT:
-            return self._points[landmark_index]
-        return f"scan landmark {landmark_index}"
-
-    def _landmarks(
-        self, kind: LandmarkKind, initialised: list[int], fused: list[tuple[int, int]]
-    ) -> Iterator[Event]:
-        """Yield what is initialised and measured at one step."""
-        if not initialised and not fused:
-            return
-        new, seen = self._run.trace.initialisations[kind], self._run.trace.measurements[kind]
-        width = kind.width
-        for row in initialised:
-            name = self._name(kind, int(new.landmark_index[row]))
+    def initialise(
+        self, kind: LandmarkKind, new: MeasurementRecords, rows: Iterable[int]
+    ) -> Iterator[Augment]:
+        """Yield an augmentation for each of some rows."""
+        for row in rows:
+            name = self.name(kind, int(new.landmark_index[row]))
             matrices = new.jacobian_pose[row], new.jacobian_other[row], new.noise[row]
             points = new.pose[row], new.landmark[row], new.number[row : row + 1].astype(float)
             weight = float(new.weight[row])
             yield Augment(*self._next(), name, (VEHICLE,), *matrices, *points, weight)
-        for begin, end in fused:
-            names = [self._name(kind, i) for i in seen.landmark_index[begin:end].tolist()]
-            blocks = tuple(dict.fromkeys((VEHICLE, *names)))
-            p, m = seen.jacobian_pose.shape[2], width * (end - begin)
-            h = np.zeros((m, p + width * (len(blocks) - 1)))
-            point = np.zeros(h.shape[1])
-            point[:p] = seen.pose[begin]
-            h[:, :p] = seen.jacobian_pose[begin:end].reshape(m, p)
-            for i, name in enumerate(names):
-                at = p + width * (blocks.index(name) - 1)
-                h[width * i : width * (i + 1), at : at + width] = seen.jacobian_other[begin + i]
-                point[at : at + width] = seen.landmark[begin + i]
-            yield self._update(SENSORS[kind], blocks, h, point, (seen, slice(begin, end)))
 
-    def _position(self, begin: int, end: int) -> Update:
-        r = self._run.trace.positions
-        h = np.concatenate(r.jacobian_pose[begin:end])
-        return self._update(POSITIONS, (VEHICLE,), h, r.pose[begin], (r, slice(begin, end)))
-
-    def _merge(self, row: int) -> Update:
-        r = self._run.trace.merges
-        blocks = self._name(POSE, int(r.origin[row])), self._name(POSE, int(r.landmark_index[row]))
-        h = np.hstack((r.jacobian_pose[row], r.jacobian_other[row]))
-        point = np.concatenate((r.pose[row], r.landmark[row]))
-        return self._update(MERGES, blocks, h, point, (r, slice(row, row + 1)))
-
-    def _update(
-        self,
-        sensor: str,
-        blocks: tuple[str, ...],
-        h: Array,
-        point: Array,
-        rows: tuple[MeasurementRecords, slice],
+    def update(
+        self, kind: LandmarkKind | None, used: MeasurementRecords, begin: int, end: int
     ) -> Update:
-        records, at = rows
-        residual, noise = records.innovation[at].ravel(), _diagonal(records.noise[at])
-        numbers, weight = records.number[at].astype(float), float(records.weight[at.start])
+        """Return what rows from begin to end were fused as. kind: None for positions."""
+        at, origin = slice(begin, end), int(used.origin[begin])
+        index = used.landmark_index[at].tolist()
+        names = [] if kind is None else [self.name(kind, i) for i in index]
+        first, sensor = VEHICLE, POSITIONS if kind is None else SENSORS[kind]
+        if kind is not None and origin != ORIGIN:
+            first, sensor = self.name(kind, origin), MERGES
+        blocks: Blocks = tuple(dict.fromkeys((first, *names)))
+        _, r, p = used.jacobian_pose.shape
+        width, m = used.jacobian_other.shape[2], r * (end - begin)
+        h = np.zeros((m, p + width * (len(blocks) - 1)))
+        point = np.zeros(h.shape[1])
+        h[:, :p], point[:p] = used.jacobian_pose[at].reshape(m, p), used.pose[begin]
+        for i, name in enumerate(names):
+            to = p + width * (blocks.index(name) - 1)
+            h[r * i : r * (i + 1), to : to + width] = used.jacobian_other[begin + i]
+            point[to : to + width] = used.landmark[begin + i]
+        residual, noise = used.innovation[at].ravel(), _diagonal(used.noise[at])
         return Update(
             *(*self._next(), sensor, blocks, residual, h, noise),
             used=True,
             correction=None,
             gain=None,
             point=point,
-            numbers=numbers,
-            weight=weight,
+            numbers=used.number[at].astype(float),
+            weight=float(used.weight[begin]),
         )
+
+    def remove(self, kind: LandmarkKind, landmark_index: int) -> Remove:
+        """Return the removal of a landmark."""
+        return Remove(*self._next(), (self.name(kind, landmark_index),))
+
+    def name(self, kind: LandmarkKind, landmark_index: int) -> str:
+        """Return the block of a landmark."""
+        if kind == POINT:
+            return self._points[landmark_index]
+        return f"scan landmark {landmark_index}"
+
+    def _next(self) -> tuple[int, float]:
+        self._number += 1
+        return self.now
+
+    def _landmarks(
+        self, kind: LandmarkKind, initialised: list[int], fused: list[tuple[int, int]]
+    ) -> Iterator[Event]:
+        """Yield what is measured and initialised at one step, in this order where it can be."""
+        if not initialised and not fused:
+            return
+        new, seen = self._run.trace.initialisations[kind], self._run.trace.measurements[kind]
+        first, again = set(new.landmark_index[initialised].tolist()), []
+        for begin, end in fused:
+            if first.isdisjoint(seen.landmark_index[begin:end].tolist()):
+                yield self.update(kind, seen, begin, end)
+            else:
+                again.append((begin, end))
+        yield from self.initialise(kind, new, initialised)
+        for begin, end in again:
+            yield self.update(kind, seen, begin, end)
 
     def _snapshot(self) -> Snapshot:
         run, e = self._run, self._run.estimate
-        names = [self._name(POINT, i) for i in range(len(e.landmark))]
-        names += [self._name(POSE, i) for i in e.pose_landmark_id.tolist()]
+        names = [self.name(POINT, i) for i in range(len(e.landmark))]
+        names += [self.name(POSE, i) for i in e.pose_landmark_id.tolist()]
         p = e.joint_covariance
         if len(run.trace.prior_pose) == _PLANAR:
             return Snapshot(*self._next(), (VEHICLE, *names), p, None, None)

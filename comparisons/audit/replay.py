@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from comparisons.arrays import Array, Index
+from comparisons.statistics import units
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -33,10 +34,8 @@ Columns = slice | Index
 
 _ALIKE = 1e-4
 """Relative to the largest entry, within which a shape of a gain is recognised."""
-ROUNDING = 1e-6
-"""Largest difference that rounding explains, relative to the standard deviations."""
-_SINGULAR = 1e-11
-"""Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
+_NAMED = 3
+"""Blocks that are named even where they are all."""
 
 
 class Layout:
@@ -238,35 +237,6 @@ def apart(recorded: Array, expected: Array) -> Array:
     return scaled
 
 
-def units(recorded: Array, expected: Array) -> Array:
-    """Return the standard deviations (n,) that differences are measured in."""
-    variance = np.maximum(expected.diagonal(), 0.0)
-    other = np.abs(recorded.diagonal())
-    variance = np.where(variance > 0.0, variance, np.where(other > 0.0, other, 1.0))
-    found: Array = np.sqrt(variance)
-    return found
-
-
-def covariance_gap(recorded: Array, expected: Array) -> float:
-    """Return the largest |lambda - 1| of a covariance pair, or the largest asymmetry if more.
-
-    lambda: generalised eigenvalues, as of the algebra gap of `run`. Along directions that the
-    expected covariance has no variance in, the recorded one's entries count, in sigmas.
-    """
-    unit = units(recorded, expected)
-    scale = np.outer(unit, unit)
-    a, b = recorded / scale, expected / scale
-    skew = float(np.abs(a - a.T).max())
-    values, axes = np.linalg.eigh(b)
-    some = values > _SINGULAR * values[-1]
-    root = axes[:, some] / np.sqrt(values[some])
-    inner = root.T @ a @ root
-    found = max(skew, float(np.abs(np.linalg.eigvalsh(0.5 * (inner + inner.T)) - 1.0).max()))
-    if not some.all():
-        found = max(found, float(np.abs(a @ axes[:, ~some]).max()))
-    return found
-
-
 def largest_pair(scaled: Array, blocks: Blocks, dims: tuple[int, ...]) -> tuple[str, str]:
     """Return the two blocks between which differences (n, n) are largest; the same one twice."""
     starts = np.cumsum([0, *dims[:-1]])
@@ -356,11 +326,13 @@ def _correction(
     assert event.correction is not None  # noqa: S101 - asked for above
     off = np.abs(event.correction - right) / unit
     wrong = _blocks(off, layout, max(tolerance, _ALIKE * float(np.abs(right / unit).max())))
+    everywhere = len(wrong) == len(layout.dims) > _NAMED
     if not off.max() > tolerance or not wrong:
         return []
     given = np.concatenate([event.correction[layout.entries(b)] for b in wrong])
     meant = np.concatenate([right[layout.entries(b)] for b in wrong])
-    names, near = ", ".join(wrong), _ALIKE * float(np.abs(meant).max())
+    names = "all blocks" if everywhere else ", ".join(wrong)
+    near = _ALIKE * float(np.abs(meant).max())
     if not given.any():
         text = f"does not correct the estimate of {names}, though its gain does"
     elif np.abs(given + meant).max() <= near:

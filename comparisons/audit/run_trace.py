@@ -64,12 +64,14 @@ def write_event(event: Event, record: Recorder) -> None:
         case Update():
             more: Measured = {"point": _needed(event.point), "weight": event.weight}
             more["numbers"] = _needed(event.numbers)
+            if event.correction is not None:
+                more["correction"] = event.correction
             h, r = event.jacobian, event.noise
             record.update(event.sensor, event.residual, h, r, event.blocks, **more)
         case Remove():
             record.remove(*event.blocks)
         case Snapshot():
-            record.snapshot(event.covariance, event.blocks)
+            record.snapshot(event.covariance, event.blocks, mean=event.mean)
         case _:
             raise TypeError(f"a run of the EKF has no {type(event).__name__}")
 

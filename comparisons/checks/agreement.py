@@ -9,22 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
+from scipy.linalg import LinAlgError, eigvalsh
 
 from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
+from comparisons.statistics import ROUNDING, covariance_gap, eigenvalue_range, units
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import KINDS, POINT, POSE, LandmarkKind
 from ekf_reference.core.layout import Layout
 
-ROUNDING = 1e-6
-"""Largest algebra and model gap, in sigma and in covariance, that rounding explains, unless a wide
-prior explains more."""
 LOST = 64 * float(np.finfo(float).eps)
 """Share of a variance that a filter loses to rounding at most: ten times what filters of 20 to 120
 states lost when their prior was wide."""
-DENSE = 2000
-"""States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 LARGEST_DISTANCE = 1.0
 """A block agrees when the filter deviates by no more than the optimum itself is uncertain."""
 LEAST_VARIANCE_RATIO = 0.25
@@ -103,7 +99,8 @@ def rounding_of(prior: Array, last: Array) -> Allowed:
 class Gap:
     """The distance of two Gaussians.
 
-    sigma: largest difference of a component, in units of S's standard deviation.
+    sigma: largest difference of a component, in units of S's standard deviation, or of F1's for
+    the algebra gap, as `audit` has it.
     covariance: largest |lambda - 1| over the generalised eigenvalues of the covariance pair, or
     the largest asymmetry of either in units of sigma^2 if that is more; infinite when a
     covariance is not positive definite.
@@ -177,7 +174,7 @@ def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian
     )
     distances = [block.difference_m for block in (*landmarks, *pose_landmarks)]
     return Agreement(
-        algebra=gap(ekf, recorded, sigma),
+        algebra=gap(ekf, recorded, units(ekf.covariance, recorded.covariance)),
         model=gap(recorded, own, sigma),
         linearisation=gap(own, smoother, sigma),
         pose=_block(ekf, smoother, difference, slice(0, 3)),
@@ -192,52 +189,9 @@ def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian
 
 def gap(first: Gaussian, second: Gaussian, sigma: Array) -> Gap:
     """The distance of two Gaussians, in units of sigma (n,)."""
-    low, high = eigenvalue_range(first.covariance, second.covariance)
-    scale = np.outer(sigma, sigma)
-    skew = max(
-        float(np.max(np.abs(g.covariance - g.covariance.T) / scale)) for g in (first, second)
-    )
-    spread = max(abs(low - 1.0), abs(high - 1.0), skew)
+    pair = covariance_gap(first.covariance, second.covariance, sigma)
     largest = float(np.max(np.abs(_difference(first, second)) / sigma))
-    return Gap(largest, spread, low, skew)
-
-
-def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
-    """Least and largest generalised eigenvalue of a covariance pair.
-
-    (-inf, inf) when `second` is not positive definite or either is not finite: no comparison of
-    such a pair may pass.
-    """
-    try:
-        if len(first) > DENSE:
-            return _extremes(first, second)
-        values = eigh(first, second, eigvals_only=True)
-    except (LinAlgError, ValueError):
-        return float("-inf"), float("inf")
-    return float(values[0]), float(values[-1])
-
-
-def _extremes(first: Array, second: Array) -> tuple[float, float]:
-    """Return the same by Lanczos iterations, on what the pair differs by: cubic work is left out.
-
-    Raises as eigh; the ends are good to 1e-3 of their distance from one.
-    """
-    from scipy.sparse.linalg import ArpackError, eigsh
-
-    root = cholesky(second, lower=True)
-    half = solve_triangular(root, first, lower=True)
-    apart = solve_triangular(root, half.T, lower=True)
-    apart[np.diag_indices_from(apart)] -= 1.0
-    apart = 0.5 * (apart + apart.T)
-    start = np.random.default_rng(0).standard_normal(len(apart))
-    try:
-        low, high = (
-            eigsh(apart, k=1, which=end, v0=start, tol=1e-3, return_eigenvectors=False)[0]
-            for end in ("SA", "LA")
-        )
-    except ArpackError:
-        low, high = eigvalsh(apart)[[0, -1]]
-    return 1.0 + float(low), 1.0 + float(high)
+    return Gap(largest, *pair)
 
 
 def block_agreement(first: Gaussian, second: Gaussian) -> BlockAgreement:

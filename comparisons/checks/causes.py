@@ -25,7 +25,6 @@ from comparisons.checks.consistency.consistency import Consistency
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:
-    from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.log_fit import LogFit
@@ -300,22 +299,21 @@ def _apart(gap: Gap, allowed: Allowed) -> str:
 
 def algebra(
     gap: Gap,
-    operations: Sequence[AlgebraDifference],
+    operations: Sequence[str],
     allowed: Allowed = EXACT,
-    single: str = "",
+    hint: str = ALGEBRA_HINT,
 ) -> Cause:
-    """E against F1. operations: those found wrong, the first to break first.
+    """E against F1. operations: what is wrong with which, the first first.
 
-    single: how the gap grows, if computing in single precision explains it.
+    hint: what to check where no event is named.
     """
-    named = "; ".join(map(str, operations[:_NAMED]))
+    named = "".join(f"; {one}" for one in operations[:_NAMED])
+    first = operations[0].partition("; ")[0] if operations else ""
     return Cause(
         "algebra",
         f"the filter differs from the solution of its own linear equations {_apart(gap, allowed)}"
-        + (f"; {named}" if named else ""),
-        f"check how {operations[0].operation} computes {operations[0].block}"
-        if operations
-        else single or ALGEBRA_HINT,
+        + named,
+        f"check {first}" if first else hint,
     )
 
 

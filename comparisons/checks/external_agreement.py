@@ -12,11 +12,7 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import (
-    LARGEST_DISTANCE,
-    LEAST_VARIANCE_RATIO,
-    eigenvalue_range,
-)
+from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
 from comparisons.checks.diagnosis.diagnosis import rms
 from comparisons.checks.grade import (
     MOST_LATE_S,
@@ -29,7 +25,7 @@ from comparisons.checks.grade import (
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.statistics import chi2_quantile
+from comparisons.statistics import chi2_quantile, eigenvalue_range
 
 _SURE = 0.999
 _MOST_OUTSIDE = 0.01

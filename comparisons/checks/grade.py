@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import ROUNDING
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
+from comparisons.statistics import ROUNDING
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.layout import Layout
 

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Literal
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.audit.spurious import Learnt
 from comparisons.checks import causes as cause
-from comparisons.checks.agreement import EXACT, ROUNDING, Agreement, Allowed, Gap, block_agrees
+from comparisons.checks.agreement import EXACT, Agreement, Allowed, Gap, block_agrees
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.choices import FailOn
+from comparisons.statistics import ROUNDING
 from graphslam.optimum import Optimality
 from graphslam.smoother import SmootherResult
 
 if TYPE_CHECKING:
-    from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.log_fit import LogFit
@@ -73,7 +73,8 @@ class Verdict:
 class Diagnosis:
     """What explains a gap; each is looked for only where there is one.
 
-    differences: where the models differ. operations: which operation of the filter is wrong.
+    differences: where the models differ. operations: which events make the filter's algebra wrong,
+    and how. unnamed: what to check where none is found.
     explanations: known mistakes that reproduce the records. growth: where linearising cost
     something. spurious: what the filter learnt of its heading from what cannot tell it. dropouts:
     stretches without observations. consistency: of the innovations. log_fits: numbers that would
@@ -84,7 +85,8 @@ class Diagnosis:
     """
 
     differences: Callable[[], Sequence[ModelDifference]] = tuple
-    operations: Callable[[], Sequence[AlgebraDifference]] = tuple
+    operations: Callable[[], Sequence[str]] = tuple
+    unnamed: str = cause.ALGEBRA_HINT
     known_model_errors: Callable[[], Sequence[str]] = tuple
     growth: Callable[[], LinearisationGrowth | None] = lambda: None
     spurious: Callable[[], Learnt | None] = lambda: None
@@ -157,7 +159,7 @@ def _red(
     allowed = diagnosis.algebra
     if not (_conservative(algebra, allowed) if conservative else algebra.explained_by(allowed)):
         known = diagnosis.operations()
-        found.append(cause.algebra(algebra, known, allowed, diagnosis.single))
+        found.append(cause.algebra(algebra, known, allowed, diagnosis.single or diagnosis.unnamed))
     if not agreement.model.explained_by(diagnosis.model):
         differences, known_faults = diagnosis.differences(), diagnosis.known_model_errors()
         found.append(cause.model(agreement.model, differences, known_faults, diagnosis.model))

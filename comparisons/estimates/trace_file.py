@@ -80,6 +80,11 @@ class TraceFile:
     remarks: tuple[str, ...]
     rounding: float = 0.0
 
+    @property
+    def former(self) -> bool:
+        """It is of slamcheck 0.2, and has no events."""
+        return self.path.suffix == Path(FORMER).suffix
+
 
 def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
     """Read a trace of a filter whose landmarks have the ids (L,), in the estimate's order.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess
-from comparisons.checks.agreement import ROUNDING, Gap
+from comparisons.checks.agreement import Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import ExternalConsistency, external_consistency
 from comparisons.checks.diagnosis.departure import first_departure
@@ -62,6 +62,7 @@ from comparisons.pipeline.references import (
     variants,
 )
 from comparisons.pipeline.solve import Solution, solve
+from comparisons.statistics import ROUNDING
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.arrays import Array
-from comparisons.audit.own_filter import run_events
+from comparisons.audit.own_filter import run_events, watch
 from comparisons.audit.spurious import Learnt, learnt
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
-from comparisons.checks.agreement import ROUNDING, Agreement
+from comparisons.checks.agreement import Agreement
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
 from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
@@ -40,11 +40,11 @@ from graphslam.smoother import SmootherOptions, SmootherResult
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.log_fit import LogFit
     from comparisons.checks.position_gate import RejectedFixes
     from comparisons.pipeline.beside import Beside
+    from comparisons.trace.events import Event
 
 F = TypeVar("F", bound=Finding)
 
@@ -364,7 +364,7 @@ def _diagnosis(compared: Compared, consistency: Consistency, spurious: Learnt | 
 
     return Diagnosis(
         differences=gaps.model_differences,
-        operations=lambda: _repeated(compared.prepared, run),
+        operations=lambda: _event_faults(compared.prepared, run, gaps.rounding.covariance),
         known_model_errors=known_model_errors,
         growth=gaps.linearisation_growth,
         spurious=lambda: spurious,
@@ -376,21 +376,23 @@ def _diagnosis(compared: Compared, consistency: Consistency, spurious: Learnt | 
     )
 
 
-def _repeated(prepared: Prepared[Any], run: EkfRun) -> tuple[AlgebraDifference, ...]:
-    """Run the filter once more, with every operation repeated on a sound copy of its state."""
-    from comparisons.checks.diagnosis.algebra_differences import WatchedState, watch
+def _event_faults(prepared: Prepared[Any], run: EkfRun, tolerance: float) -> tuple[str, ...]:
+    """Return which events of the filter's algebra are wrong, and how."""
+    from comparisons.audit.algebra import AlgebraCheck
 
-    watched: list[WatchedState] = []
+    check = AlgebraCheck(tolerance)
+    repeat_filter(prepared, run, check.take)
+    return check.faults()
 
-    def observe(ekf: Ekf) -> None:
-        state = watch(ekf, ROUNDING, run.trace.prior_pose, run.trace.prior_covariance)
-        if state is not None:
-            watched.append(state)
 
+def repeat_filter(prepared: Prepared[Any], run: EkfRun, take: Callable[[Event], object]) -> None:
+    """Run the filter once more.
+
+    run: what it did. take: is given its events, each with the state that follows.
+    """
     # Last, for it is to see the filter with everything that others have planted.
-    extensions = (*prepared.extensions, Modified(observe))
+    extensions = (*prepared.extensions, Modified(lambda ekf: watch(ekf, run, take)))
     run_filter(replace(prepared, progress=no_progress, extensions=extensions))
-    return watched[0].differences() if watched else ()
 
 
 def _assess(

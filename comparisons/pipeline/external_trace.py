@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from comparisons.audit.consistency import trace_innovations
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.spurious import Learnt, learnt
 from comparisons.checks.agreement import Agreement, Allowed, Gap, Gaussian
+from comparisons.checks.causes import ALGEBRA_HINT
 from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
 from comparisons.checks.diagnosis.known_model_errors import explain
 from comparisons.checks.diagnosis.model_differences import model_differences
@@ -40,12 +40,14 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
-from comparisons.estimates.trace_file import FORMER, TraceFile
+from comparisons.estimates.trace_file import TraceFile
 from comparisons.innovations import SensorInnovations
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.gaps import Gaps, compute_gaps
 from comparisons.pipeline.prepare import Clock, Prepared, no_progress
+from comparisons.trace.events import Snapshot
+from comparisons.trace.reader import Trace
 from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
@@ -53,6 +55,9 @@ from ekf_reference.core.measurements import REJECTED
 from ekf_reference.core.trace import TraceArrays
 from graphslam.smoother import SmootherOptions
 
+_RECORD = (
+    f"{ALGEBRA_HINT}; a snapshot of the covariance, recorded after each event, has the event named"
+)
 OWN = ("data", "algebra", "model")
 """Causes that a filter's trace shows whatever the smoother found."""
 
@@ -99,7 +104,7 @@ def check_trace(
         gaps = compute_gaps(
             log, run, options, Clock(), no_progress, timeline=own, covariance_known=known
         )
-        diagnosis = _diagnosis(log, run, gaps, file.rounding, same_steps=theirs is own)
+        diagnosis = _diagnosis(log, run, gaps, file, same_steps=theirs is own)
     except np.linalg.LinAlgError:
         raise InputError(
             f"{file.path}: its process noise, composed between two "
@@ -128,7 +133,7 @@ def check_trace(
         updates=len(trace.measurements[POINT].step),
         initialised=len(trace.initialisations[POINT].step),
         fixes=len(trace.positions.step),
-        innovations=() if file.path.suffix == Path(FORMER).suffix else trace_innovations(file.path),
+        innovations=() if file.former else trace_innovations(file.path),
     )
 
 
@@ -151,12 +156,10 @@ def _own_equations(run: EkfRun) -> Reference:
 
 
 def _diagnosis(
-    log: Log, run: EkfRun, gaps: Gaps, rounding: float, *, same_steps: bool
+    log: Log, run: EkfRun, gaps: Gaps, file: TraceFile, *, same_steps: bool
 ) -> Diagnosis:
-    """What explains the gaps, and what storing in single precision does.
-
-    rounding: of the trace.
-    """
+    """What explains the gaps, and what storing in single precision does."""
+    rounding = file.rounding
 
     def known_model_errors() -> tuple[str, ...]:
         return explain(log, run, rounding, same_steps=same_steps)
@@ -172,6 +175,8 @@ def _diagnosis(
     if not rounding:
         return Diagnosis(
             differences=gaps.model_differences,
+            operations=lambda: _event_faults(file, algebra),
+            unnamed=_RECORD,
             known_model_errors=known_model_errors,
             spurious=spurious,
             algebra=algebra,
@@ -205,6 +210,21 @@ def _diagnosis(
         algebra=algebra,
         model=model.times(OPERATIONS) if single else model,
     )
+
+
+def _event_faults(file: TraceFile, allowed: Allowed) -> tuple[str, ...]:
+    """Return what the trace's own snapshots, gains and corrections show.
+
+    A snapshot of the end alone shows no more than the gap does.
+    """
+    if file.former:
+        return ()
+    from comparisons.audit.algebra import faults_of
+
+    trace = Trace(file.path)
+    several = trace.counts.snapshots > 1
+    events = (one for one in trace if several or not isinstance(one, Snapshot))
+    return faults_of(events, max(allowed.sigma, allowed.covariance))
 
 
 def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]:

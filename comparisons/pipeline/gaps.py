@@ -22,18 +22,12 @@ from comparisons.adapters.smoother_input import (
     solve_recorded,
 )
 from comparisons.adapters.timeline import Timeline
-from comparisons.checks.agreement import (
-    ROUNDING,
-    Agreement,
-    Allowed,
-    Gaussian,
-    compare,
-    rounding_of,
-)
+from comparisons.checks.agreement import Agreement, Allowed, Gaussian, compare, rounding_of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.prepare import Clock, Prepared
+from comparisons.statistics import ROUNDING
 from ekf_reference.core.landmark_types import POINT
 from graphslam.arrays import Marginal
 from graphslam.linear_problem import LinearProblem

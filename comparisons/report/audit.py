@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from comparisons.atomic import fresh_folder, known_files
-from comparisons.audit.audit import Audit, Finding, Verdict
+from comparisons.audit.algebra import Finding
+from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.spurious import Learnt
 from comparisons.innovations import SensorInnovations
 from comparisons.report.html.curves import data_block, panel_data

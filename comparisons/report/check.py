@@ -12,7 +12,6 @@ from pydantic import Field
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
-from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.external_agreement import Block, ExternalAgreement
 from comparisons.checks.grade import Likeness, match_map
 from comparisons.pipeline.check import ExternalCheck
@@ -71,6 +70,7 @@ from comparisons.report.settings import (
     settings_rows,
 )
 from comparisons.report.terminal import STYLES, Summary
+from comparisons.statistics import ROUNDING
 from comparisons.words import Row
 
 NOT_STATED = "not stated"

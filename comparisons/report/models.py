@@ -6,9 +6,9 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from comparisons.checks.agreement import ROUNDING
 from comparisons.report.model import InnovationResult, Model
 from comparisons.report.settings import SettingsResult
+from comparisons.statistics import ROUNDING
 
 
 class LogResult(Model):

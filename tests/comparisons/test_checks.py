@@ -5,18 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.checks import agreement
+from comparisons import statistics
 from comparisons.checks.accuracy import aligned, assess, match_by_distance, relative_errors
-from comparisons.checks.agreement import (
-    BlockAgreement,
-    Gaussian,
-    block_agrees,
-    compare,
-    eigenvalue_range,
-    gap,
-)
+from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
+from comparisons.statistics import eigenvalue_range
 from ekf_reference.core.layout import Layout
 from graphslam.optimum import Optimality, Stationarity, chi_square_test
 from tests.helpers import compared, present, random_covariance, simulated
@@ -209,7 +203,7 @@ def test_the_ends_of_many_eigenvalues_are_those_of_all(
     spread = 1.0 + apart * np.linspace(-0.7, 1.0, 120) ** 3
     first = root @ (turned * spread) @ turned.T @ root.T
     every = np.array(eigenvalue_range(first, second)) - 1.0
-    monkeypatch.setattr(agreement, "DENSE", 10)
+    monkeypatch.setattr(statistics, "DENSE", 10)
     ends = np.array(eigenvalue_range(first, second)) - 1.0
     assert np.allclose(ends, every, rtol=1e-2, atol=0.0)
     assert not np.allclose(0.9 * ends, every, rtol=1e-2, atol=0.0)

@@ -10,11 +10,11 @@ import pytest
 
 from comparisons.adapters.defects.defect import Defect, Plant, with_observation, with_steps
 from comparisons.adapters.defects.registry import REGISTRY
-from comparisons.checks.agreement import ROUNDING
 from comparisons.errors import InputError
 from comparisons.experiments.defects.logs import LOGS, open_case
 from comparisons.experiments.defects.trial import named_first, run_defect
 from comparisons.pipeline.compare import Modified
+from comparisons.statistics import ROUNDING
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import PredictedMeasurements
 from ekf_reference.core.state import KalmanState
@@ -135,7 +135,7 @@ class CurvedRange(RangeBearing):
 @pytest.mark.parametrize(
     ("plant", "reported"),
     [
-        (start_elsewhere, "check how the initialisation computes the mean"),
+        (start_elsewhere, "check the prior: the estimate of pose is off by"),
         (other_lever, r"antenna is \(-0.600, 0.300\) m, in the log \(0.600, -0.300\) m"),
         (
             with_observation(SlantedRange),

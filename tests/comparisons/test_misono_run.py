@@ -15,13 +15,13 @@ from comparisons.adapters.ekf_factory import (
     d_min_exceeds_way,
     longest_sample_m,
 )
-from comparisons.checks.agreement import ROUNDING
 from comparisons.config import EkfConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.settings import run_config
+from comparisons.statistics import ROUNDING
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour
 from ekf_reference.core.chart import Chart

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
 
 from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from comparisons.checks.agreement import Gaussian, compare
-from comparisons.checks.diagnosis.algebra_differences import WatchedState
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_external
@@ -334,30 +332,3 @@ def test_different_kinds_are_not_compared() -> None:
     e = Gaussian(np.zeros(9), np.eye(9), Layout.packed(3, 3))
     with pytest.raises(ValueError, match="3 point landmarks compared with 0"):
         compare(e, e, e, replace(e, layout=Layout.packed(3, 0, 2)))
-
-
-@pytest.mark.parametrize(
-    ("state", "steps", "operation", "block"),
-    [
-        (KalmanState, 100, None, None),
-        (
-            NoCross,
-            1,
-            "the landmark initialisation",
-            "the cross-covariance of new landmarks and map",
-        ),
-        (Conditioned, 76, "the removal", "the map's covariance"),
-    ],
-)
-def test_operations_are_repeated_with_both_kinds(
-    state: type[KalmanState], steps: int, operation: str | None, block: str | None
-) -> None:
-    ekf = build()
-    watched = WatchedState(state(ekf.state.pose, PRIOR), 1e-9)
-    ekf.state = cast(KalmanState, watched)
-    drive(ekf, 0, Script(steps=steps, fuse_at=60, remove_at=75))
-    found = watched.differences()
-    assert bool(found) == (operation is not None)
-    if operation is not None:
-        assert (operation, block) in {(d.operation, d.block) for d in found}
-        assert {d.operation for d in found} == {operation}

@@ -38,6 +38,7 @@ from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.models.relative_pose import RelativePose
 from graphslam.smoother import SmootherOptions
+from tests.comparisons.test_pose_landmark_chain import Conditioned, NoCross
 from tests.ekf_reference.both_kinds import relative
 from tests.helpers import Array, Source, compared, present
 from tests.scenarios import scenario
@@ -191,7 +192,26 @@ def test_broken_algebra_is_named() -> None:
     half = Modified(with_state(Half))
     broken = compared(log(), half, Source(Frames), filter="full", association="known")
     assert "algebra" in [cause.gap for cause in broken.verdict.causes]
-    assert "the update computes the mean wrongly" in broken.verdict.causes[0].evidence
+    said = broken.verdict.causes[0].evidence
+    assert "of sensor `scan landmarks` corrects the estimate of all blocks by other than" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        (NoCross, ("augmentation", "scan landmark", "with blocks other than pose was left zero")),
+        (Conditioned, ("; removal ", "the covariance of block ", " is off by ")),
+    ],
+)
+def test_a_wrong_event_of_scan_landmarks_is_named(
+    state: type[KalmanState], words: tuple[str, ...]
+) -> None:
+    broken = compared(
+        log(), Modified(with_state(state)), Source(Frames), filter="full", association="known"
+    )
+    said = broken.verdict.causes[0].evidence
+    assert [word for word in words if word not in said] == []
 
 
 def test_what_goes_by_the_ledger_is_told() -> None:

@@ -148,73 +148,71 @@ class NoiseLeftOut(KalmanState):
         return super().update(columns, jacobian, innovation, 1e-6 * noise)
 
 
-_AUGMENT, _PREDICT, _UPDATE = "the landmark initialisation", "the prediction", "the update"
-
 DEFECTS = (
     Defect(
         "cross-covariance dropped at augmentation",
         "P between a new landmark and the map is left zero",
-        ("algebra", _AUGMENT, "the cross-covariance of new landmarks and map"),
+        ("algebra", "augmentation", "with blocks other than pose was left zero"),
         with_state(NoCrossAtAugmentation),
     ),
     Defect(
         "vehicle dropped at augmentation",
         "P between a new landmark and the vehicle is left zero",
-        ("algebra", _AUGMENT, "the cross-covariance of new landmarks and vehicle"),
+        ("algebra", "augmentation", "was not correlated with the others"),
         with_state(NoVehicleAtAugmentation),
     ),
     Defect(
         "cross-covariance dropped at prediction",
         "the cross-covariance of vehicle and map is not multiplied by F",
-        ("algebra", _PREDICT, "the cross-covariance of vehicle and map"),
+        ("algebra", "prediction", "F was not applied to the covariance with other blocks"),
         with_state(NoCrossAtPrediction),
     ),
     Defect(
         "F transposed",
         "F^T P F in the prediction",
-        ("algebra", _PREDICT, "F is transposed"),
+        ("algebra", "prediction", "F was applied transposed"),
         with_state(TransposedAtPrediction),
     ),
     Defect(
         "asymmetric covariance",
         "the prediction writes the upper cross-covariance only",
-        ("algebra", _PREDICT, "not symmetric"),
+        ("algebra", "prediction", "on one side of the diagonal alone"),
         with_state(OneSidedPrediction),
     ),
     Defect(
         "gain not transposed",
         "Joseph's form with (I - W H) on both sides",
-        ("algebra", _UPDATE, "covariance"),
+        ("algebra", "update", "with I - K H in place of its transpose"),
         with_state(GainNotTransposed),
     ),
     Defect(
         "cross-covariance dropped at update",
         "the update leaves P between vehicle and map as it was",
-        ("algebra", _UPDATE, "the cross-covariance of vehicle and map"),
+        ("algebra", "update", "covariances of block pose with all others were not updated"),
         with_state(NoCrossAtUpdate),
     ),
     Defect(
         "landmarks kept independent",
         "P between landmarks is set to zero after every update",
-        ("algebra", _UPDATE, "the map's covariance"),
+        ("algebra", "update", "all blocks but pose were made independent of each other"),
         with_state(IndependentLandmarks),
     ),
     Defect(
         "only seen landmarks updated",
         "the gain is applied to the vehicle and the landmarks in view",
-        ("algebra", _UPDATE, "the mean"),
+        ("algebra", "update", "does not correct the estimate of landmark"),
         with_state(OnlySeenUpdated),
     ),
     Defect(
         "innovation subtracted",
         "x - W nu in the update",
-        ("algebra", _UPDATE, "the mean"),
+        ("algebra", "update", "corrects the estimate of all blocks with the wrong sign"),
         with_state(InnovationSubtracted),
     ),
     Defect(
         "R left out of S",
         "S = H P H^T in the gain",
-        ("algebra", _UPDATE, "covariance"),
+        ("algebra", "update", "the covariance was updated with no R"),
         with_state(NoiseLeftOut),
     ),
 )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.adapters.timeline import Timeline
-from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.grade import Likeness
 from comparisons.logs.log import Log
+from comparisons.statistics import ROUNDING
 
 _NAMED = 4
 """Landmarks that a sentence names."""
