@@ -61,17 +61,30 @@ def misread_edges(problem: SlamProblem, test: ChiSquareTest) -> EdgeReading | No
 def _readings(problem: SlamProblem) -> Iterator[tuple[str, SlamProblem]]:
     """Other meanings of the edges, and the problem that has them."""
     closed = problem.loop_closures
+    steps, loops = (
+        np.median(np.einsum("nii->ni", np.linalg.inv(one)), axis=0)
+        for one in (problem.increment_covariance[problem.steps], closed.covariance)
+    )
     swapped = replace(closed, first=closed.second, second=closed.first)
     yield "the loop closures fit when inverted", replace(problem, loop_closures=swapped)
     for how, covariance in (("the covariance", _inverse), ("a square root of it", _squared)):
         odometry = replace(problem, increment_covariance=covariance(problem.increment_covariance))
         closures = replace(closed, covariance=covariance(closed.covariance))
-        for what, other in (
-            ("all edges between poses fit", replace(odometry, loop_closures=closures)),
-            ("the odometry's edges fit", odometry),
-            ("the loop closures fit", replace(problem, loop_closures=closures)),
+        for what, size, other in (
+            ("all edges between poses fit", "", replace(odometry, loop_closures=closures)),
+            ("the odometry's edges fit", _size(steps / loops, "loop closures'"), odometry),
+            (
+                "the loop closures fit",
+                _size(loops / steps, "odometry's"),
+                replace(problem, loop_closures=closures),
+            ),
         ):
-            yield f"{what} when what stands for their information is {how}", other
+            yield f"{what} when what stands for their information{size} is {how}", other
+
+
+def _size(ratio: Array, other: str) -> str:
+    """How large informations (3,) are beside those of other edges, as they were read."""
+    return f" ({ratio.min():.2g} to {ratio.max():.2g} times the {other})"
 
 
 def _inverse(covariance: Array) -> Array:

@@ -51,7 +51,10 @@ def all_as_covariance(problem: SlamProblem) -> SlamProblem:
     ("spoil", "words"),
     [
         (inverted, "the loop closures fit when inverted"),
-        (odometry_as_covariance, "the odometry's edges fit when .* is the covariance"),
+        (
+            odometry_as_covariance,
+            "the odometry's edges fit when .* times the loop closures.* is the covariance",
+        ),
         (all_as_covariance, "all edges between poses fit when .* is the covariance"),
         (closures_as_root, "the loop closures fit when .* is a square root of it"),
     ],
