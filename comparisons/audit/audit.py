@@ -167,6 +167,9 @@ class _Pass:
         nees = self._nees()
         spurious = None if self.spurious is None else self.spurious.result()
         self._name_spurious(spurious)
+        for name, one in self.innovations.turned():
+            text = f"sensor `{name}`: {one.what}"
+            self.algebra.add(Finding("innovations", True, text, one.event, name, ()), one.what)
         for figures in sensors:
             self._judge_innovations(figures, level)
         self._judge_average("smoother", "filter minus smoother", smoother, level)

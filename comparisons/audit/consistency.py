@@ -7,8 +7,8 @@ of the same events, run back from the last snapshot over some snapshots on the w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -32,10 +32,44 @@ from comparisons.statistics import (
     normalised_difference,
     two_sided,
 )
-from comparisons.trace.events import Augment, Prior, Sensor, Update
-from comparisons.trace.reader import Trace
+from comparisons.trace.events import Augment, Event, Prior, Sensor, Update
 from graphslam.arrays import Marginal
 from graphslam.event_smoother import Link
+
+TURNS = {2.0 * np.pi: "2 pi", 360.0: "360"}
+"""In which a difference of angles that is not wrapped is off, by whole numbers of them."""
+_NEAR, _FAR = 3.0, 5.0
+"""Sigmas of an innovation: nearer to a whole turn than that, and farther from zero."""
+_MOST_OTHERS = 0.2
+"""Share of the far ones that no turn explains, as outliers do, by which turns are not told from
+them."""
+
+
+class _Turned:
+    """Innovations of one component that are far off: how many, and how many by whole turns."""
+
+    def __init__(self) -> None:
+        self.far = 0
+        self.events: dict[float, list[int]] = {turn: [] for turn in TURNS}
+
+    def add(self, event: int, innovation: float, sigma: float) -> None:
+        """Count one that is far off."""
+        self.far += 1
+        for turn, events in self.events.items():
+            off = round(innovation / turn)
+            if off and abs(innovation - off * turn) <= _NEAR * sigma < 0.25 * turn:
+                events.append(event)
+
+    def departure(self, name: str) -> Departure | None:
+        """What to say of two or more."""
+        for turn, events in self.events.items():
+            if len(events) > 1 and self.far - len(events) <= _MOST_OTHERS * self.far:
+                what = (
+                    f"{len(events)} innovations of {name} are {TURNS[turn]} off, or a multiple of "
+                    "it: wrap the difference before it is gated and used"
+                )
+                return Departure(what, 0.0, events[0], events[-1])
+        return None
 
 
 class EventInnovations:
@@ -47,6 +81,7 @@ class EventInnovations:
         self._logs: dict[str, InnovationLog] = {}
         self._landmarks: dict[str, int] = {}
         self._initialised: list[int] = []
+        self._turned: defaultdict[tuple[str, int], _Turned] = defaultdict(_Turned)
 
     def begin(self, event: Augment) -> None:
         """Note a new block: a landmark, where a measurement of the log initialised it."""
@@ -62,6 +97,9 @@ class EventInnovations:
             self._logs[event.sensor] = log
         whitened, width = fused.whitened, log.width(len(event.residual))
         count = len(whitened) // width
+        sigma, off = np.sqrt(np.maximum(fused.spread.diagonal(), 0.0)), fused.innovation
+        for i in np.flatnonzero(np.abs(off) > _FAR * sigma).tolist():
+            self._turned[event.sensor, i % width].add(event.number, float(off[i]), float(sigma[i]))
         if event.weight < 1.0:
             every = np.arange(count)
             spread, noise = (
@@ -85,6 +123,16 @@ class EventInnovations:
         """Judge all sensors."""
         return tuple(log.judge(self._initialised) for log in self._logs.values())
 
+    def turned(self) -> list[tuple[str, Departure]]:
+        """Return sensors whose innovations are whole turns off, and what to say of each."""
+        found = []
+        for (name, i), one in self._turned.items():
+            named = self._sensors.get(name, NO_SENSOR).components
+            said = one.departure(named[i] if i < len(named) else f"component {i}")
+            if said is not None:
+                found.append((name, said))
+        return found
+
     def _seen(self, event: Update, layout: Layout, count: int) -> Index:
         """Which landmark each measurement (count,) is of; -1 where it is of none, or of two."""
         index = np.array([self._landmarks.get(name, -1) for name in event.blocks], dtype=np.intp)
@@ -94,12 +142,13 @@ class EventInnovations:
         return np.where(touched.sum(axis=1) == 1, index[touched.argmax(axis=1)], -1)
 
 
-def trace_innovations(path: Path) -> tuple[SensorInnovations, ...]:
-    """Return the innovations of a trace by sensor. Raises InputError."""
-    trace = Trace(path)
-    found = EventInnovations(trace.sensors)
+def event_innovations(
+    events: Iterable[Event], sensors: Mapping[str, Sensor]
+) -> tuple[SensorInnovations, ...]:
+    """Return the innovations of all events, by sensor."""
+    found = EventInnovations(sensors)
     replay: Replay
-    for event in trace:
+    for event in events:
         if isinstance(event, Prior):
             replay = Replay(event)
             continue

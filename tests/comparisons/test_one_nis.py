@@ -13,7 +13,7 @@ from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.audit.audit import audit
-from comparisons.audit.consistency import trace_innovations
+from comparisons.audit.consistency import event_innovations
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.run_trace import write_event, write_run
 from comparisons.checks.consistency.consistency import check_innovations
@@ -21,6 +21,7 @@ from comparisons.config import EkfConfig
 from comparisons.innovations import SensorInnovations
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.trace.events import Update
+from comparisons.trace.reader import Trace
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.landmark_types import POINT
 
@@ -62,6 +63,11 @@ def figures(sensors: Iterable[SensorInnovations]) -> dict[str, float]:
     return found
 
 
+def of_trace(folder: Path) -> tuple[SensorInnovations, ...]:
+    trace = Trace(folder / "run.trace")
+    return event_innovations(trace, trace.sensors)
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_run_check_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
     run = filtered(name)
@@ -74,7 +80,7 @@ def test_run_check_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
     write_run(run, tmp_path / "run.trace")
     expected = pytest.approx(figures(own), rel=1e-6)
     assert figures(audit(tmp_path / "run.trace").sensors) == expected
-    assert figures(trace_innovations(tmp_path / "run.trace")) == expected
+    assert figures(of_trace(tmp_path)) == expected
 
 
 def test_another_noise_in_the_trace_is_another_nis(tmp_path: Path) -> None:
@@ -88,7 +94,7 @@ def test_another_noise_in_the_trace_is_another_nis(tmp_path: Path) -> None:
             if isinstance(event, Update):
                 event = event._replace(noise=0.5 * event.noise)
             write_event(event, record)
-    own, other = figures(check_innovations(run)), figures(trace_innovations(tmp_path / "run.trace"))
+    own, other = figures(check_innovations(run)), figures(of_trace(tmp_path))
     assert own.keys() == other.keys()
     counts = [name for name in own if name.endswith((" 0", " 1")) and " by " not in name]
     means = [name for name in own if name.endswith(("bearing 2", "measurements 2", "positions 2"))]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, kstest
 
 from comparisons.arrays import Array
+from comparisons.audit.audit import audit
 from comparisons.audit.consistency import Departure, _onset, departures
 from comparisons.innovations import (
     InnovationLog,
@@ -15,6 +18,7 @@ from comparisons.innovations import (
     _lengthened,
 )
 from comparisons.trace.events import Sensor
+from comparisons.trace.recorder import Recorder
 from tests.comparisons.drawn_innovations import drawn_sensor
 
 LEVEL = 1e-3
@@ -147,3 +151,22 @@ def test_the_level_is_kept() -> None:
     rng = np.random.default_rng(6)
     out = sum(bool(departures(figures(rng.standard_normal((60, 2))), 0.01)) for _ in range(3000))
     assert 3 <= out <= 60
+
+
+@pytest.mark.parametrize(("turn", "said"), [(2.0 * np.pi, "2 pi"), (360.0, "360"), (5.0, "")])
+def test_differences_that_are_whole_turns_off_are_told(
+    turn: float, said: str, tmp_path: Path
+) -> None:
+    """A gate before the wrap rejects good measurements; other outliers are no turns."""
+    rng = np.random.default_rng(3)
+    with Recorder(tmp_path / "run.trace", gates={"compass": 0.99}) as record:
+        record.prior({"heading": 1}, 1e-4)
+        for k in range(100):
+            seen = 0.03 * rng.standard_normal()
+            if k % 30 == 10:
+                record.reject("compass", seen - turn, 1.0, 9e-4)
+            else:
+                record.update("compass", seen, 1.0, 9e-4)
+    found = [one for one in audit(tmp_path / "run.trace").findings if "wrap the" in one.text]
+    assert [one.event for one in found] == ([11] if said else [])
+    assert not said or f"3 innovations of component 0 are {said} off" in found[0].text
