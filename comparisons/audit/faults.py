@@ -89,6 +89,14 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
         tuple(name for name in replay.layout.dims if name != event.blocks[0]),
         _then(partial(_independent, but=event.blocks[0])),
     )
+    yield KnownFault("the covariance is P - K (S - R) K^T: S lacks R", event.blocks, _without_r)
+    if replay.added is not None:
+        yield KnownFault(
+            "gain and covariance are those of P without the process noise of the last prediction "
+            "(sigma points that were not drawn anew)",
+            event.blocks,
+            _before_noise,
+        )
     if event.gain is not None:
         yield KnownFault(
             "the covariance is P - K H P, which holds for Kalman's gain alone",
@@ -371,6 +379,25 @@ def _without_noise_term(replay: Replay, event: Event) -> None:
     update = _update(event)
     gain = _gain(replay, update) if update.gain is None else update.gain
     replay.fuse(update._replace(noise=np.zeros_like(update.noise)), gain)
+
+
+def _without_r(replay: Replay, event: Event) -> None:
+    update, p = _update(event), replay.covariance
+    gain = _gain(replay, update) if update.gain is None else update.gain
+    at, h = replay.layout.columns(update.blocks), update.jacobian
+    replay.covariance = p - gain @ h @ p[at][:, at] @ h.T @ gain.T
+
+
+def _before_noise(replay: Replay, event: Event) -> None:
+    update, p = _update(event), replay.covariance
+    assert replay.added is not None  # noqa: S101 - asked for before
+    blocks, noise = replay.added
+    before, at = p.copy(), replay.layout.columns(blocks)
+    before[(at, at) if isinstance(at, slice) else np.ix_(at, at)] -= noise
+    at, h = replay.layout.columns(update.blocks), update.jacobian
+    s = h @ before[at][:, at] @ h.T + update.noise
+    gain = before[:, at] @ h.T @ np.linalg.inv(s)
+    replay.covariance = p - gain @ s @ gain.T
 
 
 def _not_transposed(replay: Replay, event: Event) -> None:

@@ -112,8 +112,11 @@ class Fused(NamedTuple):
 class Replay:
     """Mean (n,) and covariance (n, n) of the error of the filter's estimate.
 
-    The mean is zero as long as the filter corrects its estimate as its gains say.
+    The mean is zero as long as the filter corrects its estimate as its gains say. added: blocks and
+    noise of the last prediction, if no update has followed.
     """
+
+    added: tuple[Blocks, Array] | None = None
 
     def __init__(self, prior: Prior) -> None:
         """Start where the filter did."""
@@ -126,6 +129,7 @@ class Replay:
         other = object.__new__(Replay)
         other.layout = self.layout.copy()
         other.covariance, other.mean = self.covariance.copy(), self.mean.copy()
+        other.added = self.added
         return other
 
     def apply(self, event: Event) -> Fused | None:
@@ -150,6 +154,7 @@ class Replay:
     def predict(self, blocks: Blocks, f: Array, noise: Array | None) -> None:
         """Let P become F P F^T + Q on some blocks. noise: None for a reset."""
         at, p, mean = self.layout.columns(blocks), self.covariance, self.mean
+        self.added = None if noise is None else (blocks, noise)
         if len(f) == self.layout.size and isinstance(at, slice):
             self.covariance = p = f @ p @ f.T
             self.mean = f @ mean
@@ -195,7 +200,7 @@ class Replay:
     def fuse(self, event: Update, gain: Array) -> None:
         """Update the covariance alone, with any gain (n, m)."""
         at, h = self.layout.columns(event.blocks), event.jacobian
-        p = self.covariance
+        p, self.added = self.covariance, None
         p = p - gain @ (h @ p[at])
         p -= (p[:, at] @ h.T - gain @ event.noise) @ gain.T
         self.covariance = 0.5 * (p + p.T)
@@ -217,7 +222,7 @@ class Replay:
 
     def remove(self, blocks: Blocks) -> None:
         """Marginalise blocks out."""
-        kept = self.layout.remove(blocks)
+        kept, self.added = self.layout.remove(blocks), None
         self.covariance = self.covariance[np.ix_(kept, kept)]
         self.mean = self.mean[kept]
 

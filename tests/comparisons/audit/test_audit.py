@@ -74,6 +74,27 @@ def other_noise(sensor: str, factor: float) -> Callable[[Array, Array], Array]:
     return change
 
 
+def gained(before: Array, sensor: str, added: Array | float) -> tuple[Array, Array, Array]:
+    """H, S and Kalman's gain of a sensor for P less what was added."""
+    blocks, h, r = SENSORS[sensor]
+    whole = np.zeros((len(h), len(before)))
+    whole[:, PARTS[blocks[0]]] = h
+    p = before.copy()
+    p[:6, :6] -= added
+    s = whole @ p @ whole.T + r
+    return whole, s, p @ whole.T @ np.linalg.inv(s)
+
+
+def without_r(p: Array, before: Array) -> Array:
+    h, _, k = gained(before, "gps", 0.0)
+    return before - k @ h @ before @ h.T @ k.T
+
+
+def not_redrawn(p: Array, before: Array) -> Array:
+    _, s, k = gained(before, "doppler", Q)
+    return before - k @ s @ k.T
+
+
 def uncorrelated_clone(p: Array, before: Array) -> Array:
     p[:6, 6:] = p[6:, :6] = 0.0
     return p
@@ -89,6 +110,8 @@ FAULTS: list[tuple[str, Callable[[Array, Array], Array], str, str]] = [
     ("gps", nothing_done, "position", "was not updated"),
     ("gps", other_noise("gps", 0.25), "position", "0.25 R"),
     ("gps", other_noise("gps", 0.5), "position", "updated twice"),
+    ("gps", without_r, "position", "P - K (S - R) K^T: S lacks R"),
+    ("doppler", not_redrawn, "velocity", "sigma points that were not drawn anew"),
     ("predict", without_noise, "position velocity bias", "process noise was not added"),
     ("predict", nothing_done, "position velocity bias", "was not predicted"),
     ("clone", uncorrelated_clone, "clone position", "was not correlated"),
