@@ -25,14 +25,18 @@ from tests.helpers import Array
 Ready = tuple[Prepared[SolveConfig], Foreign]
 
 
-@pytest.fixture(scope="module")
-def ready() -> Ready:
-    log, choices = open_case("positions", seed=4, loop_s=30.0)
+def prepared(loop_s: float) -> Ready:
+    log, choices = open_case("positions", seed=4, loop_s=loop_s)
     p: Prepared[SolveConfig] = prepare(log, CheckConfig(gps=choices.gps), choices)
     landmark_index = run_ekf(p.log, p.timeline, p.ekf, p.positions).landmark_index
     return p, Foreign(
         log=p.log, timeline=p.timeline, landmark_index=landmark_index, positions=p.positions
     )
+
+
+@pytest.fixture(scope="module")
+def ready() -> Ready:
+    return prepared(30.0)
 
 
 def checked(one: Foreign, ready: Ready, folder: Path, *, stored: bool = False) -> TraceCheck:
@@ -65,9 +69,11 @@ def test_storing_in_single_precision_is_no_fault(ready: Ready, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_computing_in_single_precision_is_named(ready: Ready, tmp_path: Path) -> None:
-    single = replace(ready[1], dtype=np.float32)
-    parts = said(checked(single, ready, tmp_path))
+def test_computing_in_single_precision_is_named(tmp_path: Path) -> None:
+    """Of a drive long enough to tell it from storing."""
+    long = prepared(85.0)
+    single = replace(long[1], dtype=np.float32)
+    parts = said(checked(single, long, tmp_path))
     assert parts
     assert all("in single precision" in p for p in parts)
 
