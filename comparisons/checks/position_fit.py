@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from comparisons.arrays import Array
+from comparisons.logs.log import Poses
 from ekf_reference.models.position import PositionModel
 
 _LEFT = 0.05
@@ -31,17 +32,6 @@ class Seen(NamedTuple):
     antenna_m: tuple[float, float]
 
 
-class Path(NamedTuple):
-    """time_s: (K,) ascending. pose: (K, 3), headings unwrapped."""
-
-    time_s: Array
-    pose: Array
-
-    def at(self, time_s: Array) -> Array:
-        """Poses (N, 3) at times (N,), along straight lines."""
-        return np.column_stack([np.interp(time_s, self.time_s, one) for one in self.pose.T])
-
-
 class _Motion(NamedTuple):
     """expected: positions (N, 2) by `size` parameters, zero for none. words: of these."""
 
@@ -50,7 +40,7 @@ class _Motion(NamedTuple):
     words: Callable[[Array], str]
 
 
-def position_fit(seen: Seen, path: Path) -> str:
+def position_fit(seen: Seen, path: Poses) -> str:
     """Return the motions that make positions fit a path, in words, with their figures.
 
     By weighted least squares, each motion alone. One explains them that leaves 5 % of their
@@ -80,7 +70,7 @@ def position_fit(seen: Seen, path: Path) -> str:
     return ", or ".join(words for _, left, words in sorted(found) if left <= _AS_WELL * least)
 
 
-def _motions(seen: Seen, path: Path) -> list[_Motion]:
+def _motions(seen: Seen, path: Poses) -> list[_Motion]:
     poses = path.at(seen.time_s)
     own = _antenna(poses, seen.antenna_m)
 

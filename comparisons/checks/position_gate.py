@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.causes import Cause
-from comparisons.checks.position_fit import Path, Seen, position_fit
+from comparisons.checks.position_fit import Seen, position_fit
 from comparisons.estimates.estimate import Estimate
+from comparisons.logs.log import Poses
 from ekf_reference.models.position import PositionFixes, PositionModel
 
 
@@ -112,7 +113,7 @@ def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
     if not found.contradict:
         return found
     seen = Seen(smoothed.time_s[at], given.position_m[number], spread, given.antenna_m)
-    return replace(found, fit=position_fit(seen, Path(smoothed.time_s, smoothed.pose)))
+    return replace(found, fit=position_fit(seen, Poses(smoothed.time_s, smoothed.pose)))
 
 
 def residuals(

@@ -79,10 +79,8 @@ class InDeadReckonedFrame(OtherMotion):
     def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
         """From the filter's place, by the other heading; the Jacobians are right."""
         heading = float(pose[2]) if self._heading_rad is None else self._heading_rad
-        own, other = (
-            super(InDeadReckonedFrame, self).step(np.append(pose[:2], one), control, duration_s)
-            for one in (pose[2], heading)
-        )
+        own = super().step(pose, control, duration_s)
+        other = super().step(np.append(pose[:2], heading), control, duration_s)
         self._heading_rad = float(other.pose[2])
         return own._replace(pose=np.append(other.pose[:2], own.pose[2]))
 

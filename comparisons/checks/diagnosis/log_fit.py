@@ -17,9 +17,8 @@ from scipy.special import fdtrc
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.adapters.timeline import build_timeline
-from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Poses
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
 from graphslam.graph_builder import build_graph, to_values
@@ -47,11 +46,10 @@ _WORDS: dict[type, tuple[str, str]] = {
 
 
 class LogFit(NamedTuple):
-    """A number with which the log fits. what: in words. chi2: with it; before: without."""
+    """A number with which the log fits. what: in words. chi2: with it."""
 
     what: str
     chi2: float
-    before: float
 
 
 class _Number(NamedTuple):
@@ -113,7 +111,7 @@ def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
     for _, fit in rough[:_MOST_REFINED]:
         chi2 = fit.refined()
         if explains(test, chi2, len(rough)):
-            found.append(LogFit(fit.words, chi2, test.chi2))
+            found.append(LogFit(fit.words, chi2))
     least = min((one.chi2 for one in found), default=0.0)
     alike = [one for one in found if one.chi2 <= _AS_WELL * least]
     return sorted(alike, key=lambda one: one.chi2)
@@ -141,7 +139,8 @@ class _Fit:
 
     def __init__(self, log: Log, run: EkfRun, result: SmootherResult, number: _Number) -> None:
         self._log, self._run, self._number = log, run, number
-        self._poses, self._landmarks = result.poses, result.landmarks
+        self._poses = Poses(run.timeline.epoch_time_s, result.poses)
+        self._landmarks = result.landmarks
         self._at, self._step = number.neutral, number.step
         self._chi2, self._afresh = 2.0 * result.error, True
         opposite = self._of(-number.neutral) if number.neutral else np.inf
@@ -187,16 +186,12 @@ class _Fit:
             log = self._number.change(self._log, number)
             timeline = build_timeline(log, self._run.positions)
             problem = build_problem(log, replace(self._run, timeline=timeline))
-            graph, values = build_graph(problem), relaxed_values(problem)
-            if not self._afresh:
-                poses = self._poses_at(timeline.epoch_time_s)
+            graph = build_graph(problem)
+            if self._afresh:
+                values = relaxed_values(problem)
+            else:
                 seen = problem.seen_landmarks, problem.pose_landmarks
-                values = to_values(poses, self._landmarks, *seen)
+                values = to_values(self._poses.at(timeline.epoch_time_s), self._landmarks, *seen)
             return 2.0 * float(graph.error(levenberg_marquardt(graph, values, _TOLERANCE)[0]))
         except (InputError, RuntimeError):
             return np.inf
-
-    def _poses_at(self, time_s: Array) -> Array:
-        """The optimum's (K, 3), between its own instants along straight lines."""
-        own_s = self._run.timeline.epoch_time_s
-        return np.column_stack([np.interp(time_s, own_s, one) for one in self._poses.T])
