@@ -17,19 +17,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.atomic import write_whole
+from comparisons.checks.causes import Cause
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig, merge
 from comparisons.errors import InputError
+from comparisons.figures import kept_fields
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.check import CheckResult, ExternalLandmarkResult
 from comparisons.report.model import current
-from comparisons.report.models import (
-    CauseResult,
-    ConsistencyResult,
-    ExternalConsistencyResult,
-    Result,
-)
+from comparisons.report.models import ConsistencyResult, ExternalConsistencyResult, Result
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
 
@@ -205,14 +202,13 @@ def figures(found: Found) -> dict[str, float | None]:
     return {name: value for name, value in kept.items() if not _left_out(name)}
 
 
-def number_paths(kind: type[BaseModel], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Return where a model has numbers, in models within it as well, but in no lists."""
-    for name, field in kind.model_fields.items():
-        union = get_origin(field.annotation) in (Union, UnionType)
-        for one in get_args(field.annotation) if union else (field.annotation,):
+def number_paths(kind: type, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Return where a result has numbers, in its parts as well, but in no lists."""
+    for name, hint in kept_fields(kind).items():
+        for one in get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,):
             if one in (int, float):
                 yield (*above, name)
-            elif isinstance(one, type) and issubclass(one, BaseModel) and name not in _APART:
+            elif isinstance(one, type) and name not in _APART:
                 yield from number_paths(one, (*above, name))
 
 
@@ -330,7 +326,7 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
 
 
 def write_junit(
-    changes: Sequence[Change], name: str, path: Path, causes: Sequence[CauseResult] = ()
+    changes: Sequence[Change], name: str, path: Path, causes: Sequence[Cause] = ()
 ) -> None:
     """A test case per metric, for continuous integration. Raises InputError.
 

@@ -23,7 +23,6 @@ from markdown.extensions.toc import slugify
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
-from pydantic import BaseModel
 
 import slamcheck
 from comparisons.cli.app import COMMANDS, build
@@ -45,6 +44,7 @@ from comparisons.extensions.scan_motion.result import (
     ScanOdometryResult,
     ThreeWayResult,
 )
+from comparisons.figures import kept_fields
 from comparisons.options import FLAGS
 from comparisons.report.check import CheckResult
 from comparisons.report.dense_map import MapResult
@@ -57,7 +57,7 @@ _FLAGS = {(flag.option, flag.help): flag for flag in FLAGS}
 _NUMBER = re.compile(r"<td>(?=[-+\d.,e %]+</td>)")
 _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 
-RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
+RESULTS: dict[str, tuple[type, ...]] = {
     "result.json": (Result,),
     "result.json: entries of extensions": (
         OwnAssociationResult,
@@ -94,7 +94,7 @@ def _result_schema() -> str:
         "and radians. JSON has no NaN and no infinity: such a figure is `null`. "
         "[Formats](formats.md) describes the other files of a folder.",
     ]
-    seen: dict[type[BaseModel], str] = {}
+    seen: dict[type, str] = {}
     for file, roots in RESULTS.items():
         new = [kind for kind in dict.fromkeys(_nested(*roots)) if kind not in seen]
         for kind in new:
@@ -105,29 +105,34 @@ def _result_schema() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _nested(*kinds: Any) -> Iterator[type[BaseModel]]:
+def _nested(*kinds: Any) -> Iterator[type]:
     """Models in types and in the fields of these models, outer ones first."""
     for kind in kinds:
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if isinstance(kind, type) and kept_fields(kind):
             yield kind
-            yield from _nested(*(field.annotation for field in kind.model_fields.values()))
+            yield from _nested(*kept_fields(kind).values())
         else:
             yield from _nested(*(one for one in get_args(kind) if not isinstance(one, str)))
 
 
-def _model(kind: type[BaseModel], names: dict[type[BaseModel], str]) -> str:
+def _model(kind: type, names: dict[type, str]) -> str:
     text = meanings(kind)
     rows = [
-        f"| `{field.alias or name}` | {_cell(text[name])} | {_type(field.annotation, names)} "
-        f"| {_unit(name)} |"
-        for name, field in kind.model_fields.items()
+        f"| `{_key(kind, name)}` | {_cell(text[name])} | {_type(hint, names)} | {_unit(name)} |"
+        for name, hint in kept_fields(kind).items()
     ]
     prose = inspect.cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0]
     head = "| field | meaning | type | unit |\n|---|---|---|---|\n"
     return f"### {names[kind]}\n\n{prose}\n\n{head}" + "\n".join(rows)
 
 
-def meanings(kind: type[BaseModel]) -> dict[str, str]:
+def _key(kind: Any, name: str) -> str:
+    """Return the name of a field in the file."""
+    field = getattr(kind, "model_fields", {}).get(name)
+    return (field and field.alias) or name
+
+
+def meanings(kind: type) -> dict[str, str]:
     """Return the meaning of each field, from the `Attributes:` of the model and those above it."""
     found: dict[str, str] = {}
     for one in reversed(kind.__mro__):
@@ -136,7 +141,7 @@ def meanings(kind: type[BaseModel]) -> dict[str, str]:
     return found
 
 
-def _type(kind: Any, names: dict[type[BaseModel], str]) -> str:
+def _type(kind: Any, names: dict[type, str]) -> str:
     """A type as JSON has it; models link to their tables."""
     origin, parts = get_origin(kind), get_args(kind)
     if kind in names:

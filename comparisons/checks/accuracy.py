@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
+from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
 
 RPE_M = 10.0
@@ -25,15 +27,24 @@ _COMPLEX = np.array([1.0, 1.0j])
 
 @dataclass(frozen=True, kw_only=True)
 class Accuracy:
-    """Errors of one estimate; None where the log has no such reference.
+    """Errors of one estimate against truth or GPS; None where the log has no such reference.
 
-    ate_m: root mean square position error against true poses. rpe_10m_m, rpe_10m_rad: root mean
-    square error of relative poses, see relative_errors. gps_median_m: median distance to
-    the absolute positions; gps_rms_aligned_m: root mean square, for positions without outliers.
-    landmark_rmse_m: over the true landmarks found. `aligned` figures
-    come after the rigid motion (no scale) that fits best: in least squares, but in least
-    distances for positions, which hold outliers. coverage: share of the reference
-    instants (true poses, else positions) inside the estimate's time span.
+    Aligned is after the rigid motion (no scale) that fits best: in least squares, but in least
+    distances for the median to GPS, which holds outliers.
+
+    Attributes:
+        ate_m: root mean square error of the positions, in the log's frame.
+        ate_aligned_m: the same after the best rigid alignment.
+        rpe_10m_m: root mean square error of the relative position over 10 m of path.
+        rpe_10m_rad: root mean square error of the relative heading over 10 m of path.
+        landmark_rmse_m: root mean square error of the landmarks.
+        landmark_rmse_aligned_m: the same after the trajectory's alignment.
+        landmarks_found: true landmarks that the map has.
+        landmarks_true: true landmarks that could be found.
+        gps_median_m: median distance from GPS.
+        gps_median_aligned_m: the same after the best rigid alignment.
+        gps_rms_aligned_m: root mean square distance from GPS after that alignment.
+        coverage: share of the reference's instants within the estimate's time.
     """
 
     ate_m: float | None = None
@@ -48,6 +59,48 @@ class Accuracy:
     gps_median_aligned_m: float | None = None
     gps_rms_aligned_m: float | None = None
     coverage: float | None = None
+
+    def rows(self, of: str) -> list[Row]:
+        """Return a row for each error. of: whose, as `the EKF`."""
+        metres = {
+            "path (ATE)": self.ate_m,
+            "path, aligned (ATE)": self.ate_aligned_m,
+            "motion over 10 m (RPE)": self.rpe_10m_m,
+            "landmarks (rms)": self.landmark_rmse_m,
+            "landmarks, aligned (rms)": self.landmark_rmse_aligned_m,
+            "distance to GPS (median)": self.gps_median_m,
+            "distance to GPS, aligned (median)": self.gps_median_aligned_m,
+            "distance to GPS, aligned (rms)": self.gps_rms_aligned_m,
+        }
+        found = [(name, f"{value:.3f} m") for name, value in metres.items() if value is not None]
+        if self.rpe_10m_rad is not None:
+            found.append(("turn over 10 m (RPE)", f"{math.degrees(self.rpe_10m_rad):.2f} deg"))
+        if self.landmarks_true is not None:
+            found.append(
+                ("true landmarks found", f"{self.landmarks_found} of {self.landmarks_true}")
+            )
+        if self.coverage is not None:
+            found.append(("coverage of the log's time", f"{100 * self.coverage:.1f} %"))
+        return [Row(f"Accuracy of {of}", *one) for one in found]
+
+
+def accuracy_line(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:
+    """Return one line with an error of each estimate, by the best reference that all have."""
+    for name, field in (
+        ("ATE", "ate_m"),
+        ("to GPS (median)", "gps_median_m"),
+        ("landmarks (rms)", "landmark_rmse_m"),
+    ):
+        found = {whose: getattr(a, field) for whose, a in each.items() if a is not None}
+        known = [f"{whose} {value:.3g} m" for whose, value in found.items() if value is not None]
+        if known:
+            return [("accuracy", f"{name}: {', '.join(known)}")]
+    return []
+
+
+def accuracy_rows(of: str, found: Accuracy | None) -> list[Row]:
+    """Return the rows of errors, where there are any. of: whose, as `the EKF`."""
+    return [] if found is None else found.rows(of)
 
 
 def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:

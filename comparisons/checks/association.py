@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.logs.log import Log
+from comparisons.words import Row
 
 Ids = NDArray[np.int64]
 LandmarkIndices = NDArray[np.intp]
@@ -18,10 +19,13 @@ CLUSTER_M = 0.35
 
 @dataclass(frozen=True)
 class PartitionScore:
-    """By pairs of measurements. precision: share of the pairs put together that belong together.
+    """Pairs of measurements put together, compared with the pairs that belong together.
 
-    recall: share of the pairs that belong together that were put together. Unused measurements are
-    in no pair put together, but in those that belong together.
+    Unused measurements are in no pair put together, but in those that belong together.
+
+    Attributes:
+        precision: share of its pairs that belong together.
+        recall: share of the pairs that belong together that it has.
     """
 
     precision: float
@@ -30,18 +34,46 @@ class PartitionScore:
 
 @dataclass(frozen=True)
 class AssociationScore:
-    """An association made without labels, scored by them.
+    """An association made without labels, compared with the labels.
 
-    landmarks: landmark indices against labels; used landmarks stand for as many as are labelled.
-    clusters: the same after merging, among the true landmarks and among the estimated ones, those
-    within CLUSTER_M of each other; None where the true places are not known. A clump taken for one
-    landmark scores in full by clusters, so both are reported.
+    Clusters are landmarks within CLUSTER_M of each other, merged among the true ones and among the
+    estimated ones. A clump taken for one landmark scores in full by clusters, so both are reported.
+
+    Attributes:
+        landmarks: over all measurements with a label.
+        clusters: the same with near landmarks taken as one; None where the true places are unknown.
+        used: landmarks that have measurements.
+        labelled: landmarks that have labelled measurements.
     """
 
     landmarks: PartitionScore
     clusters: PartitionScore | None
-    used: int
-    labelled: int
+    used: int | None = None
+    labelled: int | None = None
+
+    def rows(self, whose: str) -> list[Row]:
+        """Return its figures. whose: as `the filter`."""
+        group = f"Association by {whose} against the log's labels"
+        found = []
+        if self.used is not None:
+            found += [
+                Row(group, "landmarks used", f"{self.used:,}"),
+                Row(group, "landmarks labelled", f"{self.labelled:,}"),
+            ]
+        kinds = [("same landmark", self.landmarks)]
+        if self.clusters is not None:
+            kinds.append(("same cluster of landmarks", self.clusters))
+        for name, pairs in kinds:
+            found += [
+                Row(group, f"pairs of measurements, {name}: precision", f"{pairs.precision:.3f}"),
+                Row(group, f"pairs of measurements, {name}: recall", f"{pairs.recall:.3f}"),
+            ]
+        return found
+
+
+def association_rows(score: AssociationScore | None, whose: str) -> list[Row]:
+    """Return how an association made without labels scores, where it can be. whose: as in rows."""
+    return [] if score is None else score.rows(whose)
 
 
 def score_association(

@@ -11,8 +11,8 @@ benchmarks/trust_association.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,11 +20,12 @@ from comparisons.adapters.smoother_association import Alternative
 from comparisons.arrays import Array
 from comparisons.checks.association import (
     LandmarkIndices,
-    PartitionAgreement,
     compare_partitions,
     counterparts,
     differing_measurements,
 )
+from comparisons.figures import Figure, in_sigma
+from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
 
 APART = 0.7
@@ -42,89 +43,98 @@ _NAMED = 3
 
 @dataclass(frozen=True, kw_only=True)
 class AssociationVariant:
-    """One other way to associate.
+    """An association made in another way.
 
-    partition: the association's first, this one's second. apart_sigma, apart_m: root mean square
-    of the poses' distances. excess: how much worse it explains the measurements, as squared misfit
-    with costs for landmarks and for measurements left out; negative where it does better. disputed:
-    (D,) the measurements that the two do not give to counterparts.
+    Attributes:
+        name: what was done differently.
+        agreement: share of the pairs of measurements of either that both put together.
+        pairs_both: pairs that both put together.
+        pairs_association: pairs that the association puts together.
+        pairs_variant: pairs that the variant puts together.
+        apart_sigma: root mean square distance of the poses at the two optima, in sigma.
+        apart_m: the same in metres.
+        excess: by how much the variant explains the measurements worse, as squared misfit with
+            costs for landmarks and for measurements left out.
+        disputed: measurements that the two give to different landmarks.
+        elsewhere: the variant's optimum is at another place.
+        against: the variant is evidence against the association.
     """
 
     name: str
-    partition: PartitionAgreement
-    apart_sigma: float
+    agreement: float
+    pairs_both: int
+    pairs_association: int
+    pairs_variant: int
+    apart_sigma: Figure
     apart_m: float
-    excess: float
-    disputed: LandmarkIndices
-
-    @property
-    def elsewhere(self) -> bool:
-        """The difference matters."""
-        return not self.apart_sigma < APART
-
-    @property
-    def better(self) -> bool:
-        """It is elsewhere, and explains the measurements no worse."""
-        return self.elsewhere and self.excess <= 0.0
+    excess: Figure
+    disputed: int
+    elsewhere: bool
+    against: bool = False
 
 
 @dataclass(frozen=True)
 class Dispute:
-    """Measurements of one landmark (-1: of none) that a variant gives to others.
+    """Measurements of one landmark that a variant gives to others.
 
-    count: of them, within begin_s to end_s.
+    Attributes:
+        variant: the variant's name.
+        landmark: id of the landmark; -1 for none.
+        measurements: number of measurements.
+        begin_s: time of the first one.
+        end_s: time of the last one.
     """
 
     variant: str
     landmark: int
-    count: int
+    measurements: int
     begin_s: float
     end_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class AssociationCheck:
-    """All variants of one association. landmark_index, time_s: (M,) of the measurements."""
+    """Whether an association depends on how it was made.
 
-    landmark_index: LandmarkIndices
-    time_s: Array
+    Attributes:
+        verified: no variant is evidence against it.
+        variants: all variants.
+        disputes: measurements in dispute by the variants against it, the largest group first.
+    """
+
+    verified: bool
     variants: tuple[AssociationVariant, ...]
-
-    @property
-    def verified(self) -> bool:
-        """No variant that is elsewhere does as well, and few are elsewhere."""
-        return not self.against
+    disputes: tuple[Dispute, ...]
 
     @property
     def against(self) -> tuple[AssociationVariant, ...]:
         """The variants that speak against the association."""
-        elsewhere = tuple(one for one in self.variants if one.elsewhere)
-        if len(elsewhere) >= SEVERAL:
-            return elsewhere
-        return tuple(one for one in elsewhere if one.better)
-
-    @property
-    def disputes(self) -> tuple[Dispute, ...]:
-        """The measurements in dispute by landmark, most first, of the variants against."""
-        found = []
-        for one in self.against:
-            landmark_index = self.landmark_index[one.disputed]
-            for landmark in np.unique(landmark_index).tolist():
-                rows = one.disputed[landmark_index == landmark]
-                time_s = self.time_s[rows]
-                begin, end = float(time_s.min()), float(time_s.max())
-                found.append(Dispute(one.name, max(landmark, -1), len(rows), begin, end))
-        return tuple(sorted(found, key=lambda d: -d.count))
+        return tuple(one for one in self.variants if one.against)
 
     @property
     def remarks(self) -> list[str]:
         """What is in dispute, by each variant against."""
         return [self._remark(one) for one in self.against]
 
+    def rows(self) -> list[Row]:
+        """Return how the association compares with others of the same measurements."""
+        group = "Association compared with other ways to associate"
+        found = []
+        for one in self.variants:
+            alike, far = f"{100.0 * one.agreement:.1f} %", in_sigma(one.apart_sigma)
+            against = "yes" if one.against else "no"
+            contradicts = f"{one.name}: contradicts the association"
+            found += [
+                Row(group, f"{one.name}: pairs of measurements alike", alike),
+                Row(group, f"{one.name}: difference of the poses (rms)", far),
+                Row(group, contradicts, against, "no", not one.against),
+            ]
+        return found
+
     def _remark(self, one: AssociationVariant) -> str:
         found = [d for d in self.disputes if d.variant == one.name]
         named = "; ".join(
-            f"{d.count} of {'no landmark' if d.landmark < 0 else f'landmark {d.landmark}'} "
+            f"{d.measurements} of {'no landmark' if d.landmark < 0 else f'landmark {d.landmark}'} "
             f"({d.begin_s:.1f} to {d.end_s:.1f} s)"
             for d in found[:_NAMED]
         )
@@ -150,24 +160,51 @@ def check_association(
     poses, covariance, chi2, dof = optimum
     scale = max(1.0, chi2 / dof) if dof > 0 else 1.0
     own = _cost(landmark_index, chi2, scale)
-    found = []
+    found, disputed = list[AssociationVariant](), list[LandmarkIndices]()
     for other in others:
         sigma, metres = poses_apart(other.poses, poses, covariance)
-        finite = math.isfinite(other.chi2)
+        sigma = sigma if math.isfinite(other.chi2) else math.inf
         matched = np.full(int(other.landmark_index.max(initial=-1)) + 1, -1, dtype=np.intp)
         first, second = counterparts(landmark_index, other.landmark_index)
         matched[second] = first
+        pairs = compare_partitions(landmark_index, other.landmark_index)
+        disputed.append(differing_measurements(landmark_index, other.landmark_index, matched))
         found.append(
             AssociationVariant(
                 name=other.name,
-                partition=compare_partitions(landmark_index, other.landmark_index),
-                apart_sigma=sigma if finite else math.inf,
+                agreement=pairs.agreement,
+                pairs_both=pairs.pairs_both,
+                pairs_association=pairs.pairs_first,
+                pairs_variant=pairs.pairs_second,
+                apart_sigma=sigma,
                 apart_m=metres,
                 excess=_cost(other.landmark_index, other.chi2, scale) - own,
-                disputed=differing_measurements(landmark_index, other.landmark_index, matched),
+                disputed=len(disputed[-1]),
+                elsewhere=not sigma < APART,
             )
         )
-    return AssociationCheck(landmark_index=landmark_index, time_s=time_s, variants=tuple(found))
+    several = sum(one.elsewhere for one in found) >= SEVERAL
+    variants = tuple(
+        replace(one, against=one.elsewhere and (several or one.excess <= 0.0)) for one in found
+    )
+    disputes = [
+        dispute
+        for one, rows in zip(variants, disputed, strict=True)
+        if one.against
+        for dispute in _disputes(one.name, landmark_index[rows], time_s[rows])
+    ]
+    return AssociationCheck(
+        verified=not any(one.against for one in variants),
+        variants=variants,
+        disputes=tuple(sorted(disputes, key=lambda d: -d.measurements)),
+    )
+
+
+def _disputes(variant: str, landmark_index: LandmarkIndices, time_s: Array) -> Iterator[Dispute]:
+    """The measurements (D,) in dispute, by landmark."""
+    for landmark in np.unique(landmark_index).tolist():
+        at = time_s[landmark_index == landmark]
+        yield Dispute(variant, max(landmark, -1), len(at), float(at.min()), float(at.max()))
 
 
 def _cost(landmark_index: LandmarkIndices, chi2: float, scale: float) -> float:

@@ -22,6 +22,7 @@ from comparisons.checks.agreement import (
     block_agrees,
 )
 from comparisons.checks.consistency.consistency import Consistency
+from comparisons.figures import Aside
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:
@@ -268,20 +269,19 @@ EXPLANATIONS: dict[str, Explanation] = {
 
 @dataclass(frozen=True)
 class Cause:
-    """One reason for the outcome: the gap it shows in, the numbers, and what to look at.
+    """One reason for the verdict.
 
-    gap: a kind that EXPLANATIONS has; raises ValueError for others. alone: it holds whether the
-    smoother's optimum is verified or not.
+    Attributes:
+        gap: gap or check that found it, a kind that EXPLANATIONS has.
+        evidence: what was found, with figures.
+        hint: where to look, or what to do.
+        alone: it holds whether the smoother's optimum is verified or not; no part of a result file.
     """
 
     gap: str
     evidence: str
     hint: str
-    alone: bool = False
-
-    def __post_init__(self) -> None:
-        if self.gap not in EXPLANATIONS:
-            raise ValueError(f"cause '{self.gap}' has no explanation")
+    alone: Aside[bool] = False
 
 
 def _apart(gap: Gap, allowed: Allowed) -> str:

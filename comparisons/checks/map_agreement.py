@@ -20,20 +20,31 @@ MOST_OUTSIDE = 0.05
 class Pair:
     """Two maps of the same landmarks.
 
-    rms_m: of the differences, and after the rigid motion that fits best. distance_sigma: (L,) root
-    of half the squared Mahalanobis distance of each, by the sum of both covariances, which is more
-    than that of the difference where measurements are shared. outside: beyond the 99 % region.
+    Sigma is of the sum of both covariances, which is more than that of the difference where
+    measurements are shared.
+
+    Attributes:
+        rms_m: root mean square distance of the landmarks.
+        rms_aligned_m: the same after the best rigid alignment.
+        distance_sigma_median: median distance of a landmark, in sigma of the difference.
+        outside: landmarks beyond their 99 % region.
+        landmarks: landmarks that both have.
+        agrees: whether the maps agree.
     """
 
     rms_m: float
     rms_aligned_m: float
-    distance_sigma: Array
+    distance_sigma_median: float | None
     outside: int
+    landmarks: int
+    agrees: bool
 
-    @property
-    def agrees(self) -> bool:
-        """As many landmarks lie inside as chance allows."""
-        return self.outside <= max(1.0, MOST_OUTSIDE * len(self.distance_sigma))
+    @classmethod
+    def of(cls, rms_m: float, rms_aligned_m: float, squared: Array, dof: int, outside: int) -> Pair:
+        """Return it from squared Mahalanobis distances (L,), each of so many degrees of freedom."""
+        median = float(np.median(np.sqrt(squared / dof))) if len(squared) else None
+        agrees = outside <= max(1.0, MOST_OUTSIDE * len(squared))
+        return cls(rms_m, rms_aligned_m, median, outside, len(squared), agrees)
 
 
 def compare_maps(first: Estimate, second: Estimate) -> Pair:
@@ -46,9 +57,10 @@ def compare_maps(first: Estimate, second: Estimate) -> Pair:
     a, b = first.landmark[i], second.landmark[j]
     total = first.landmark_covariances()[i] + second.landmark_covariances()[j]
     squared = np.einsum("ni,ni->n", a - b, np.linalg.solve(total, (a - b)[:, :, None])[:, :, 0])
-    return Pair(
+    return Pair.of(
         float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1)))),
         float(np.sqrt(np.mean(np.sum((aligned(a, b) - b) ** 2, axis=1)))),
-        np.sqrt(squared / 2.0),
+        squared,
+        2,
         int(np.count_nonzero(~(squared <= _CHI2_2_99))),  # what is no number lies nowhere
     )

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import computed_field
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
@@ -20,6 +21,7 @@ from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.verdict import Verdict, rounded
 from comparisons.choices import FailOn
+from comparisons.figures import Aside, Figure
 from comparisons.logs.log import LandmarkMeasurements
 from comparisons.statistics import chi2_quantile
 
@@ -43,22 +45,21 @@ def limit(dof: int) -> float:
 
 @dataclass(frozen=True)
 class Distance:
-    """How far the smoother is from the truth in one kind of unknowns.
+    """The smoother's poses or landmarks compared with truth.
 
-    what: they are. sigma: root of the mean NEES over `dof`. error_m: root mean square; labels_m:
-    the same of the smoother with the log's labels, where S has not used them.
+    Attributes:
+        what: poses or landmarks.
+        sigma: root of the mean NEES over its degrees of freedom.
+        limit: the largest value that a sound run reaches.
+        error_m: root mean square error.
+        labels_m: the same with the log's labels, where the run has not used them.
     """
 
     what: str
-    dof: int
-    sigma: float
+    sigma: Figure
+    limit: float
     error_m: float
     labels_m: float | None = None
-
-    @property
-    def limit(self) -> float:
-        """The sigma that a sound run hardly passes."""
-        return limit(self.dof)
 
     @property
     def far(self) -> bool:
@@ -78,20 +79,25 @@ class Distance:
 
 @dataclass(frozen=True, kw_only=True)
 class TruthGap:
-    """S against truth, or against the smoother with the log's labels where there is no truth.
+    """The smoother compared with truth, or with itself by the log's labels where there is none.
 
-    measurement_m: standard deviation of the place that a single measurement gives, the scale in
-    metres.
-    lost: no landmark is near a true one. association: of the filter, against the log's labels.
-    reference: what the smoother is compared with.
+    Attributes:
+        stands: the smoother is far from truth, by its covariance or by what labels reach, and by
+            more than `measurement_m`; or it is lost.
+        distances: distances of poses and landmarks.
+        measurement_m: the error of a single measurement.
+        lost: no landmark is near a true one.
+        reference: what it is compared with, in words.
+        association: of the filter, against the log's labels; no part of a result file.
     """
 
     distances: tuple[Distance, ...]
     measurement_m: float
     lost: bool = False
-    association: AssociationScore | None = None
+    association: Aside[AssociationScore | None] = None
     reference: str = "the truth"
 
+    @computed_field
     @property
     def stands(self) -> bool:
         """Off, and by more than one measurement may err."""
@@ -127,7 +133,7 @@ def truth_gap(
     ):
         if errors is not None and errors.mean is not None and metres is not None:
             sigma = float(np.sqrt(errors.mean / errors.dof))
-            found.append(Distance(what, errors.dof, sigma, metres))
+            found.append(Distance(what, sigma, limit(errors.dof), metres))
     true = accuracy.landmarks_true
     lost = true is not None and not accuracy.landmarks_found and min(true, landmarks) >= _NONE_FOUND
     return TruthGap(

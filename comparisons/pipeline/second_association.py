@@ -17,7 +17,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory, match_landmarks
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import poses_apart
-from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
+from comparisons.checks.qualifiers import Distance, TruthGap, limit, measurement_scale
 from comparisons.config import RunConfig
 from comparisons.extensions.interface import Extension
 from comparisons.logs.transforms.known_landmarks import indices_by_label
@@ -122,7 +122,7 @@ def labels_gap(compared: Compared, association: AssociationScore | None) -> Trut
         return None
     sigma, metres = poses_apart(gaps.smoothed.pose, labelled.poses, labelled.pose_covariances())
     return TruthGap(
-        distances=(Distance("poses", 3, sigma, metres),),
+        distances=(Distance("poses", sigma, limit(3), metres),),
         measurement_m=measurement_scale(compared.prepared.log.measurements, np.zeros((0, 2, 2))),
         association=association,
         reference="the smoother with the log's labels",

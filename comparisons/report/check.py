@@ -11,7 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from comparisons.arrays import Index
-from comparisons.checks.accuracy import landmark_errors
+from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, landmark_errors
+from comparisons.checks.causes import Cause
 from comparisons.checks.external_agreement import Block, ExternalAgreement
 from comparisons.checks.grade import Likeness, match_map
 from comparisons.pipeline.check import ExternalCheck
@@ -40,17 +41,13 @@ from comparisons.report.ladder import check_ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.model import InnovationResult, Model, finite, package_versions
 from comparisons.report.models import (
-    AccuracyResult,
     BlockResult,
-    CauseResult,
     ExternalConsistencyResult,
     LogResult,
     SmootherResult,
 )
 from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import (
-    accuracy_line,
-    accuracy_rows,
     agreeing,
     band,
     block_rows,
@@ -62,7 +59,7 @@ from comparisons.report.rows import (
     shown,
     smoother_rows,
 )
-from comparisons.report.sections import accuracy_result, cause_result, log_result, smoother_result
+from comparisons.report.sections import log_result, smoother_result
 from comparisons.report.settings import (
     SettingsResult,
     setting_lines,
@@ -104,14 +101,14 @@ def build_check_result(check: ExternalCheck, read: Clock | None = None) -> Check
         ],
         estimate_sha256=dict(check.given.sha256),
         consistency=external_consistency_result(check.consistency),
-        accuracy=accuracy_result(check.accuracy),
-        smoother_accuracy=accuracy_result(solution.accuracy),
+        accuracy=check.accuracy,
+        smoother_accuracy=solution.accuracy,
         trace=_trace(check.trace),
         grade=check.grade.value,
         required=check.grade.required,
         nearest=_nearest(check.grade.by),
         verdict=check.outcome,
-        causes=[cause_result(cause) for cause in check.causes],
+        causes=check.causes,
         remarks=list(check.remarks),
         **solution.prepared.clock.after(read),
         versions=package_versions(),
@@ -564,14 +561,14 @@ class CheckResult(Model):
     landmarks: list[ExternalLandmarkResult]
     estimate_sha256: dict[str, str]
     consistency: ExternalConsistencyResult
-    accuracy: AccuracyResult | None
-    smoother_accuracy: AccuracyResult | None
+    accuracy: Accuracy | None
+    smoother_accuracy: Accuracy | None
     trace: TraceResult | None
     grade: Literal["equal", "like", "plausible", "wrong"] | None
     required: Literal["equal", "like", "plausible"]
     nearest: NearestResult | None
     verdict: Literal["agree", "disagree", "unverified"]
-    causes: list[CauseResult]
+    causes: list[Cause]
     remarks: list[str]
     seconds: dict[str, float]
     cpu_s: dict[str, float] | None = None

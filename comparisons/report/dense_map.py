@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.checks.accuracy import assess
+from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, assess
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.result import (
     FirstConditionResult,
@@ -25,15 +25,9 @@ from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figur
 from comparisons.report.folder import JobFolder
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
 from comparisons.report.model import Model, package_versions
-from comparisons.report.models import AccuracyResult, EkfResult, LogResult
-from comparisons.report.rows import (
-    accuracy_line,
-    accuracy_rows,
-    ekf_rows,
-    log_rows,
-    seconds_rows,
-)
-from comparisons.report.sections import accuracy_result, ekf_result, log_result
+from comparisons.report.models import EkfResult, LogResult
+from comparisons.report.rows import ekf_rows, log_rows, seconds_rows
+from comparisons.report.sections import ekf_result, log_result
 from comparisons.report.settings import SettingsResult, settings_result, settings_rows
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
@@ -144,7 +138,7 @@ class MapResult(Model):
     settings: SettingsResult
     log: LogResult
     ekf: EkfResult
-    accuracy: AccuracyResult | None
+    accuracy: Accuracy | None
     scan_landmarks: int
     regions: int
     first_condition: FirstConditionResult
@@ -170,7 +164,7 @@ def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapRes
         settings=settings_result(m.prepared.config, m.log.format, m.prepared.ekf),
         log=log_result(m.log),
         ekf=ekf_result(m.ekf, m.prepared.ekf),
-        accuracy=accuracy_result(assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled)),
+        accuracy=assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled),
         scan_landmarks=len(m.ekf.estimate.pose_landmarks),
         regions=len(m.placed.triangle),
         first_condition=first_condition_result(m.dense),

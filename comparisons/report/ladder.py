@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from comparisons.checks.agreement import LARGEST_DISTANCE
-from comparisons.report.models import AgreementResult, Result, TruthGapResult
+from comparisons.checks.qualifiers import TruthGap
+from comparisons.report.models import AgreementResult, Result
 
 if TYPE_CHECKING:
     from comparisons.report.check import CheckResult, TraceResult
@@ -156,7 +157,7 @@ def gap_steps(
     ]
 
 
-def truth_steps(truth: TruthGapResult | None, failed: Collection[str]) -> list[Step]:
+def truth_steps(truth: TruthGap | None, failed: Collection[str]) -> list[Step]:
     """Return the gap between the smoother and the truth, by what is farthest off; none without."""
     if truth is None or not truth.distances:
         return []

@@ -6,6 +6,11 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
+from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.association import AssociationScore
+from comparisons.checks.association_variants import AssociationCheck
+from comparisons.checks.causes import Cause
+from comparisons.checks.qualifiers import TruthGap
 from comparisons.report.model import InnovationResult, Model
 from comparisons.report.settings import SettingsResult
 from comparisons.statistics import ROUNDING
@@ -245,40 +250,6 @@ class AgreementResult(Model):
     landmarks: list[LandmarkResult]
 
 
-class AccuracyResult(Model):
-    """Errors of one estimate against truth or GPS; None where the log has no such reference.
-
-    See checks.accuracy.
-
-    Attributes:
-        ate_m: root mean square error of the positions, in the log's frame.
-        ate_aligned_m: the same after the best rigid alignment.
-        rpe_10m_m: root mean square error of the relative position over 10 m of path.
-        rpe_10m_rad: root mean square error of the relative heading over 10 m of path.
-        landmark_rmse_m: root mean square error of the landmarks.
-        landmark_rmse_aligned_m: the same after the trajectory's alignment.
-        landmarks_found: true landmarks that the map has.
-        landmarks_true: true landmarks that could be found.
-        gps_median_m: median distance from GPS.
-        gps_median_aligned_m: the same after the best rigid alignment.
-        gps_rms_aligned_m: root mean square distance from GPS after that alignment.
-        coverage: share of the reference's instants within the estimate's time.
-    """
-
-    ate_m: float | None
-    ate_aligned_m: float | None
-    rpe_10m_m: float | None = None
-    rpe_10m_rad: float | None = None
-    landmark_rmse_m: float | None
-    landmark_rmse_aligned_m: float | None
-    landmarks_found: int | None
-    landmarks_true: int | None
-    gps_median_m: float | None
-    gps_median_aligned_m: float | None
-    gps_rms_aligned_m: float | None
-    coverage: float | None
-
-
 class Accuracies(Model):
     """Accuracy of each estimate.
 
@@ -288,166 +259,9 @@ class Accuracies(Model):
         dead_reckoning: the odometry alone.
     """
 
-    ekf: AccuracyResult
-    smoother: AccuracyResult
-    dead_reckoning: AccuracyResult | None
-
-
-class PartitionResult(Model):
-    """Pairs of measurements put together, compared with the pairs that belong together.
-
-    Attributes:
-        precision: share of its pairs that belong together.
-        recall: share of the pairs that belong together that it has.
-    """
-
-    precision: float
-    recall: float
-
-
-class AssociationResult(Model):
-    """An association made without labels, compared with the labels.
-
-    See comparisons.checks.association.
-
-    Attributes:
-        landmarks: over all measurements with a label.
-        clusters: the same with near landmarks taken as one; None where the true places are unknown.
-        used: landmarks that have measurements.
-        labelled: landmarks that have labelled measurements.
-    """
-
-    landmarks: PartitionResult
-    clusters: PartitionResult | None
-    used: int | None = None
-    labelled: int | None = None
-
-
-class TruthDistanceResult(Model):
-    """The smoother's poses or landmarks compared with truth.
-
-    See comparisons.checks.qualifiers.Distance.
-
-    Attributes:
-        what: poses or landmarks.
-        sigma: root of the mean NEES over its degrees of freedom.
-        limit: the largest value that a sound run reaches.
-        error_m: root mean square error.
-        labels_m: the same with the log's labels, where the run has not used them.
-    """
-
-    what: str
-    sigma: float | None
-    limit: float
-    error_m: float
-    labels_m: float | None
-
-
-class TruthGapResult(Model):
-    """The smoother compared with truth, or with labels.
-
-    See comparisons.checks.qualifiers.TruthGap.
-
-    Attributes:
-        stands: the smoother is far from truth, by its covariance or by what labels reach, and by
-            more than `measurement_m`; or it is lost.
-        distances: distances of poses and landmarks.
-        measurement_m: the error of a single measurement.
-        lost: no landmark is near a true one.
-        reference: what it is compared with, in words.
-    """
-
-    stands: bool
-    distances: list[TruthDistanceResult]
-    measurement_m: float
-    lost: bool
-    reference: str
-
-
-class AssociationVariantResult(Model):
-    """An association made in another way.
-
-    See comparisons.checks.association_variants.
-
-    Attributes:
-        name: what was done differently.
-        agreement: share of the pairs of measurements of either that both put together.
-        pairs_both: pairs that both put together.
-        pairs_association: pairs that the association puts together.
-        pairs_variant: pairs that the variant puts together.
-        apart_sigma: root mean square distance of the poses at the two optima, in sigma.
-        apart_m: the same in metres.
-        excess: by how much the variant explains the measurements worse, as squared misfit.
-        disputed: measurements that the two give to different landmarks.
-        elsewhere: the variant's optimum is at another place.
-        against: the variant is evidence against the association.
-    """
-
-    name: str
-    agreement: float
-    pairs_both: int
-    pairs_association: int
-    pairs_variant: int
-    apart_sigma: float | None
-    apart_m: float
-    excess: float | None
-    disputed: int
-    elsewhere: bool
-    against: bool
-
-
-class DisputeResult(Model):
-    """Measurements of one landmark that a variant gives to others.
-
-    Attributes:
-        variant: the variant's name.
-        landmark: id of the landmark; -1 for none.
-        measurements: number of measurements.
-        begin_s: time of the first one.
-        end_s: time of the last one.
-    """
-
-    variant: str
-    landmark: int
-    measurements: int
-    begin_s: float
-    end_s: float
-
-
-class AssociationCheckResult(Model):
-    """Whether an association depends on how it was made.
-
-    Attributes:
-        verified: no variant is evidence against it.
-        variants: all variants.
-        disputes: measurements in dispute, the largest group first.
-    """
-
-    verified: bool
-    variants: list[AssociationVariantResult]
-    disputes: list[DisputeResult]
-
-
-class MapPairResult(Model):
-    """Two maps of the same landmarks.
-
-    See comparisons.extensions.scan_motion.three_way.Pair.
-
-    Attributes:
-        rms_m: root mean square distance of the landmarks.
-        rms_aligned_m: the same after the best rigid alignment.
-        distance_sigma_median: median distance of a landmark, in sigma of the difference.
-        outside: landmarks beyond their 99 % region.
-        landmarks: landmarks that both have.
-        agrees: whether the maps agree.
-    """
-
-    rms_m: float
-    rms_aligned_m: float
-    distance_sigma_median: float | None
-    outside: int
-    landmarks: int
-    agrees: bool
+    ekf: Accuracy
+    smoother: Accuracy
+    dead_reckoning: Accuracy | None
 
 
 class NeesResult(Model):
@@ -603,20 +417,6 @@ class SpuriousHeadingResult(Model):
     growth: list[float]
 
 
-class CauseResult(Model):
-    """One reason for the verdict.
-
-    Attributes:
-        gap: gap or check that found it.
-        evidence: what was found, with figures.
-        hint: where to look, or what to do.
-    """
-
-    gap: str
-    evidence: str
-    hint: str
-
-
 SCHEMA = 4
 """Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
 
@@ -666,14 +466,14 @@ class Result(Model):
     consistency: ConsistencyResult
     spurious_heading: SpuriousHeadingResult | None = None
     accuracy: Accuracies | None
-    association: AssociationResult | None
-    truth_gap: TruthGapResult | None = None
+    association: AssociationScore | None
+    truth_gap: TruthGap | None = None
     verdict: Literal["agree", "disagree", "unverified"]
     summary: str = ""
     qualifiers: list[str] = Field(default_factory=list)
     inconsistent: list[str] | None = None
     failed_on: list[str] = Field(default_factory=list)
-    causes: list[CauseResult]
+    causes: list[Cause]
     remarks: list[str]
     seconds: dict[str, float]
     cpu_s: dict[str, float] | None = None
@@ -735,10 +535,10 @@ class SolutionResult(Model):
     measurements_used: int
     gps: str
     smoother: SmootherResult
-    accuracy: AccuracyResult | None
-    dead_reckoning: AccuracyResult | None
-    association: AssociationResult | None
-    association_check: AssociationCheckResult | None = None
+    accuracy: Accuracy | None
+    dead_reckoning: Accuracy | None
+    association: AssociationScore | None
+    association_check: AssociationCheck | None = None
     pose_graph: PoseGraphResult | None = None
     verdict: Literal["verified", "unverified"]
     reasons: list[str]

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows
 from comparisons.estimates.folder import tum_text
 from comparisons.extensions.scan_motion.result import (
     IncrementResult,
@@ -24,15 +25,9 @@ from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.odometry import front_end_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.model import Model, package_versions
-from comparisons.report.models import AccuracyResult, LogResult, SmootherResult
-from comparisons.report.rows import (
-    accuracy_line,
-    accuracy_rows,
-    log_rows,
-    seconds_rows,
-    smoother_rows,
-)
-from comparisons.report.sections import accuracy_result, log_result, smoother_result
+from comparisons.report.models import LogResult, SmootherResult
+from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
+from comparisons.report.sections import log_result, smoother_result
 from comparisons.report.settings import SettingsResult, settings_result, settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -87,9 +82,9 @@ class FrontEndResult(Model):
     landmarks: int
     gps: str
     increments: IncrementResult | None
-    wheels: AccuracyResult | None
-    scan_odometry: AccuracyResult | None
-    scan_graph: AccuracyResult | None
+    wheels: Accuracy | None
+    scan_odometry: Accuracy | None
+    scan_graph: Accuracy | None
     verdict: Literal["verified", "unverified"]
     remarks: list[str]
     seconds: dict[str, float]
@@ -117,9 +112,9 @@ def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> Fr
         landmarks=len(f.estimate.landmark),
         gps=how.gps,
         increments=increment_result(f.increments),
-        wheels=accuracy_result(f.accuracy_wheels),
-        scan_odometry=accuracy_result(f.accuracy_odometry),
-        scan_graph=accuracy_result(f.accuracy_graph),
+        wheels=f.accuracy_wheels,
+        scan_odometry=f.accuracy_odometry,
+        scan_graph=f.accuracy_graph,
         verdict="verified" if f.graph.optimality.verified else "unverified",
         remarks=_remarks(f),
         **f.prepared.clock.after(read),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows
 from comparisons.checks.agreement import block_agrees
+from comparisons.checks.association import association_rows
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.consistency_result import (
@@ -15,7 +17,6 @@ from comparisons.report.model import finite, package_versions
 from comparisons.report.models import (
     SCHEMA,
     Accuracies,
-    AccuracyResult,
     AgreementResult,
     BlockResult,
     LandmarkResult,
@@ -23,10 +24,7 @@ from comparisons.report.models import (
 )
 from comparisons.report.rows import (
     AGREEING_RATIOS,
-    accuracy_line,
-    accuracy_rows,
     agreeing,
-    association_rows,
     block_rows,
     ekf_rows,
     gap_rows,
@@ -37,15 +35,11 @@ from comparisons.report.rows import (
     spurious_rows,
 )
 from comparisons.report.sections import (
-    accuracy_result,
-    association_result,
     block_fields,
-    cause_result,
     ekf_result,
     log_result,
     smoother_result,
     spurious_heading_result,
-    truth_gap_result,
 )
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.report.terminal import STYLES, Summary
@@ -67,14 +61,14 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
         consistency=consistency_result(c.consistency),
         spurious_heading=spurious_heading_result(c.spurious),
         accuracy=_accuracies(c),
-        association=association_result(c.assessment.association),
-        truth_gap=truth_gap_result(c.assessment.truth_gap),
+        association=c.assessment.association,
+        truth_gap=c.assessment.truth_gap,
         verdict=c.verdict.outcome,
         summary=c.verdict.summary,
         qualifiers=list(c.verdict.qualifiers),
         inconsistent=None if c.verdict.inconsistent is None else list(c.verdict.inconsistent),
         failed_on=list(c.verdict.failed_on),
-        causes=[cause_result(cause) for cause in c.verdict.causes],
+        causes=c.verdict.causes,
         remarks=list(c.verdict.remarks),
         **c.prepared.clock.after(read),
         versions=package_versions(),
@@ -119,7 +113,7 @@ def run_summary(comparison: Comparison, result: Result) -> Summary:
     pose_landmarks = [block_agrees(block) for block in comparison.agreement.pose_landmarks]
     agree = sum(row.agrees for row in gaps.landmarks) + sum(pose_landmarks)
     landmarks = len(gaps.landmarks) + len(pose_landmarks)
-    accuracy: dict[str, AccuracyResult | None] = {}
+    accuracy: dict[str, Accuracy | None] = {}
     if (a := result.accuracy) is not None:
         accuracy = {"EKF": a.ekf, "smoother": a.smoother, "odometry": a.dead_reckoning}
     failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
@@ -182,9 +176,9 @@ def _accuracies(c: Comparison) -> Accuracies | None:
     if a.ekf is None or a.smoother is None:
         return None
     return Accuracies(
-        ekf=AccuracyResult(**vars(a.ekf)),
-        smoother=AccuracyResult(**vars(a.smoother)),
-        dead_reckoning=accuracy_result(a.dead_reckoned),
+        ekf=a.ekf,
+        smoother=a.smoother,
+        dead_reckoning=a.dead_reckoned,
     )
 
 
@@ -206,5 +200,5 @@ def metrics(result: Result) -> dict[str, float | None]:
             ("ekf", result.accuracy.ekf),
             ("smoother", result.accuracy.smoother),
         ):
-            found |= {f"accuracy.{name}.{key}": v for key, v in figures.model_dump().items()}
+            found |= {f"accuracy.{name}.{key}": v for key, v in vars(figures).items()}
     return found

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
 from comparisons.checks.verdict import rounded
 from comparisons.report.ladder import Step
 from comparisons.report.models import (
-    AccuracyResult,
-    AssociationCheckResult,
-    AssociationResult,
     BlockResult,
     EkfResult,
     LogResult,
@@ -156,81 +152,6 @@ def _second_minimum(smoother: SmootherResult) -> list[Row]:
         Row("Smoother", "error at the second lowest minimum", f"{second.error:.2f}"),
         Row("Smoother", f"shift of {place} to the second lowest minimum", f"{far:.3g} m"),
     ]
-
-
-def association_rows(association: AssociationResult | None, whose: str) -> list[Row]:
-    """Return how an association made without labels scores. whose: as `the filter's`."""
-    if association is None:
-        return []
-    group = f"Association by {whose} against the log's labels"
-    found = []
-    if association.used is not None:
-        found += [
-            Row(group, "landmarks used", f"{association.used:,}"),
-            Row(group, "landmarks labelled", f"{association.labelled:,}"),
-        ]
-    kinds = [("same landmark", association.landmarks)]
-    if association.clusters is not None:
-        kinds.append(("same cluster of landmarks", association.clusters))
-    for name, pairs in kinds:
-        found += [
-            Row(group, f"pairs of measurements, {name}: precision", f"{pairs.precision:.3f}"),
-            Row(group, f"pairs of measurements, {name}: recall", f"{pairs.recall:.3f}"),
-        ]
-    return found
-
-
-def association_check_rows(check: AssociationCheckResult | None) -> list[Row]:
-    """Return how an association compares with others of the same measurements."""
-    group = "Association compared with other ways to associate"
-    found = []
-    for one in () if check is None else check.variants:
-        alike, far = f"{100.0 * one.agreement:.1f} %", in_sigma(one.apart_sigma)
-        against = "yes" if one.against else "no"
-        found += [
-            Row(group, f"{one.name}: pairs of measurements alike", alike),
-            Row(group, f"{one.name}: difference of the poses (rms)", far),
-            Row(group, f"{one.name}: contradicts the association", against, "no", not one.against),
-        ]
-    return found
-
-
-def accuracy_rows(of: str, a: AccuracyResult | None) -> list[Row]:
-    """Return errors against truth or GPS. of: whose, as `the EKF`."""
-    if a is None:
-        return []
-    metres = {
-        "path (ATE)": a.ate_m,
-        "path, aligned (ATE)": a.ate_aligned_m,
-        "motion over 10 m (RPE)": a.rpe_10m_m,
-        "landmarks (rms)": a.landmark_rmse_m,
-        "landmarks, aligned (rms)": a.landmark_rmse_aligned_m,
-        "distance to GPS (median)": a.gps_median_m,
-        "distance to GPS, aligned (median)": a.gps_median_aligned_m,
-        "distance to GPS, aligned (rms)": a.gps_rms_aligned_m,
-    }
-    found = [(name, f"{value:.3f} m") for name, value in metres.items() if value is not None]
-    if a.rpe_10m_rad is not None:
-        found.append(("turn over 10 m (RPE)", f"{math.degrees(a.rpe_10m_rad):.2f} deg"))
-    if a.landmarks_true is not None:
-        found.append(("true landmarks found", f"{a.landmarks_found} of {a.landmarks_true}"))
-    if a.coverage is not None:
-        found.append(("coverage of the log's time", f"{100 * a.coverage:.1f} %"))
-    return [Row(f"Accuracy of {of}", *one) for one in found]
-
-
-def accuracy_line(each: Mapping[str, AccuracyResult | None]) -> list[tuple[str, str]]:
-    """Return one line with an error of each estimate, by the best reference that all have."""
-    for name, field in (
-        ("ATE", "ate_m"),
-        ("to GPS (median)", "gps_median_m"),
-        ("landmarks (rms)", "landmark_rmse_m"),
-    ):
-        found = {whose: getattr(a, field) for whose, a in each.items() if a is not None}
-        known = [f"{whose} {value:.3g} m" for whose, value in found.items() if value is not None]
-        if known:
-            return [("accuracy", f"{name}: {', '.join(known)}")]
-    return []
 
 
 def seconds_rows(seconds: Mapping[str, float], cpu_s: Mapping[str, float] | None) -> list[Row]:

@@ -4,46 +4,27 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.arrays import Array
 from comparisons.audit.spurious import HEADING, Learnt
-from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, block_agrees
-from comparisons.checks.association import AssociationScore
-from comparisons.checks.causes import Cause
 from comparisons.config import EkfConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
 from comparisons.report.model import finite
 from comparisons.report.models import (
-    AccuracyResult,
-    AssociationCheckResult,
-    AssociationResult,
-    AssociationVariantResult,
-    CauseResult,
-    DisputeResult,
     EkfResult,
     LogResult,
-    MapPairResult,
     MinimumResult,
-    PartitionResult,
     SmootherResult,
     SpuriousHeadingResult,
     SpuriousShareResult,
     StartResult,
-    TruthDistanceResult,
-    TruthGapResult,
 )
 from graphslam import smoother
 
 if TYPE_CHECKING:
-    from comparisons.checks.association_variants import AssociationCheck
-    from comparisons.checks.map_agreement import Pair
     from comparisons.checks.position_gate import RejectedFixes
-    from comparisons.checks.qualifiers import TruthGap
 
 
 def log_result(log: Log) -> LogResult:
@@ -133,11 +114,6 @@ def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> Smoo
     )
 
 
-def cause_result(cause: Cause) -> CauseResult:
-    """What a report says of a cause."""
-    return CauseResult(gap=cause.gap, evidence=cause.evidence, hint=cause.hint)
-
-
 def spurious_heading_result(found: Learnt | None) -> SpuriousHeadingResult | None:
     """Return what the filter learnt of its heading from what cannot tell it, if it was asked."""
     if found is None:
@@ -160,82 +136,6 @@ def spurious_heading_result(found: Learnt | None) -> SpuriousHeadingResult | Non
     )
 
 
-def accuracy_result(accuracy: Accuracy | None) -> AccuracyResult | None:
-    """The figures, where there are any."""
-    return None if accuracy is None else AccuracyResult(**vars(accuracy))
-
-
-def association_result(score: AssociationScore | None) -> AssociationResult | None:
-    """Precision and recall, of landmarks and of clusters."""
-    if score is None:
-        return None
-    clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
-    return AssociationResult(
-        landmarks=PartitionResult(**vars(score.landmarks)),
-        clusters=clusters,
-        used=score.used,
-        labelled=score.labelled,
-    )
-
-
-def truth_gap_result(gap: TruthGap | None) -> TruthGapResult | None:
-    """S against truth."""
-    if gap is None:
-        return None
-    return TruthGapResult(
-        stands=gap.stands,
-        distances=[
-            TruthDistanceResult(
-                what=d.what,
-                sigma=finite(d.sigma),
-                limit=d.limit,
-                error_m=d.error_m,
-                labels_m=d.labels_m,
-            )
-            for d in gap.distances
-        ],
-        measurement_m=gap.measurement_m,
-        lost=gap.lost,
-        reference=gap.reference,
-    )
-
-
-def association_check_result(check: AssociationCheck | None) -> AssociationCheckResult | None:
-    """An association and the others it is compared with."""
-    if check is None:
-        return None
-    against = check.against
-    return AssociationCheckResult(
-        verified=check.verified,
-        variants=[
-            AssociationVariantResult(
-                name=one.name,
-                agreement=one.partition.agreement,
-                pairs_both=one.partition.pairs_both,
-                pairs_association=one.partition.pairs_first,
-                pairs_variant=one.partition.pairs_second,
-                apart_sigma=finite(one.apart_sigma),
-                apart_m=one.apart_m,
-                excess=finite(one.excess),
-                disputed=len(one.disputed),
-                elsewhere=one.elsewhere,
-                against=one in against,
-            )
-            for one in check.variants
-        ],
-        disputes=[
-            DisputeResult(
-                variant=d.variant,
-                landmark=d.landmark,
-                measurements=d.count,
-                begin_s=d.begin_s,
-                end_s=d.end_s,
-            )
-            for d in check.disputes
-        ],
-    )
-
-
 def block_fields(b: BlockAgreement) -> dict[str, float | bool | None]:
     """How a block of two estimates agrees, by the names of BlockResult."""
     return {
@@ -245,19 +145,3 @@ def block_fields(b: BlockAgreement) -> dict[str, float | bool | None]:
         "variance_ratio_largest": finite(b.largest),
         "agrees": block_agrees(b),
     }
-
-
-def map_pair_result(p: Pair) -> MapPairResult:
-    """Two maps of the same landmarks."""
-    return MapPairResult(
-        rms_m=p.rms_m,
-        rms_aligned_m=p.rms_aligned_m,
-        distance_sigma_median=_median(p.distance_sigma),
-        outside=p.outside,
-        landmarks=len(p.distance_sigma),
-        agrees=p.agrees,
-    )
-
-
-def _median(values: Array) -> float | None:
-    return finite(float(np.median(values))) if len(values) else None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from comparisons.checks.accuracy import accuracy_line, accuracy_rows
+from comparisons.checks.association import association_rows
 from comparisons.checks.verdict import misfit_remarks, rounded
 from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
@@ -11,22 +13,8 @@ from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.model import package_versions
 from comparisons.report.models import PoseGraphResult, SolutionResult
-from comparisons.report.rows import (
-    accuracy_line,
-    accuracy_rows,
-    association_check_rows,
-    association_rows,
-    log_rows,
-    seconds_rows,
-    smoother_rows,
-)
-from comparisons.report.sections import (
-    accuracy_result,
-    association_check_result,
-    association_result,
-    log_result,
-    smoother_result,
-)
+from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
+from comparisons.report.sections import log_result, smoother_result
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -49,10 +37,10 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
         measurements_used=int(np.count_nonzero(s.landmark_index >= 0)),
         gps=s.prepared.ekf.gps,
         smoother=smoother_result(s.result, s.estimate),
-        accuracy=accuracy_result(s.accuracy),
-        dead_reckoning=accuracy_result(s.accuracy_dead_reckoned),
-        association=association_result(s.association),
-        association_check=association_check_result(s.association_check),
+        accuracy=s.accuracy,
+        dead_reckoning=s.accuracy_dead_reckoned,
+        association=s.association,
+        association_check=s.association_check,
         pose_graph=_pose_graph(s),
         verdict="verified" if s.verified else "unverified",
         reasons=lacks,
@@ -110,7 +98,7 @@ def solution_summary(result: SolutionResult) -> Summary:
             *accuracy_rows("the smoother", result.accuracy),
             *accuracy_rows("dead reckoning", result.dead_reckoning),
             *association_rows(result.association, "the smoother"),
-            *association_check_rows(result.association_check),
+            *(result.association_check.rows() if result.association_check else ()),
             *seconds_rows(result.seconds, result.cpu_s),
         ],
     )

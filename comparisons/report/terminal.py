@@ -15,8 +15,8 @@ from comparisons.errors import printable
 from comparisons.words import Row, cause_name
 
 if TYPE_CHECKING:
+    from comparisons.checks.causes import Cause
     from comparisons.report.ladder import Step
-    from comparisons.report.models import CauseResult
 
 WIDTH, MOST = 80, 5
 """Columns of what is printed, and how many causes, reasons and notes; the report has all."""
@@ -43,7 +43,7 @@ class Summary:
 
     headline: str
     style: str = ""
-    causes: Sequence[CauseResult] = ()
+    causes: Sequence[Cause] = ()
     reasons: Sequence[str] = ()
     remarks: Sequence[str] = ()
     steps: Sequence[Step] = ()

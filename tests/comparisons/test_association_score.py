@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from comparisons.checks.association import (
+    association_rows,
     compare_partitions,
     counterparts,
     score_association,
@@ -15,8 +16,6 @@ from comparisons.checks.association import (
 from comparisons.logs.log import Landmarks, Log, Truth
 from comparisons.pipeline.compare import Modified
 from comparisons.report.result import build_result
-from comparisons.report.rows import association_rows
-from comparisons.report.sections import association_result
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.known import SurveyedLandmarks
 from ekf_reference.core.ekf import Ekf
@@ -72,7 +71,7 @@ def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
     """By clusters it scores in full, so these figures alone would hide it."""
     log = with_a_clump()
     one = np.resize((0, 0, 1), len(log.measurements.time_s))
-    result = present(association_result(score_association(one, PLACES[1:], log)))
+    result = present(score_association(one, PLACES[1:], log))
     assert (present(result.clusters).precision, present(result.clusters).recall) == (1.0, 1.0)
     assert (result.used, result.labelled) == (2, 3)
     assert result.landmarks.precision < 0.8

@@ -25,6 +25,7 @@ from comparisons.baseline import (
     write_baseline,
     write_junit,
 )
+from comparisons.checks.accuracy import Accuracy
 from comparisons.config import CheckConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -35,7 +36,7 @@ from comparisons.pipeline.check import check
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import CheckResult, build_check_result
 from comparisons.report.model import current
-from comparisons.report.models import AccuracyResult, AgreementResult, EkfResult, Result
+from comparisons.report.models import AgreementResult, EkfResult, Result
 from comparisons.report.result import build_result, metrics
 from comparisons.settings import run_config
 from tests.commands import refused, slamcheck, works
@@ -232,7 +233,7 @@ def test_every_figure_has_a_side_and_a_reason(result: Result, checked: CheckResu
     names = {".".join(path) for path in number_paths(CheckResult)}
     for part, model in (("ekf", EkfResult), ("agreement", AgreementResult)):
         names |= {".".join(path) for path in number_paths(model, (part,)) if len(path) == 2}
-    names |= {".".join(path) for path in number_paths(AccuracyResult, ("accuracy", "ekf"))}
+    names |= {".".join(path) for path in number_paths(Accuracy, ("accuracy", "ekf"))}
     names |= figures(result).keys() | figures(checked).keys()
     assert len(names) > 90
     assert [name for name in sorted(names) if judged_by(name) is None] == []
@@ -300,7 +301,7 @@ def test_an_update_keeps_tolerances_made_by_hand(checked: CheckResult) -> None:
     kept = kept.model_copy(
         update={"metrics": {**kept.metrics, "rms_m": Metric(value=checked.rms_m, tolerance=0.5)}}
     )
-    accuracy = present(checked.accuracy).model_copy(update={"ate_m": 10.0})
+    accuracy = replace(present(checked.accuracy), ate_m=10.0)
     worse = checked.model_copy(update={"rms_m": checked.rms_m + 0.4, "accuracy": accuracy})
     assert states(compare_with(kept, worse)) == {"accuracy.ate_m": "broken"}
     new = updated(kept, worse, CheckConfig())

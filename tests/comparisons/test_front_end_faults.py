@@ -158,7 +158,7 @@ def test_scans_too_sure_of_themselves_are_told_of(monkeypatch: pytest.MonkeyPatc
 def test_an_unproven_smoother_on_scans_has_no_say() -> None:
     c = compared(short(), motion="both")
     three, motion = three_of(c), c.find(ScanMotionFinding).motion
-    apart = replace(three, ekf=replace(three.ekf, outside=len(three.ekf.distance_sigma)))
+    apart = replace(three, ekf=replace(three.ekf, outside=three.ekf.landmarks, agrees=False))
     lost = replace(apart, optimality=replace(three.optimality, agreeing=(), stationarity=_SADDLE))
     both = Compared(prepared=c.prepared, setup=FilterSetup(), ekf=c.ekf, gaps=c.gaps)
     found = [ScanMotionFinding(both, motion, third) for third in (apart, lost)]

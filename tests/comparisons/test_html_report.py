@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.checks.causes import EXPLANATIONS
+from comparisons.checks.causes import EXPLANATIONS, Cause
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Finding
 from comparisons.pipeline.compare import Comparison
@@ -24,7 +24,7 @@ from comparisons.report.html.page import page
 from comparisons.report.html.shell import DARK, figures, policy, prose, script, style, themed
 from comparisons.report.html.tables import settings
 from comparisons.report.marks import Panel
-from comparisons.report.models import CauseResult, Result
+from comparisons.report.models import Result
 from comparisons.report.panels import consistency_panels
 from comparisons.report.result import build_result, run_rows
 from comparisons.report.run import run_page
@@ -106,7 +106,7 @@ def test_what_a_log_says_is_text(report: Path) -> None:
 
 def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
     result = build_result(comparison)
-    cause = CauseResult(gap="<b>x</b>", evidence=HOSTILE, hint=HOSTILE)
+    cause = Cause(gap="<b>x</b>", evidence=HOSTILE, hint=HOSTILE)
     reported = result.model_copy(update={"causes": [cause], "remarks": [HOSTILE]})
     text = drawn(comparison, reported)
     order = [text.index(part) for part in ('class="verdict', 'class="cause"', 'id="map"', "<table")]
@@ -117,7 +117,7 @@ def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
 
 @pytest.mark.parametrize("kind", sorted(EXPLANATIONS))
 def test_a_cause_comes_with_what_it_means(comparison: Comparison, kind: str) -> None:
-    cause = CauseResult(gap=kind, evidence="measured", hint="look")
+    cause = Cause(gap=kind, evidence="measured", hint="look")
     text = drawn(comparison, build_result(comparison).model_copy(update={"causes": [cause]}))
     known = EXPLANATIONS[kind]
     card = text[text.index('class="cause"') : text.index('id="gaps"')]

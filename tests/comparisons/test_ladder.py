@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from comparisons.checks.causes import Cause
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.html.ladder import ladder_picture
 from comparisons.report.ladder import (
@@ -22,7 +23,7 @@ from comparisons.report.ladder import (
     gap_steps,
     ladder,
 )
-from comparisons.report.models import CauseResult, Result
+from comparisons.report.models import Result
 from comparisons.report.result import build_result
 from tests.helpers import compared, present, simulated
 
@@ -38,7 +39,7 @@ def result(comparison: Comparison) -> Result:
 
 
 def caused(result: Result, gap: str) -> Result:
-    cause = CauseResult(gap=gap, evidence="x", hint="y")
+    cause = Cause(gap=gap, evidence="x", hint="y")
     return result.model_copy(update={"causes": [cause], "verdict": "disagree"})
 
 
@@ -112,7 +113,7 @@ def test_a_grade_does_not_need_the_linearisation(result: Result) -> None:
     trace = result.agreement.model_copy(update={"linearisation_gap_sigma": 2.2})
 
     class Check:
-        causes: tuple[CauseResult, ...] = ()
+        causes: tuple[Cause, ...] = ()
         smoother = result.smoother
 
     found = Check()
@@ -120,7 +121,7 @@ def test_a_grade_does_not_need_the_linearisation(result: Result) -> None:
     assert [step.state for step in check_ladder(found)] == [  # type: ignore[arg-type]
         "passes", "passes", "not judged",
     ]  # fmt: skip
-    found.causes = (CauseResult(gap="linearisation", evidence="x", hint="y"),)
+    found.causes = (Cause(gap="linearisation", evidence="x", hint="y"),)
     assert check_ladder(found)[-1].state == "fails"  # type: ignore[arg-type]
 
 

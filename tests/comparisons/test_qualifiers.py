@@ -41,7 +41,9 @@ AGREE = Verdict(outcome="agree", causes=(), remarks=())
 
 
 def gap(sigma: float, error_m: float, measurement_m: float = 0.15) -> TruthGap:
-    return TruthGap(distances=(Distance("poses", 3, sigma, error_m),), measurement_m=measurement_m)
+    return TruthGap(
+        distances=(Distance("poses", sigma, limit(3), error_m),), measurement_m=measurement_m
+    )
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +82,11 @@ def test_a_gap_is_far_by_sigma_and_in_metres() -> None:
 def test_twice_the_error_with_labels_is_a_gap_however_sure_the_smoother_is() -> None:
     """An association shared by both makes sigmas that fit it: NEES alone would miss this."""
     assert not gap(1.4, 0.4).stands
-    off = TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.13),), measurement_m=0.15)
+    off = TruthGap(distances=(Distance("poses", 1.4, limit(3), 0.4, 0.13),), measurement_m=0.15)
     assert off.stands
-    assert not TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.3),), measurement_m=0.15).stands
+    assert not TruthGap(
+        distances=(Distance("poses", 1.4, limit(3), 0.4, 0.3),), measurement_m=0.15
+    ).stands
     assert not replace(off, measurement_m=0.5).stands
     assert off.settled
     assert gap(1.4, 0.1).settled

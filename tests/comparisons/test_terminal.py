@@ -11,15 +11,16 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from comparisons.checks.accuracy import accuracy_line
+from comparisons.checks.causes import Cause
 from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import build_check_result, check_summary
 from comparisons.report.ladder import Step
-from comparisons.report.models import CauseResult
 from comparisons.report.result import build_result, run_summary
-from comparisons.report.rows import accuracy_line, gap_rows
+from comparisons.report.rows import gap_rows
 from comparisons.report.solution import build_solution_result, solution_summary
 from comparisons.report.terminal import (
     MOST,
@@ -36,7 +37,7 @@ from tests.commands import Done, slamcheck
 from tests.helpers import compared, first_seconds, simulated
 
 LONG = "a cause with many words " * 40
-CAUSE = CauseResult(gap="linearisation", evidence=LONG, hint="look there")
+CAUSE = Cause(gap="linearisation", evidence=LONG, hint="look there")
 FULL = Summary(
     headline="verdict: disagree, truth gap, association unchecked; filter inconsistent "
     "(fails on disagreement, consistency, truth, association)",
@@ -207,6 +208,6 @@ def test_json_quiet_and_verbose(tmp_path: Path) -> None:
     [("truth", "truth gap"), ("oracle", "optimum not verified"), ("dropout", "dropout")],
 )
 def test_a_cause_has_a_name_that_readers_know(key: str, name: str) -> None:
-    cause = CauseResult(gap=key, evidence="seen", hint="look there")
+    cause = Cause(gap=key, evidence="seen", hint="look there")
     lines = brief(Summary(headline="verdict: unverified", causes=[cause]))
     assert [line.text for line in lines[1:]] == [f"  {name}: seen", "    hint: look there"]

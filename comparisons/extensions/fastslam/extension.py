@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.checks.accuracy import Accuracy, assess
+from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_clouds
@@ -20,7 +20,6 @@ from comparisons.extensions.interface import Extension, Finding
 from comparisons.logs.transforms.known_landmarks import surveyed
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
-from comparisons.report.rows import accuracy_rows
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT

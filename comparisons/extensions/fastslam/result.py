@@ -12,8 +12,6 @@ from comparisons.extensions.fastslam.check import LEVEL, CloudCheck
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import Depletion
 from comparisons.report.model import Model
-from comparisons.report.models import AccuracyResult
-from comparisons.report.sections import accuracy_result
 
 _AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
 
@@ -105,7 +103,7 @@ class FastSlamResult(Model):
     effective: float
     first: int
     middle: int
-    accuracy: AccuracyResult | None
+    accuracy: Accuracy | None
 
 
 def fastslam_result(
@@ -138,5 +136,5 @@ def fastslam_result(
         effective=depletion.effective,
         first=depletion.first,
         middle=depletion.middle,
-        accuracy=accuracy_result(accuracy),
+        accuracy=accuracy,
     )

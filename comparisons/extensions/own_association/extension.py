@@ -12,9 +12,9 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows, smoothed_estimate
 from comparisons.arrays import Index
-from comparisons.checks.accuracy import assess
+from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
 from comparisons.checks.agreement import block_agrees
-from comparisons.checks.association import score_association
+from comparisons.checks.association import AssociationScore, association_rows, score_association
 from comparisons.choices import When
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -30,9 +30,7 @@ from comparisons.pipeline.prepare import Prepared
 from comparisons.pipeline.second_association import own_work, run_work
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.model import Model
-from comparisons.report.models import AccuracyResult, AssociationResult
-from comparisons.report.rows import accuracy_rows, association_rows, in_sigma
-from comparisons.report.sections import accuracy_result, association_result
+from comparisons.report.rows import in_sigma
 from comparisons.words import Row
 from ekf_reference.core.measurements import DYNAMIC
 from graphslam.optimum import Optimality
@@ -190,8 +188,8 @@ def _result(own: OwnAssociationCheck) -> OwnAssociationResult:
         pose_distance_sigma=own.pose.distance,
         landmark_rms_m=own.landmark_rms_m,
         verified=own.optimality.verified,
-        accuracy=accuracy_result(own.accuracy),
-        association=association_result(own.score),
+        accuracy=own.accuracy,
+        association=own.score,
     )
 
 
@@ -227,5 +225,5 @@ class OwnAssociationResult(Model):
     pose_distance_sigma: float
     landmark_rms_m: float | None
     verified: bool
-    accuracy: AccuracyResult | None
-    association: AssociationResult | None
+    accuracy: Accuracy | None
+    association: AssociationScore | None

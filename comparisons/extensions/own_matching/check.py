@@ -201,16 +201,17 @@ def compare_frames(first: Estimate, second: Estimate) -> Pair:
         first.pose_landmark_id, second.pose_landmark_id, assume_unique=True, return_indices=True
     )
     if not len(i):
-        return Pair(0.0, 0.0, np.zeros(0), 0)
+        return Pair.of(0.0, 0.0, np.zeros(0), 3, 0)
     a, b = first.pose_landmarks[i], second.pose_landmarks[j]
     apart = a - b
     apart[:, 2] = wrap_angle(apart[:, 2])
     total = first.pose_landmark_covariances()[i] + second.pose_landmark_covariances()[j]
     squared = np.einsum("ni,ni->n", apart, np.linalg.solve(total, apart[:, :, None])[:, :, 0])
-    return Pair(
+    return Pair.of(
         _rms(apart[:, :2]),
         _rms(aligned(a[:, :2], b[:, :2]) - b[:, :2]),
-        np.sqrt(squared / 3.0),
+        squared,
+        3,
         int(np.count_nonzero(~(squared <= GATE))),  # what is no number lies nowhere
     )
 
@@ -296,7 +297,7 @@ def matching_cause(own: OwnMatchingCheck, run: EkfRun) -> Cause:
         parts.append(
             f"the smoother's own matcher moves its last pose by {own.pose.difference_m:.2f} m "
             f"({own.pose.distance:.1f} sigma) and its path by {own.path_rms_m[1]:.2f} m (RMS), and "
-            f"{pair.outside} of {len(pair.distance_sigma)} scan landmarks lie outside their 99 % "
+            f"{pair.outside} of {pair.landmarks} scan landmarks lie outside their 99 % "
             f"region; the filter has {theirs:,} alignments and the smoother {ours:,}, of which "
             f"{both:,} have the same landmark and scan"
         )

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.checks.accuracy import Accuracy, accuracy_rows
+from comparisons.checks.map_agreement import Pair
 from comparisons.extensions.own_matching.check import LandmarkMatching, OwnMatchingCheck
 from comparisons.report.model import Model, finite
-from comparisons.report.models import AccuracyResult, MapPairResult
-from comparisons.report.rows import accuracy_rows, in_sigma
-from comparisons.report.sections import accuracy_result, map_pair_result
+from comparisons.report.rows import in_sigma
 from comparisons.words import Row
 
 MATCHER = "Open3D, generalised ICP"
@@ -28,8 +28,8 @@ def own_matching_result(own: OwnMatchingCheck, time_s: Array) -> OwnMatchingResu
         shift_rad=float(own.shift[2]),
         shift_sigma=_sigma(own.shift_squared) if several else None,
         landmarks=[_landmark(one, time_s) for one in own.landmarks],
-        ekf=map_pair_result(own.ekf),
-        smoother=map_pair_result(own.smoother),
+        ekf=own.ekf,
+        smoother=own.smoother,
         pose_difference_m=own.pose.difference_m,
         pose_distance_sigma=finite(own.pose.distance),
         path_ekf_m=own.path_rms_m[0],
@@ -39,7 +39,7 @@ def own_matching_result(own: OwnMatchingCheck, time_s: Array) -> OwnMatchingResu
         chi2=test.chi2,
         dof=test.dof,
         reasons=dict(own.reasons),
-        accuracy=accuracy_result(own.accuracy),
+        accuracy=own.accuracy,
     )
 
 
@@ -168,8 +168,8 @@ class OwnMatchingResult(Model):
     shift_rad: float
     shift_sigma: float | None
     landmarks: list[LandmarkMatchingResult]
-    ekf: MapPairResult
-    smoother: MapPairResult
+    ekf: Pair
+    smoother: Pair
     pose_difference_m: float
     pose_distance_sigma: float | None
     path_ekf_m: float
@@ -179,4 +179,4 @@ class OwnMatchingResult(Model):
     chi2: float
     dof: int
     reasons: dict[str, int]
-    accuracy: AccuracyResult | None
+    accuracy: Accuracy | None

@@ -9,12 +9,12 @@ from collections.abc import Iterable
 import numpy as np
 
 from comparisons.adapters.scan_odometry import ScanMotion
+from comparisons.checks.accuracy import Accuracy, accuracy_rows
+from comparisons.checks.map_agreement import Pair
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.report.model import Model
-from comparisons.report.models import AccuracyResult, MapPairResult
-from comparisons.report.rows import accuracy_rows, band
-from comparisons.report.sections import accuracy_result, map_pair_result
+from comparisons.report.rows import band
 from comparisons.words import Row
 
 _SURE = 2.0
@@ -74,13 +74,13 @@ def scan_odometry_rows(o: ScanOdometryResult, increments: IncrementResult | None
 def three_way_result(three: ThreeWay) -> ThreeWayResult:
     """Return how EKF and smoother on wheels compare with the smoother on scans."""
     return ThreeWayResult(
-        ekf=map_pair_result(three.ekf),
-        smoother=map_pair_result(three.smoother),
+        ekf=three.ekf,
+        smoother=three.smoother,
         loops=three.loops,
         verified=three.optimality.verified,
         chi2=three.chi_square.chi2,
         dof=three.chi_square.dof,
-        accuracy=accuracy_result(three.accuracy),
+        accuracy=three.accuracy,
         inconsistent_source=three.inconsistent_source,
         evidence=three.evidence,
     )
@@ -143,13 +143,13 @@ class ThreeWayResult(Model):
         evidence: what shows it.
     """
 
-    ekf: MapPairResult
-    smoother: MapPairResult
+    ekf: Pair
+    smoother: Pair
     loops: int
     verified: bool
     chi2: float
     dof: int
-    accuracy: AccuracyResult | None
+    accuracy: Accuracy | None
     inconsistent_source: str
     evidence: str
 

@@ -112,7 +112,7 @@ def motion_cause(three_way: ThreeWay) -> Cause:
     return Cause(
         "motion",
         f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "
-        f"{len(pair.distance_sigma)} landmarks lie outside their 99 % region; {three_way.evidence}",
+        f"{pair.landmarks} landmarks lie outside their 99 % region; {three_way.evidence}",
         hint,
         alone=True,
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from comparisons.checks.causes import EXPLANATIONS
+from comparisons.checks.causes import EXPLANATIONS, Cause
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.ladder import ladder_picture
 from comparisons.report.html.map import RATIO_LAYER, MapContent, draw_map, ratio_legend
@@ -15,7 +15,6 @@ from comparisons.report.html.shell import again, document, figures, picture, pro
 from comparisons.report.html.tables import LandmarkRow, landmarks, settings, timing
 from comparisons.report.ladder import Step
 from comparisons.report.marks import Panel
-from comparisons.report.models import CauseResult
 from comparisons.report.settings import SETTINGS, SettingLine
 from comparisons.words import Row, cause_name
 
@@ -45,7 +44,7 @@ class PageContent:
     facts: Sequence[tuple[str, str]]
     about: str
     notes: Sequence[str]
-    causes: Sequence[CauseResult]
+    causes: Sequence[Cause]
     remarks: Sequence[str]
     steps: Sequence[Step]
     map: MapContent
@@ -108,7 +107,7 @@ def page(content: PageContent) -> str:
     return document(f"{c.name}: {c.headline}", parts, script())
 
 
-def _cause(cause: CauseResult) -> str:
+def _cause(cause: Cause) -> str:
     """What was found, what to look at, and what such a cause means."""
     kind = cause_name(cause.gap)
     title, more = f"<b>{escape(kind)}</b>", ""
