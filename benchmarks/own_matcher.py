@@ -67,7 +67,7 @@ def measured(c: Comparison) -> Row:
     truth = poses.at(c.ekf.estimate.time_s)
     ekf, shared, alone = (
         float(a.ate_m or 0.0) if a else 0.0
-        for a in (c.assessment.ekf, c.assessment.smoother, own.accuracy)
+        for a in (c.accuracy.ekf, c.accuracy.smoother, own.accuracy)
     )
     return Row(
         ekf,

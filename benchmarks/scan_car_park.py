@@ -98,7 +98,7 @@ def one(path: str, number: int, end_s: float) -> Run:
     c = compare(log, run_config(landmarks="scans"))
     spent = time.process_time() - start
     found = c.find(ScanLandmarksFinding).source.found
-    reckoned = c.assessment.dead_reckoned
+    reckoned = c.accuracy.dead_reckoning
     if reckoned is None or reckoned.gps_rms_aligned_m is None:
         raise ValueError("the log has no GPS")
     return Run(

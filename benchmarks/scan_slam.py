@@ -146,8 +146,8 @@ def measured(seed: int, laser: str, seconds: float, options: Mapping[str, str]) 
     c = compare(log, run_config(**{k: _value(v) for k, v in options.items()}))
     cpu_s = time.process_time() - start
     source = c.find(ScanLandmarksFinding).source
-    ekf, reckoned = c.assessment.ekf, c.assessment.dead_reckoned
-    smoother, gaps = c.assessment.smoother, c.agreement
+    ekf, reckoned = c.accuracy.ekf, c.accuracy.dead_reckoning
+    smoother, gaps = c.accuracy.smoother, c.agreement
     if ekf is None or smoother is None or reckoned is None or source.closing is None:
         raise ValueError("no scan moved a landmark, or the log has no truth")
     error = _pose_errors(c)

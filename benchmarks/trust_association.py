@@ -120,7 +120,7 @@ def shared(log: Log, associations: Iterable[str]) -> Iterator[SharedMistake]:
     with_labels = _error(compare(log, run_config(association="known")))
     for association in associations:
         found = compare(log, run_config(association=association))
-        gap = found.assessment.truth_gap
+        gap = found.truth_gap
         assert gap is not None
         headline = found.verdict.headline
         name = f"{log.name}, {association}"
@@ -129,7 +129,7 @@ def shared(log: Log, associations: Iterable[str]) -> Iterator[SharedMistake]:
 
 def _error(found: Comparison) -> float:
     """Of the smoother: of its landmarks, or of its poses if that is more."""
-    accuracy = found.assessment.smoother
+    accuracy = found.accuracy.smoother
     assert accuracy is not None
     return max(accuracy.ate_m or 0.0, accuracy.landmark_rmse_m or 0.0)
 

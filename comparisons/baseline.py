@@ -18,15 +18,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.atomic import write_whole
 from comparisons.checks.causes import Cause
+from comparisons.checks.consistency.finding import ConsistencyResult, ExternalConsistencyResult
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig, merge
 from comparisons.errors import InputError
-from comparisons.figures import kept_fields
+from comparisons.figures import current, kept_fields
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.check import CheckResult, ExternalLandmarkResult
-from comparisons.report.model import current
-from comparisons.report.models import ConsistencyResult, ExternalConsistencyResult, Result
+from comparisons.report.models import Result
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
 

@@ -1,15 +1,45 @@
-"""Figures as results keep and show them: what every floor that finds some may use."""
+"""What all results have in common: how figures are kept in files and said in words."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import platform
+import re
 from collections.abc import Mapping
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Any, TypeVar, get_type_hints
 
-from pydantic import BaseModel, BeforeValidator, Field, PlainSerializer, SkipValidation
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, SkipValidation
 
 T = TypeVar("T")
+_FORMER = {
+    "sighting": "measurement",
+    "begun": "initialised",
+    "retired": "deactivated",
+    "surer": "overconfident",
+    "closures": "loop_closures",
+}
+_PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
+"""Those that the results depend on."""
+_WORDS = re.compile(rf"(?<![a-z])(?<!loop_)({'|'.join(_FORMER)})")
+
+
+class Model(BaseModel):
+    """Nothing but the fields that are written down."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def current(stored: Any) -> Any:
+    """Return what a file holds, its names at any depth in today's words, not those of 0.1."""
+    if isinstance(stored, dict):
+        return {
+            _WORDS.sub(lambda found: _FORMER[found[0]], name): current(value)
+            for name, value in stored.items()
+        }
+    return [current(one) for one in stored] if isinstance(stored, list) else stored
 
 
 def finite(value: float) -> float | None:
@@ -56,3 +86,17 @@ def in_sigma(value: float | None) -> str:
 def shown(value: float | None, form: str) -> str:
     """Return a number in a format; `infinite` where the result keeps none."""
     return "infinite" if value is None or not math.isfinite(value) else format(value, form)
+
+
+def package_versions() -> dict[str, str]:
+    """Of Python and of what the results depend on."""
+    versions = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            versions[package] = version(package)
+    return versions
+
+
+def rounded(number: float) -> str:
+    """Without decimals, below 10 to two digits: a small graph's chi-square is not 0."""
+    return f"{number:.2g}" if abs(number) < 10.0 else f"{number:.0f}"

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
+from comparisons.checks.check import Absent, Check, Of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
+
+if TYPE_CHECKING:
+    from comparisons.pipeline.gaps import Known
 
 RPE_M = 10.0
 """Way between the two poses whose relative pose is judged, along the true path."""
@@ -82,6 +87,56 @@ class Accuracy:
         if self.coverage is not None:
             found.append(("coverage of the log's time", f"{100 * self.coverage:.1f} %"))
         return [Row(f"Accuracy of {of}", *one) for one in found]
+
+
+@dataclass(frozen=True)
+class Accuracies:
+    """Accuracy of each estimate.
+
+    Attributes:
+        ekf: the filter.
+        smoother: the smoother.
+        dead_reckoning: the odometry alone.
+    """
+
+    ekf: Accuracy
+    smoother: Accuracy
+    dead_reckoning: Accuracy | None
+
+
+class AccuracyFinding(Of[Accuracies]):
+    """Errors of filter, smoother and odometry."""
+
+    def __init__(self, each: Accuracies) -> None:
+        """each: against the same reference."""
+        self.value = each
+        self.entries = {"accuracy": each}
+        names = {"EKF": each.ekf, "smoother": each.smoother, "odometry": each.dead_reckoning}
+        self.line = next(iter(accuracy_line(names)), None)
+
+    def rows(self) -> Sequence[Row]:
+        """Return the rows of each."""
+        return [
+            *self.value.ekf.rows("the EKF"),
+            *self.value.smoother.rows("the smoother"),
+            *accuracy_rows("dead reckoning", self.value.dead_reckoning),
+        ]
+
+
+class CheckAccuracy(Check):
+    """How far are the estimates from truth, or from the positions that were held back?"""
+
+    name = "accuracy"
+
+    def find(self, known: Known) -> AccuracyFinding | Absent:
+        """Return the errors of each estimate."""
+        run, judged, labelled = known.ekf, known.prepared.judged, known.prepared.labelled
+        ekf = assess(run.estimate, judged, labelled=labelled)
+        smoother = assess(known.gaps.smoothed, judged, labelled=labelled)
+        if ekf is None or smoother is None:
+            return Absent("the log has neither truth nor positions that the filter has not used")
+        reckoned = assess_trajectory(run.timeline.epoch_time_s, known.dead_reckoned, judged)
+        return AccuracyFinding(Accuracies(ekf, smoother, reckoned))
 
 
 def accuracy_line(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.checks.check import Absent, Check, Of
 from comparisons.logs.log import Log
 from comparisons.words import Row
+
+if TYPE_CHECKING:
+    from comparisons.pipeline.gaps import Known
 
 Ids = NDArray[np.int64]
 LandmarkIndices = NDArray[np.intp]
@@ -69,6 +75,33 @@ class AssociationScore:
                 Row(group, f"pairs of measurements, {name}: recall", f"{pairs.recall:.3f}"),
             ]
         return found
+
+
+class AssociationFinding(Of[AssociationScore]):
+    """The filter's association against the log's labels, which it has not used."""
+
+    def __init__(self, score: AssociationScore) -> None:
+        """score: of the filter's."""
+        self.value = score
+        self.entries = {"association": score}
+
+    def rows(self) -> Sequence[Row]:
+        """Return its figures."""
+        return self.value.rows("the filter")
+
+
+class CheckAssociation(Check):
+    """Does the filter put together the measurements that the log's labels put together?"""
+
+    name = "association"
+
+    def find(self, known: Known) -> AssociationFinding | Absent:
+        """Return the score of the filter's association."""
+        if known.prepared.labelled:
+            return Absent("the filter associates by the log's labels")
+        run = known.ekf
+        score = score_association(run.landmark_index, run.estimate.landmark, known.prepared.log)
+        return Absent("the log has no labels") if score is None else AssociationFinding(score)
 
 
 def association_rows(score: AssociationScore | None, whose: str) -> list[Row]:

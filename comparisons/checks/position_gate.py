@@ -8,7 +8,7 @@ later.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,14 @@ from numpy.typing import NDArray
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.causes import Cause
+from comparisons.checks.check import Absent, Check, Of
 from comparisons.checks.position_fit import Seen, position_fit
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Poses
 from ekf_reference.models.position import PositionFixes, PositionModel
+
+if TYPE_CHECKING:
+    from comparisons.pipeline.gaps import Known
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,28 @@ class RejectedFixes:
             "them (ekf.gps_recovery re-admits such positions); "
             f"{self.unfit_count} do not fit it, so these positions or the smoother are wrong"
         ]
+
+
+class PositionsFinding(Of[RejectedFixes]):
+    """What the gate rejected; its counts stand in the result's part of the filter."""
+
+    def __init__(self, fixes: RejectedFixes) -> None:
+        """fixes: with what the smoother says of them."""
+        self.value = fixes
+        self.causes, self.remarks = fixes.causes, fixes.remarks
+
+
+class CheckPositions(Check):
+    """Do the positions that the filter's gate rejected fit the smoother's optimum?"""
+
+    name = "positions"
+
+    def find(self, known: Known) -> PositionsFinding | Absent:
+        """Return what the gate rejected."""
+        fixes = rejected_fixes(known.ekf, known.gaps.smoothed)
+        if fixes is None:
+            return Absent("the filter was given no absolute positions")
+        return PositionsFinding(fixes)
 
 
 def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:

@@ -8,39 +8,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import computed_field
 
 from comparisons.arrays import Array
-from comparisons.checks.accuracy import Accuracy
-from comparisons.checks.association import AssociationScore
+from comparisons.checks.accuracy import Accuracy, AccuracyFinding
+from comparisons.checks.association import AssociationFinding, AssociationScore
 from comparisons.checks.causes import Cause
+from comparisons.checks.check import Absent, Check, Of
 from comparisons.checks.consistency.consistency import Consistency
-from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
+from comparisons.checks.consistency.finding import ConsistencyFinding
+from comparisons.checks.consistency.limits import inconsistencies, limit
 from comparisons.checks.consistency.nees import TruthConsistency
-from comparisons.checks.verdict import Verdict, rounded
+from comparisons.checks.verdict import Verdict
 from comparisons.choices import FailOn
 from comparisons.figures import Aside, Figure
 from comparisons.logs.log import LandmarkMeasurements
-from comparisons.statistics import chi2_quantile
+
+if TYPE_CHECKING:
+    from comparisons.pipeline.gaps import Known
 
 TRUTH_GAP, UNCHECKED = "truth gap", "association unchecked"
 INCONSISTENT = "filter inconsistent"
 WORSE = 2.0
 """So many times the error with labels is a mistake of the association."""
-_SHARE = 0.999
-"""Of the sound runs that stay within the limit. The errors of one run depend on each other, hence
-the limit of one value, not of an average of independent ones."""
-_SURER = 0.05
-"""Of the epochs: so many with a filter more certain than the smoother make it inconsistent."""
 _NONE_FOUND = 3
 """With so many landmarks, of which none is near a true one, the map is wrong as a whole."""
-
-
-def limit(dof: int) -> float:
-    """Root of a mean NEES over its degrees of freedom that a sound run hardly passes."""
-    return float(np.sqrt(chi2_quantile(_SHARE, dof) / dof))
 
 
 @dataclass(frozen=True)
@@ -114,6 +109,42 @@ class TruthGap:
         return not self.stands and any(d.far for d in self.distances)
 
 
+class TruthGapFinding(Of[TruthGap]):
+    """The smoother against truth, or against itself with the log's labels."""
+
+    def __init__(self, gap: TruthGap) -> None:
+        """gap: whether it stands is a qualifier of the verdict."""
+        self.value = gap
+        self.entries = {"truth_gap": gap}
+
+
+class CheckTruthGap(Check):
+    """Is the smoother near the truth, or near what it finds with the log's labels?"""
+
+    name = "truth_gap"
+
+    def find(self, known: Known) -> TruthGapFinding | Absent:
+        """Return S against truth, or else against labels, where S has not used them."""
+        run, prepared = known.ekf, known.prepared
+        accuracy, consistency = known.value(AccuracyFinding), known.value(ConsistencyFinding)
+        association = known.value(AssociationFinding)
+        gap = truth_gap(
+            None if accuracy is None else accuracy.smoother,
+            None if consistency is None else consistency.smoother,
+            association,
+            measurement_scale(prepared.log.measurements, run.pose_landmarks.covariance[:, :2, :2]),
+            len(known.gaps.smoothed.landmark),
+        )
+        labelled = prepared.log.measurements.labelled and not prepared.labelled
+        if labelled and not (gap and gap.settled):
+            from comparisons.pipeline.second_association import labels_gap, with_labels
+
+            gap = labels_gap(known, association) if gap is None else with_labels(known, gap)
+        if gap is None:
+            return Absent("the log has neither truth nor labels that nobody has used")
+        return TruthGapFinding(gap)
+
+
 def truth_gap(
     accuracy: Accuracy | None,
     consistency: TruthConsistency | None,
@@ -152,64 +183,12 @@ def measurement_scale(seen: LandmarkMeasurements, places: Array) -> float:
     return float(np.median(np.sqrt(np.trace(places, axis1=1, axis2=2)))) if len(places) else 0.0
 
 
-def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
-    """Return what is outside its band: the filter's NEES, filter against smoother, NIS.
-
-    None where there is none of these.
-
-    An association that leaves out large innovations makes the NIS too low, which does not count.
-    The bands of NIS are those of the notes: all of them hold in 99.9 % of sound runs. The band of
-    filter against smoother is the figure's: 5 of 520 sound runs leave it, since its independent
-    epochs are counted low. A filter more certain than the smoother counts from one epoch in twenty
-    on, the NEES from the limit of the truth gap.
-    """
-    against, smoothed = consistency.ekf, consistency.smoothed
-    if against is None and smoothed is None and not consistency.sensors:
-        return None
-    far, found = [], []
-    if against is not None and against.poses is not None:
-        far.append(("poses", against.poses.pose))
-    if against is not None and against.map is not None:
-        far.append(("landmarks", against.map.landmarks))
-    for what, errors in far:
-        if errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2:
-            found.append(
-                f"NEES of the {what} {rounded(errors.mean / errors.dof)} per degree of freedom, "
-                f"limit {limit(errors.dof) ** 2:.2g}"
-            )
-    if smoothed is not None:
-        found += _against_smoother(smoothed)
-    for nis in (nis for sensor in consistency.sensors for nis in sensor.nis):
-        reading, (low, high) = nis.worded(consistency.outside)
-        if reading == "too high" or (reading == "too low" and not consistency.gated):
-            found.append(
-                f"NIS of {nis.name} {nis.mean / nis.dof:.3g} per degree of freedom, band "
-                f"{low / nis.dof:.3g} to {high / nis.dof:.3g}"
-            )
-    return tuple(found)
-
-
-def _against_smoother(smoothed: FilterAgainstSmoother) -> list[str]:
-    found, mean, band = [], smoothed.mean_per_dof, smoothed.band
-    if mean is not None and band is not None and not band.holds(mean):
-        found.append(
-            f"filter-smoother difference {rounded(mean)} per degree of freedom, "
-            f"band {band.low:.2g} to {band.high:.2g}"
-        )
-    if len(smoothed.overconfident) > _SURER * len(smoothed.time_s):
-        found.append(
-            f"filter more certain than the smoother at {len(smoothed.overconfident)} of "
-            f"{len(smoothed.time_s)} epochs"
-        )
-    return found
-
-
 def qualified(
     verdict: Verdict,
     gap: TruthGap | None,
     *,
     unchecked: str,
-    consistency: Consistency,
+    consistency: Consistency | None,
     fail_on: Sequence[FailOn],
 ) -> Verdict:
     """Return the verdict with its qualifiers, and with what it fails on of `fail_on`.
@@ -226,7 +205,7 @@ def qualified(
     if unchecked:
         found.append(UNCHECKED)
         remarks = (*remarks, unchecked)
-    outside = inconsistencies(consistency)
+    outside = None if consistency is None else inconsistencies(consistency)
     if outside:
         found.append(INCONSISTENT)
     of: dict[FailOn, bool] = {

@@ -14,6 +14,7 @@ from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.choices import FailOn
+from comparisons.figures import rounded
 from comparisons.statistics import ROUNDING
 from graphslam.optimum import Optimality
 from graphslam.smoother import SmootherResult
@@ -227,11 +228,6 @@ def misfit_remarks(optimality: Optimality) -> list[str]:
         f"chi-square {chi2} for {test.dof} degrees of freedom is {test.reading} "
         f"(band {lower} to {upper}): {meaning}"
     ]
-
-
-def rounded(number: float) -> str:
-    """Without decimals, below 10 to two digits: a small graph's chi-square is not 0."""
-    return f"{number:.2g}" if abs(number) < 10.0 else f"{number:.0f}"
 
 
 def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:

@@ -10,21 +10,25 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.arrays import Array
-from comparisons.audit.own_filter import run_events, watch
-from comparisons.audit.spurious import Learnt, learnt
-from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
+from comparisons.audit.own_filter import watch
+from comparisons.audit.spurious import Learnt
+from comparisons.checks.accuracy import Accuracies, AccuracyFinding
 from comparisons.checks.agreement import Agreement
-from comparisons.checks.association import AssociationScore, score_association
-from comparisons.checks.consistency.consistency import Consistency, check_consistency
+from comparisons.checks.association import AssociationFinding, AssociationScore
+from comparisons.checks.check import Finding, value_of
+from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
-from comparisons.checks.qualifiers import TruthGap, measurement_scale, qualified, truth_gap
+from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
+from comparisons.checks.registry import CHECKS
+from comparisons.checks.spurious import SpuriousFinding
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Log
-from comparisons.pipeline.gaps import Compared, Gaps, compute_gaps
+from comparisons.pipeline.gaps import Gaps, Known, compute_gaps
 from comparisons.pipeline.prepare import (
     Prepared,
     Progress,
@@ -34,7 +38,6 @@ from comparisons.pipeline.prepare import (
     prepare,
 )
 from ekf_reference.core.ekf import Ekf
-from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
 if TYPE_CHECKING:
@@ -42,7 +45,6 @@ if TYPE_CHECKING:
 
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.log_fit import LogFit
-    from comparisons.checks.position_gate import RejectedFixes
     from comparisons.pipeline.beside import Beside
     from comparisons.trace.events import Event
 
@@ -55,23 +57,6 @@ REQUIRED = Required(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assessment:
-    """Each estimate against truth or held-back positions; None where the log has no reference.
-
-    association: how it compares with the log's labels, where it was made without them.
-    truth_gap: the smoother against truth, or else against labels that it has not used. fixes: what
-    the filter's gate rejected, None where no positions were given.
-    """
-
-    ekf: Accuracy | None
-    smoother: Accuracy | None
-    dead_reckoned: Accuracy | None
-    association: AssociationScore | None
-    truth_gap: TruthGap | None = None
-    fixes: RejectedFixes | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """Hold everything that one run of both estimators found.
 
@@ -80,11 +65,8 @@ class Comparison:
         ekf: The EKF's estimate (`ekf.estimate`) and trace.
         gaps: The chain of estimates from the EKF to the smoother.
         dead_reckoned: (K, 3) poses where the odometry alone leads.
-        consistency: NEES, NIS, whiteness, filter against smoother; it has no say in the verdict.
-        spurious: What the filter learnt of its global heading from measurements that cannot tell
-            it; None where landmarks are surveyed.
-        assessment: Errors of each estimate against truth, where the log has it.
-        findings: Of the extensions that took part, by name.
+        findings: Of the checks, those of extensions among them, by name.
+        absent: Why other checks have none, by name.
         verdict: Outcome, causes (the most important first) and remarks.
     """
 
@@ -92,10 +74,8 @@ class Comparison:
     ekf: EkfRun
     gaps: Gaps
     dead_reckoned: Array
-    consistency: Consistency
-    spurious: Learnt | None
-    assessment: Assessment
     findings: Mapping[str, Finding]
+    absent: Mapping[str, str]
     verdict: Verdict
 
     def __repr__(self) -> str:
@@ -149,8 +129,33 @@ class Comparison:
         """The gaps between the estimates."""
         return self.gaps.agreement
 
+    @property
+    def consistency(self) -> Consistency:
+        """NEES, NIS, whiteness, filter against smoother; it has no say in the verdict."""
+        return self.find(ConsistencyFinding).value
+
+    @property
+    def accuracy(self) -> Accuracies:
+        """Errors of each estimate. Raises LookupError where the log has no reference."""
+        return self.find(AccuracyFinding).value
+
+    @property
+    def spurious(self) -> Learnt | None:
+        """What the filter learnt of its heading without measuring it; None if it was surveyed."""
+        return value_of(self.findings, SpuriousFinding)
+
+    @property
+    def association(self) -> AssociationScore | None:
+        """The filter's association by labels; None where it used them, or there are none."""
+        return value_of(self.findings, AssociationFinding)
+
+    @property
+    def truth_gap(self) -> TruthGap | None:
+        """The smoother against truth or labels; None where the log has none."""
+        return value_of(self.findings, TruthGapFinding)
+
     def find(self, kind: type[F]) -> F:
-        """Return the finding of an extension.
+        """Return the finding of a check.
 
         Args:
             kind: The class of the finding.
@@ -159,7 +164,7 @@ class Comparison:
             The first finding of that class.
 
         Raises:
-            LookupError: No extension that ran has such a finding.
+            LookupError: No check that was asked has such a finding.
         """
         for found in self.findings.values():
             if isinstance(found, kind):
@@ -196,58 +201,54 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     asked = prepared.extensions if second is None else (*prepared.extensions, second)
     with _started(asked, prepared, run) as started:
         gaps = compute_gaps(log, run, options, clock, progress)
-        compared = Compared(prepared=prepared, setup=setup, ekf=run, gaps=gaps, started=started)
-        findings = {
-            one.name: found
-            for one in prepared.extensions
-            if (found := one.check(compared)) is not None
-        }
+        own = Known(prepared=prepared, setup=setup, ekf=run, gaps=gaps, started=started)
+        for one in prepared.extensions:
+            own.ask(one)
         if second is not None:
-            unchecked = _ask(second, compared, findings)
+            unchecked = _ask(second, own)
     with clock.stage("checks"):
         progress("checks", 0, 0)
-        labelled, smoothed = prepared.labelled, gaps.smoothed
-        consistency = check_consistency(
-            log, run, smoothed, labelled=labelled, robust=options.robust
-        )
-        spurious = learnt(run_events(run))
-        fixes = _rejected_fixes(run, smoothed)
-        verdict = judge(
-            gaps.agreement,
-            gaps.result,
-            run,
-            _diagnosis(compared, consistency, spurious),
-            data_faults=data_faults(log, run, smoothed, labelled=labelled),
-            causes=[
-                *(() if fixes is None else fixes.causes),
-                *(cause for found in findings.values() for cause in found.causes),
-            ],
-            conservative=prepared.ekf.conservative,
-        )
-        verdict = replace(verdict, remarks=(*odometry_remarks(log), *verdict.remarks))
-        remarks = [remark for found in findings.values() for remark in found.remarks]
-        reckoned = dead_reckoned(gaps.problem.prior_pose, gaps.problem.increment)
-        assessment = replace(_assess(prepared, run, smoothed, reckoned), fixes=fixes)
-        gap = _truth_gap(compared, assessment, consistency)
-        if fixes is not None:
-            remarks += fixes.remarks
-        return Comparison(
-            prepared=prepared,
-            ekf=run,
-            gaps=gaps,
-            dead_reckoned=reckoned,
-            consistency=consistency,
-            spurious=spurious,
-            assessment=replace(assessment, truth_gap=gap),
-            findings=findings,
-            verdict=qualified(
-                replace(verdict, remarks=(*verdict.remarks, *consistency.remarks, *remarks)),
-                gap,
-                unchecked=unchecked,
-                consistency=consistency,
-                fail_on=prepared.config.fail_on,
-            ),
-        )
+        known = replace(own, findings={}, absent={})
+        for check in CHECKS:
+            known.ask(check)
+        known.findings.update(own.findings)
+        known.absent.update(own.absent)
+        return _judged(known, unchecked)
+
+
+def _judged(known: Known, unchecked: str) -> Comparison:
+    """The verdict over all findings. unchecked: why nobody has checked the association."""
+    prepared, run, gaps = known.prepared, known.ekf, known.gaps
+    findings = known.findings.values()
+    verdict = judge(
+        gaps.agreement,
+        gaps.result,
+        run,
+        _diagnosis(known),
+        data_faults=data_faults(prepared.log, run, gaps.smoothed, labelled=prepared.labelled),
+        causes=[cause for found in findings for cause in found.causes],
+        conservative=prepared.ekf.conservative,
+    )
+    remarks = (
+        *odometry_remarks(prepared.log),
+        *verdict.remarks,
+        *(remark for found in findings for remark in found.remarks),
+    )
+    return Comparison(
+        prepared=prepared,
+        ekf=run,
+        gaps=gaps,
+        dead_reckoned=known.dead_reckoned,
+        findings=known.findings,
+        absent=known.absent,
+        verdict=qualified(
+            replace(verdict, remarks=remarks),
+            known.value(TruthGapFinding),
+            unchecked=unchecked,
+            consistency=known.value(ConsistencyFinding),
+            fail_on=prepared.config.fail_on,
+        ),
+    )
 
 
 @contextmanager
@@ -277,36 +278,13 @@ def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Ext
     return own_association(prepared, run)
 
 
-def _ask(second: Extension, compared: Compared, findings: dict[str, Finding]) -> str:
-    """Add what an association that nobody asked for finds; return why it finds nothing."""
+def _ask(second: Extension, known: Known) -> str:
+    """Ask for an association that nobody named; return why it finds nothing."""
     try:
-        found = second.check(compared)
+        known.ask(second)
     except InputError as error:
         return f"the association is unchecked: {error}"
-    if found is not None:
-        findings[second.name] = found
     return ""
-
-
-def _truth_gap(
-    compared: Compared, assessment: Assessment, consistency: Consistency
-) -> TruthGap | None:
-    """S against truth, or else against the log's labels, where S has not used them."""
-    prepared, run, smoothed = compared.prepared, compared.ekf, compared.gaps.smoothed
-    gap = truth_gap(
-        assessment.smoother,
-        consistency.smoother,
-        assessment.association,
-        measurement_scale(prepared.log.measurements, run.pose_landmarks.covariance[:, :2, :2]),
-        len(smoothed.landmark),
-    )
-    if prepared.labelled or not prepared.log.measurements.labelled or (gap and gap.settled):
-        return gap
-    from comparisons.pipeline.second_association import labels_gap, with_labels
-
-    if gap is None:
-        return labels_gap(compared, assessment.association)
-    return with_labels(compared, gap)
 
 
 class Modified(Extension):
@@ -342,9 +320,9 @@ def run_filter(prepared: Prepared[Any]) -> tuple[EkfRun, FilterSetup]:
     return run, beside
 
 
-def _diagnosis(compared: Compared, consistency: Consistency, spurious: Learnt | None) -> Diagnosis:
+def _diagnosis(known: Known) -> Diagnosis:
     """What is imported and done only where there is something to explain."""
-    log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
+    log, run, gaps = known.prepared.log, known.ekf, known.gaps
 
     def known_model_errors() -> Sequence[str]:
         from comparisons.checks.diagnosis.known_model_errors import explain
@@ -359,17 +337,17 @@ def _diagnosis(compared: Compared, consistency: Consistency, spurious: Learnt | 
     def fits() -> Sequence[LogFit]:
         from comparisons.checks.diagnosis.log_fit import log_fits
 
-        compared.prepared.progress("the log's own numbers", 0, 0)
+        known.prepared.progress("the log's own numbers", 0, 0)
         return log_fits(log, run, gaps.result)
 
     return Diagnosis(
         differences=gaps.model_differences,
-        operations=lambda: _event_faults(compared.prepared, run, gaps.rounding.covariance),
+        operations=lambda: _event_faults(known.prepared, run, gaps.rounding.covariance),
         known_model_errors=known_model_errors,
         growth=gaps.linearisation_growth,
-        spurious=lambda: spurious,
+        spurious=lambda: known.value(SpuriousFinding),
         dropouts=dropouts,
-        consistency=consistency,
+        consistency=known.value(ConsistencyFinding),
         log_fits=fits,
         algebra=gaps.rounding,
         model=gaps.rounding,
@@ -393,26 +371,3 @@ def repeat_filter(prepared: Prepared[Any], run: EkfRun, take: Callable[[Event], 
     # Last, for it is to see the filter with everything that others have planted.
     extensions = (*prepared.extensions, Modified(lambda ekf: watch(ekf, run, take)))
     run_filter(replace(prepared, progress=no_progress, extensions=extensions))
-
-
-def _assess(
-    prepared: Prepared[Any], run: EkfRun, smoothed: Estimate, reckoned: Array
-) -> Assessment:
-    judged, labelled = prepared.judged, prepared.labelled
-    score = None
-    if not labelled:
-        score = score_association(run.landmark_index, run.estimate.landmark, prepared.log)
-    return Assessment(
-        ekf=assess(run.estimate, judged, labelled=labelled),
-        smoother=assess(smoothed, judged, labelled=labelled),
-        dead_reckoned=assess_trajectory(run.timeline.epoch_time_s, reckoned, judged),
-        association=score,
-    )
-
-
-def _rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
-    if run.positions is None:
-        return None
-    from comparisons.checks.position_gate import rejected_fixes
-
-    return rejected_fixes(run, smoothed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from comparisons.adapters.smoother_input import (
     solve_recorded,
 )
 from comparisons.adapters.timeline import Timeline
+from comparisons.arrays import Array
 from comparisons.checks.agreement import Agreement, Allowed, Gaussian, compare, rounding_of
+from comparisons.checks.check import Absent, Check, Finding, Of, value_of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.beside import Beside
@@ -30,6 +32,7 @@ from comparisons.pipeline.prepare import Clock, Prepared
 from comparisons.statistics import ROUNDING
 from ekf_reference.core.landmark_types import POINT
 from graphslam.arrays import Marginal
+from graphslam.increments import dead_reckoned
 from graphslam.linear_problem import LinearProblem
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult
@@ -38,7 +41,7 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.model_differences import ModelDifference
 
-
+V = TypeVar("V")
 Frozen = tuple[LinearProblem, LinearProblem, Marginal, Marginal]
 """The linear systems of F1 and F2, and the estimates that solve them."""
 FROZEN_S = (4e-5, 2.6e-5)
@@ -170,11 +173,11 @@ def _finished(work: Beside[Frozen], clock: Clock) -> Frozen:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compared:
-    """What an extension's check is given: both estimators have run.
+class Known:
+    """What a run knows once both estimators have run, for its checks.
 
     setup: what stood beside the filter, with what extensions offered. started: what extensions have
-    started beside the smoother, by name.
+    started beside the smoother, by name. findings: of the checks that came before, by name.
     """
 
     prepared: Prepared[Any]
@@ -182,3 +185,22 @@ class Compared:
     ekf: EkfRun
     gaps: Gaps
     started: Mapping[str, Beside[Any]] = field(default_factory=dict)
+    findings: dict[str, Finding] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def dead_reckoned(self) -> Array:
+        """(K, 3) poses where the odometry alone leads."""
+        return dead_reckoned(self.gaps.problem.prior_pose, self.gaps.problem.increment)
+
+    def ask(self, one: Check) -> None:
+        """Keep what a check finds, or why it finds nothing. Raises InputError."""
+        found = one.find(self)
+        if isinstance(found, Absent):
+            self.absent[one.name] = found.why
+        elif found is not None:
+            self.findings[one.name] = found
+
+    def value(self, kind: type[Of[V]]) -> V | None:
+        """Return the value of a finding of a kind, None where no check has it."""
+        return value_of(self.findings, kind)

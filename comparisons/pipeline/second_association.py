@@ -17,11 +17,12 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory, match_landmarks
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import poses_apart
-from comparisons.checks.qualifiers import Distance, TruthGap, limit, measurement_scale
+from comparisons.checks.consistency.limits import limit
+from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
 from comparisons.config import RunConfig
 from comparisons.extensions.interface import Extension
 from comparisons.logs.transforms.known_landmarks import indices_by_label
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from graphslam.graph_builder import build_graph, from_values
 from graphslam.initialisation import track
@@ -82,7 +83,7 @@ def _counts(run: EkfRun) -> tuple[int, int, int, int]:
     )
 
 
-def with_labels(compared: Compared, gap: TruthGap) -> TruthGap:
+def with_labels(compared: Known, gap: TruthGap) -> TruthGap:
     """Return a gap with the errors that the smoother has with the log's labels beside S's.
 
     A robust kernel keeps misread labels from spoiling it; where it has no solution, the gap stays.
@@ -105,7 +106,7 @@ def with_labels(compared: Compared, gap: TruthGap) -> TruthGap:
     return replace(gap, distances=distances)
 
 
-def labels_gap(compared: Compared, association: AssociationScore | None) -> TruthGap | None:
+def labels_gap(compared: Known, association: AssociationScore | None) -> TruthGap | None:
     """Return how far S is from the smoother with the log's labels, which stand for the truth.
 
     None where that smoother is not verified, or its chi-square says that the labels do not fit.
@@ -129,7 +130,7 @@ def labels_gap(compared: Compared, association: AssociationScore | None) -> Trut
     )
 
 
-def _labelled(compared: Compared) -> tuple[SlamProblem, NDArray[np.int64]]:
+def _labelled(compared: Known) -> tuple[SlamProblem, NDArray[np.int64]]:
     """Return the filter's observations with the log's labels, and the landmarks' ids (L,)."""
     log, run = compared.prepared.log, compared.ekf
     landmark_index, ids = indices_by_label(log)

@@ -18,10 +18,11 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.association_variants import AssociationCheck, check_association
-from comparisons.checks.verdict import misfit_remarks, rounded
+from comparisons.checks.verdict import misfit_remarks
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import rounded
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import indices_by_label
 from comparisons.pipeline.beside import Beside

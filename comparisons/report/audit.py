@@ -16,7 +16,8 @@ from comparisons.atomic import fresh_folder, known_files
 from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.spurious import Learnt
-from comparisons.innovations import SensorInnovations
+from comparisons.figures import Model, finite, package_versions
+from comparisons.innovations import InnovationResult, SensorInnovations
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import document, figures, prose, script
 from comparisons.report.marks import (
@@ -27,7 +28,6 @@ from comparisons.report.marks import (
     Panel,
     nis_panel,
 )
-from comparisons.report.model import InnovationResult, Model, finite, package_versions
 from comparisons.report.picture import blank, draw_panel, save
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.statistics import Averaged

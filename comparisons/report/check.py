@@ -13,18 +13,21 @@ from pydantic import Field
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, landmark_errors
 from comparisons.checks.causes import Cause
-from comparisons.checks.external_agreement import Block, ExternalAgreement
-from comparisons.checks.grade import Likeness, match_map
-from comparisons.pipeline.check import ExternalCheck
-from comparisons.pipeline.external_trace import TraceCheck
-from comparisons.pipeline.prepare import Clock
-from comparisons.report.consistency_result import (
+from comparisons.checks.consistency.finding import (
+    ExternalConsistencyResult,
     consistency_line,
     external_consistency_result,
     innovation_rows,
     nees_rows,
     smoothed_rows,
 )
+from comparisons.checks.external_agreement import Block, ExternalAgreement
+from comparisons.checks.grade import Likeness, match_map
+from comparisons.figures import Model, band, finite, in_sigma, package_versions, shown
+from comparisons.innovations import InnovationResult
+from comparisons.pipeline.check import ExternalCheck
+from comparisons.pipeline.external_trace import TraceCheck
+from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.check import check_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import (
@@ -39,24 +42,15 @@ from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import check_ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.model import InnovationResult, Model, finite, package_versions
-from comparisons.report.models import (
-    BlockResult,
-    ExternalConsistencyResult,
-    LogResult,
-    SmootherResult,
-)
+from comparisons.report.models import BlockResult, LogResult, SmootherResult
 from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import (
     agreeing,
-    band,
     block_rows,
     gap_rows,
-    in_sigma,
     log_rows,
     pose_words,
     seconds_rows,
-    shown,
     smoother_rows,
 )
 from comparisons.report.sections import log_result, smoother_result

@@ -19,12 +19,12 @@ from comparisons.extensions.dense_maps.result import (
     surface_error_results,
     surface_error_rows,
 )
+from comparisons.figures import Model, package_versions
 from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
-from comparisons.report.model import Model, package_versions
 from comparisons.report.models import EkfResult, LogResult
 from comparisons.report.rows import ekf_rows, log_rows, seconds_rows
 from comparisons.report.sections import ekf_result, log_result

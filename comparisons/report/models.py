@@ -6,12 +6,14 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.accuracy import Accuracies, Accuracy
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import AssociationCheck
 from comparisons.checks.causes import Cause
+from comparisons.checks.consistency.finding import ConsistencyResult
 from comparisons.checks.qualifiers import TruthGap
-from comparisons.report.model import InnovationResult, Model
+from comparisons.checks.spurious import SpuriousHeadingResult
+from comparisons.figures import Model
 from comparisons.report.settings import SettingsResult
 from comparisons.statistics import ROUNDING
 
@@ -250,173 +252,6 @@ class AgreementResult(Model):
     landmarks: list[LandmarkResult]
 
 
-class Accuracies(Model):
-    """Accuracy of each estimate.
-
-    Attributes:
-        ekf: the filter.
-        smoother: the smoother.
-        dead_reckoning: the odometry alone.
-    """
-
-    ekf: Accuracy
-    smoother: Accuracy
-    dead_reckoning: Accuracy | None
-
-
-class NeesResult(Model):
-    """Normalised errors squared, each with `dof` degrees of freedom.
-
-    See comparisons.statistics.
-
-    Over time, and over landmarks of one run, the values are correlated: no band holds for their
-    average.
-
-    Attributes:
-        dof: degrees of freedom of a value.
-        count: number of values.
-        mean: average; `dof` is right.
-        last: the last value.
-        single_band: interval of 95 % of single values.
-        inside: share of the values in it.
-        unusable: errors without a value, by reason.
-    """
-
-    dof: int
-    count: int
-    mean: float | None
-    last: float | None
-    single_band: tuple[float, float]
-    inside: float | None
-    unusable: dict[str, int]
-
-
-class TruthConsistencyResult(Model):
-    """NEES against truth, of errors in the log's frame, additive in x, y and wrapped heading.
-
-    Attributes:
-        pose: poses over time.
-        position: positions over time.
-        heading: headings over time.
-        landmarks: each landmark alone.
-        map: all landmarks jointly.
-        whole: all landmarks and the last pose jointly.
-        distance: lengths of a spanning tree over landmarks and last pose, which no frame affects,
-            each alone.
-        distances: the same lengths jointly.
-        too_short: lengths that were left out since they are too short.
-    """
-
-    pose: NeesResult | None
-    position: NeesResult | None
-    heading: NeesResult | None
-    landmarks: NeesResult | None
-    map: NeesResult | None
-    whole: NeesResult | None
-    distance: NeesResult | None
-    distances: NeesResult | None
-    too_short: int
-
-
-class FilterAgainstSmootherResult(Model):
-    """Filtered poses compared with smoothed ones.
-
-    See comparisons.checks.consistency.filter_smoother.
-
-    Attributes:
-        epochs: poses that were compared.
-        squared_per_dof: squared difference over its degrees of freedom, by P_filter - P_smoother; 1
-            is right.
-        band: 95 % band of it, for correlated epochs.
-        inside: share of the epochs in their single 95 % band.
-        least_ratio: least variance of the filter over the smoother's, of all directions and epochs.
-        least_ratio_s: time of that epoch.
-        overconfident_epochs: epochs with a ratio clearly below 1: there the filter is
-        overconfident.
-        overconfident_since_s: time of the first one.
-        unusable: epochs that could not be compared, by reason.
-    """
-
-    epochs: int
-    squared_per_dof: float | None
-    band: tuple[float, float] | None = None
-    inside: float | None
-    least_ratio: float | None
-    least_ratio_s: float | None
-    overconfident_epochs: int
-    overconfident_since_s: float | None
-    unusable: dict[str, int]
-
-
-class ConsistencyResult(Model):
-    """Consistency by truth, by the filter's innovations, and by the smoother.
-
-    Attributes:
-        ekf: the filter by truth.
-        smoother: the smoother by truth.
-        innovations: each sensor.
-        filter_against_smoother: the filter by the smoother.
-    """
-
-    ekf: TruthConsistencyResult | None
-    smoother: TruthConsistencyResult | None
-    innovations: list[InnovationResult]
-    filter_against_smoother: FilterAgainstSmootherResult | None
-
-
-class ExternalConsistencyResult(Model):
-    """Consistency of an external estimate's covariances, by truth and by the smoother.
-
-    Attributes:
-        truth: by truth.
-        filter_against_smoother: by the smoother.
-        unjudged: why there is no comparison with the smoother.
-    """
-
-    truth: TruthConsistencyResult | None
-    filter_against_smoother: FilterAgainstSmootherResult | None
-    unjudged: str
-
-
-class SpuriousShareResult(Model):
-    """The update with which spurious information grew most.
-
-    Attributes:
-        time_s: its time.
-        landmark: the landmark of it that told most, in words; both of a merge.
-        information: what it added [1/rad^2].
-    """
-
-    time_s: float
-    landmark: str
-    information: float
-
-
-class SpuriousHeadingResult(Model):
-    """What the filter's own equations hold about its global heading, which nothing measured.
-
-    Prior, absolute positions and the right sides of the equations play no part. With an ideal
-    linearisation all of it is zero, as is what rounding explains. See comparisons.audit.spurious.
-
-    Attributes:
-        information: in total [1/rad^2].
-        sigma_deg: standard deviation of the heading by this information; None without any.
-        fastest_s: stretch of time, of a hundredth of the updates, in which it grew most.
-        fastest: what it gained there [1/rad^2].
-        largest: the update with which it grew most; None without any.
-        time_s: ends of the stretches, from the start.
-        growth: information gathered until then [1/rad^2].
-    """
-
-    information: float
-    sigma_deg: float | None
-    fastest_s: tuple[float, float]
-    fastest: float
-    largest: SpuriousShareResult | None
-    time_s: list[float]
-    growth: list[float]
-
-
 SCHEMA = 4
 """Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
 
@@ -446,6 +281,7 @@ class Result(Model):
         inconsistent: what of the filter's consistency is outside its band; None where nothing can
             tell.
         failed_on: findings that `--fail-on` names and that were made.
+        not_checked: checks without an answer, and what the log lacks for it.
         causes: reasons for the verdict, the first one first.
         remarks: sentences that change no verdict.
         seconds: wall time, by stage.
@@ -465,14 +301,15 @@ class Result(Model):
     agreement: AgreementResult
     consistency: ConsistencyResult
     spurious_heading: SpuriousHeadingResult | None = None
-    accuracy: Accuracies | None
-    association: AssociationScore | None
+    accuracy: Accuracies | None = None
+    association: AssociationScore | None = None
     truth_gap: TruthGap | None = None
     verdict: Literal["agree", "disagree", "unverified"]
     summary: str = ""
     qualifiers: list[str] = Field(default_factory=list)
     inconsistent: list[str] | None = None
     failed_on: list[str] = Field(default_factory=list)
+    not_checked: dict[str, str] = Field(default_factory=dict)
     causes: list[Cause]
     remarks: list[str]
     seconds: dict[str, float]

@@ -19,12 +19,12 @@ from comparisons.extensions.scan_motion.result import (
     scan_odometry_result,
     scan_odometry_rows,
 )
+from comparisons.figures import Model, package_versions
 from comparisons.logs.transforms.scan_motion import measurements_kept
 from comparisons.pipeline.odometry import FrontEnd
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.odometry import front_end_figure
 from comparisons.report.folder import JobFolder
-from comparisons.report.model import Model, package_versions
 from comparisons.report.models import LogResult, SmootherResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
 from comparisons.report.sections import log_result, smoother_result

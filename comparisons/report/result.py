@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows
 from comparisons.checks.agreement import block_agrees
-from comparisons.checks.association import association_rows
+from comparisons.checks.check import value_of
+from comparisons.checks.position_gate import PositionsFinding
+from comparisons.figures import finite, package_versions
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
-from comparisons.report.consistency_result import (
-    consistency_line,
-    consistency_result,
-    consistency_rows,
-)
 from comparisons.report.ladder import ladder
-from comparisons.report.model import finite, package_versions
-from comparisons.report.models import (
-    SCHEMA,
-    Accuracies,
-    AgreementResult,
-    BlockResult,
-    LandmarkResult,
-    Result,
-)
+from comparisons.report.models import SCHEMA, AgreementResult, BlockResult, LandmarkResult, Result
 from comparisons.report.rows import (
     AGREEING_RATIOS,
     agreeing,
@@ -32,15 +20,8 @@ from comparisons.report.rows import (
     pose_words,
     seconds_rows,
     smoother_rows,
-    spurious_rows,
 )
-from comparisons.report.sections import (
-    block_fields,
-    ekf_result,
-    log_result,
-    smoother_result,
-    spurious_heading_result,
-)
+from comparisons.report.sections import block_fields, ekf_result, log_result, smoother_result
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -48,26 +29,22 @@ from comparisons.words import Row
 
 def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
     """Return the findings of a run, read being the time that reading the log took."""
-    c = comparison
+    c, fixes = comparison, value_of(comparison.findings, PositionsFinding)
     entries = {key: entry for found in c.findings.values() for key, entry in found.entries.items()}
     return Result(
         schema_version=SCHEMA,
         config=c.prepared.config.model_dump(mode="json"),
         settings=settings_result(c.prepared.config, c.log.format, c.prepared.ekf),
         log=log_result(c.log),
-        ekf=ekf_result(c.ekf, c.prepared.ekf, c.assessment.fixes),
+        ekf=ekf_result(c.ekf, c.prepared.ekf, fixes),
         smoother=smoother_result(c.smoother, c.smoothed),
         agreement=_agreement(c),
-        consistency=consistency_result(c.consistency),
-        spurious_heading=spurious_heading_result(c.spurious),
-        accuracy=_accuracies(c),
-        association=c.assessment.association,
-        truth_gap=c.assessment.truth_gap,
         verdict=c.verdict.outcome,
         summary=c.verdict.summary,
         qualifiers=list(c.verdict.qualifiers),
         inconsistent=None if c.verdict.inconsistent is None else list(c.verdict.inconsistent),
         failed_on=list(c.verdict.failed_on),
+        not_checked=dict(c.absent),
         causes=c.verdict.causes,
         remarks=list(c.verdict.remarks),
         **c.prepared.clock.after(read),
@@ -77,21 +54,14 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
 
 
 def run_rows(comparison: Comparison, result: Result) -> list[Row]:
-    """Return log, evidence, gaps and accuracy, then what the extensions found."""
-    extensions = [row for found in comparison.findings.values() for row in found.rows()]
-    gaps, accuracy = result.agreement, result.accuracy
-    figures: list[Row] = []
-    if accuracy is not None:
-        figures += accuracy_rows("the EKF", accuracy.ekf)
-        figures += accuracy_rows("the smoother", accuracy.smoother)
-        figures += accuracy_rows("dead reckoning", accuracy.dead_reckoning)
+    """Return log, evidence and gaps, then what the checks found, and what they lack."""
+    gaps = result.agreement
     return [
         *log_rows(result.log),
         *(settings_rows(result.settings) if result.settings else ()),
         *ekf_rows(result.ekf),
         *smoother_rows(result.smoother),
         *gap_rows(ladder(result)),
-        *spurious_rows(result.spurious_heading),
         *agreeing(gaps.landmarks, "EKF"),
         Row(
             "Map, EKF and smoother",
@@ -100,22 +70,17 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
         ),
         *block_rows("Last pose", "EKF", gaps.pose, AGREEING_RATIOS),
         *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
-        *consistency_rows(result.consistency),
-        *figures,
-        *association_rows(result.association, "the filter"),
-        *extensions,
+        *(row for found in comparison.findings.values() for row in found.rows()),
+        *(Row("Not checked", name, why) for name, why in comparison.absent.items()),
     ]
 
 
 def run_summary(comparison: Comparison, result: Result) -> Summary:
     """Return what the command prints."""
-    c, gaps = result.consistency, result.agreement
+    gaps = result.agreement
     pose_landmarks = [block_agrees(block) for block in comparison.agreement.pose_landmarks]
     agree = sum(row.agrees for row in gaps.landmarks) + sum(pose_landmarks)
     landmarks = len(gaps.landmarks) + len(pose_landmarks)
-    accuracy: dict[str, Accuracy | None] = {}
-    if (a := result.accuracy) is not None:
-        accuracy = {"EKF": a.ekf, "smoother": a.smoother, "odometry": a.dead_reckoning}
     failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
     qualified = result.verdict == "agree" and result.qualifiers
     return Summary(
@@ -130,16 +95,14 @@ def run_summary(comparison: Comparison, result: Result) -> Summary:
                 f"{agree} of {landmarks} landmarks "
                 f"({gaps.landmark_difference_rms_m:.3f} m rms); {pose_words(gaps.pose)}",
             ),
-            *consistency_line(result.inconsistent, c.ekf, c.filter_against_smoother, c.innovations),
-            *accuracy_line(accuracy),
-            *extension_lines(comparison),
+            *finding_lines(comparison),
         ],
         rows=[*run_rows(comparison, result), *seconds_rows(result.seconds, result.cpu_s)],
     )
 
 
-def extension_lines(comparison: Comparison) -> list[tuple[str, str]]:
-    """Return the lines of the summary that extensions have, a name and words each."""
+def finding_lines(comparison: Comparison) -> list[tuple[str, str]]:
+    """Return the lines of the summary that findings have, a name and words each."""
     return [found.line for found in comparison.findings.values() if found.line is not None]
 
 
@@ -168,17 +131,6 @@ def _agreement(c: Comparison) -> AgreementResult:
             )
             for i, b in enumerate(a.landmarks)
         ],
-    )
-
-
-def _accuracies(c: Comparison) -> Accuracies | None:
-    a = c.assessment
-    if a.ekf is None or a.smoother is None:
-        return None
-    return Accuracies(
-        ekf=a.ekf,
-        smoother=a.smoother,
-        dead_reckoning=a.dead_reckoned,
     )
 
 

@@ -5,21 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
-from comparisons.checks.verdict import rounded
+from comparisons.figures import band, in_sigma, rounded, shown
 from comparisons.report.ladder import Step
-from comparisons.report.models import (
-    BlockResult,
-    EkfResult,
-    LogResult,
-    SmootherResult,
-    SpuriousHeadingResult,
-)
+from comparisons.report.models import BlockResult, EkfResult, LogResult, SmootherResult
 from comparisons.words import Row
 
 AGREEING_RATIOS = f"{LEAST_VARIANCE_RATIO:g} to {1.0 / LEAST_VARIANCE_RATIO:g}"
 """Variances of the EKF over the smoother's within which a block of a run agrees."""
-_NO_HEADING_DEG = 180.0
-"""A heading that is known with a larger standard deviation is not known."""
 _DISTANCE = f"<= {LARGEST_DISTANCE:g} sigma"
 """Largest difference of the means within which a block agrees."""
 _STAGES = {
@@ -186,24 +178,6 @@ def gap_rows(steps: Sequence[Step]) -> list[Row]:
     return found
 
 
-def spurious_rows(found: SpuriousHeadingResult | None) -> list[Row]:
-    """Return what the filter learnt of its heading without measuring it."""
-    if found is None:
-        return []
-    group = "Heading learnt from measurements that cannot tell it"
-    if found.sigma_deg is None or found.sigma_deg > _NO_HEADING_DEG:
-        return [Row(group, "standard deviation", "nothing learnt")]
-    rows = [Row(group, "standard deviation", f"{found.sigma_deg:.3g} deg")]
-    if found.largest is not None:
-        begin_s, end_s = found.fastest_s
-        share = 100.0 * found.fastest / found.information
-        fastest = f"{begin_s:.1f} to {end_s:.1f} s ({share:.0f} % of it)"
-        rows.append(Row(group, "grew fastest", fastest))
-        most = found.largest
-        rows.append(Row(group, "most by one update", f"{most.landmark} at {most.time_s:.1f} s"))
-    return rows
-
-
 def block_rows(part: str, whose: str, block: BlockResult, limits: str = "") -> list[Row]:
     """Return how an estimate agrees with the smoother's.
 
@@ -236,18 +210,3 @@ def agreeing(blocks: Sequence[BlockResult], whose: str) -> list[Row]:
 def pose_words(pose: BlockResult) -> str:
     """Return in words how two estimates agree in the last pose."""
     return f"last pose {'agrees' if pose.agrees else 'disagrees'} ({in_sigma(pose.distance_sigma)})"
-
-
-def band(low: object, high: object) -> str:
-    """Return limits in words."""
-    return f"{low} to {high}"
-
-
-def in_sigma(value: float | None) -> str:
-    """Return a distance; none where it is infinite."""
-    return "infinite" if value is None else f"{value:.2g} sigma"
-
-
-def shown(value: float | None, form: str) -> str:
-    """Return a number in a format; `infinite` where the result keeps none."""
-    return "infinite" if value is None else format(value, form)

@@ -31,7 +31,7 @@ from comparisons.report.panels import (
     consistency_panels,
     further_estimates,
 )
-from comparisons.report.result import extension_lines, run_rows
+from comparisons.report.result import finding_lines, run_rows
 from comparisons.report.settings import setting_lines
 from ekf_reference.core.state import correlation_coefficients
 
@@ -111,7 +111,7 @@ def run_page(
         words=_WORDS[result.verdict],
         facts=[
             *_facts(result, [*a, *scan]),
-            *((name[:1].upper() + name[1:], words) for name, words in extension_lines(c)),
+            *((name[:1].upper() + name[1:], words) for name, words in finding_lines(c)),
         ],
         about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
         notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),

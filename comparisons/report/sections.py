@@ -5,20 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.audit.spurious import HEADING, Learnt
 from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.config import EkfConfig
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import finite
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
-from comparisons.report.model import finite
 from comparisons.report.models import (
     EkfResult,
     LogResult,
     MinimumResult,
     SmootherResult,
-    SpuriousHeadingResult,
-    SpuriousShareResult,
     StartResult,
 )
 from graphslam import smoother
@@ -111,28 +108,6 @@ def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> Smoo
         hops=explored.hops,
         random_starts=explored.draws,
         chance_missed=explored.missed,
-    )
-
-
-def spurious_heading_result(found: Learnt | None) -> SpuriousHeadingResult | None:
-    """Return what the filter learnt of its heading from what cannot tell it, if it was asked."""
-    if found is None:
-        return None
-    heading, (begin_s, end_s, gained) = found.of(HEADING), found.fastest(HEADING)
-    time_s, information = found.curve(HEADING)
-    largest = None
-    if (most := heading.largest) is not None and most.time_s is not None:
-        largest = SpuriousShareResult(
-            time_s=most.time_s, landmark=most.seen, information=most.information
-        )
-    return SpuriousHeadingResult(
-        information=heading.information,
-        sigma_deg=finite(heading.sigma),
-        fastest_s=(begin_s, end_s),
-        fastest=gained,
-        largest=largest,
-        time_s=time_s.tolist(),
-        growth=information.tolist(),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from comparisons.config import EkfConfig, JobConfig, Section
 from comparisons.documented.preset import differing
 from comparisons.documented.row import Value, shown
-from comparisons.report.model import Model
+from comparisons.figures import Model
 from comparisons.words import Row
 
 

@@ -20,9 +20,9 @@ from rich.text import Text
 
 from comparisons.atomic import check_file, write_whole
 from comparisons.errors import InputError, printable
+from comparisons.figures import current
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
-from comparisons.report.model import current
 from comparisons.report.models import Result
 from comparisons.report.result import metrics
 

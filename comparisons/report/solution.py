@@ -6,12 +6,12 @@ import numpy as np
 
 from comparisons.checks.accuracy import accuracy_line, accuracy_rows
 from comparisons.checks.association import association_rows
-from comparisons.checks.verdict import misfit_remarks, rounded
+from comparisons.checks.verdict import misfit_remarks
+from comparisons.figures import package_versions, rounded
 from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
-from comparisons.report.model import package_versions
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
 from comparisons.report.sections import log_result, smoother_result

@@ -12,11 +12,12 @@ from scipy.stats import chi2
 
 from comparisons import innovations, statistics
 from comparisons.checks.consistency import consistency
-from comparisons.checks.consistency.consistency import check_consistency
+from comparisons.checks.consistency.consistency import Consistency, check_consistency
 from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
 )
+from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.experiments.bands.coverage import Coverage, Figure, coverage, figures_of, wrong
 from comparisons.experiments.bands.sound_drives import sound_log, sound_run
 from comparisons.logs.odometry import RelativePoses
@@ -35,12 +36,16 @@ def sound_runs() -> tuple[Comparison, ...]:
     return tuple(sound_run(seed, SECONDS, positions=True) for seed in range(RUNS))
 
 
+def with_consistency(c: Comparison, found: Consistency) -> Comparison:
+    return replace(c, findings={**c.findings, "consistency": ConsistencyFinding(found)})
+
+
 def judged_anew() -> list[Coverage]:
     """The table, with all bands computed by what stands in the modules now."""
     return coverage(
         [
             figures_of(
-                replace(c, consistency=check_consistency(c.log, c.ekf, c.smoothed, labelled=True))
+                with_consistency(c, check_consistency(c.log, c.ekf, c.smoothed, labelled=True))
             )
             for c in sound_runs()
         ]

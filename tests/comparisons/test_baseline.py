@@ -31,11 +31,11 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import tum_text, write_estimate
+from comparisons.figures import current
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import CheckResult, build_check_result
-from comparisons.report.model import current
 from comparisons.report.models import AgreementResult, EkfResult, Result
 from comparisons.report.result import build_result, metrics
 from comparisons.settings import run_config

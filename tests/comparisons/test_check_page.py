@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from comparisons.checks.consistency.finding import consistency_result, external_consistency_result
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
@@ -20,7 +21,6 @@ from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.pipeline.check import ExternalCheck, check
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import build_check_result, check_folder, check_page
-from comparisons.report.consistency_result import consistency_result, external_consistency_result
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html.page import page
 from comparisons.report.ladder import EXTERNAL, SMOOTHER, check_ladder

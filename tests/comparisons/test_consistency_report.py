@@ -16,13 +16,17 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.consistency.consistency import check_innovations
+from comparisons.checks.consistency.finding import (
+    NeesResult,
+    TruthConsistencyResult,
+    consistency_line,
+    nees_rows,
+)
 from comparisons.config import EkfConfig
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.report.consistency_figure import consistency_figure
-from comparisons.report.consistency_result import consistency_line, nees_rows
-from comparisons.report.models import NeesResult, TruthConsistencyResult
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.result import build_result, run_rows, run_summary

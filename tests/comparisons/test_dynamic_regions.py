@@ -211,8 +211,8 @@ def test_scan_landmarks_of_a_scene_that_is_all_moving_are_hardly_ever_used() -> 
     ]
     assert [c.ekf.breakdown for c in found] == [None, None]
     assert found[1].verdict.outcome == "agree"
-    assessed = found[0].assessment
-    ours, wheels = (a.ate_m for a in (assessed.ekf, assessed.dead_reckoned) if a)
+    assessed = found[0].accuracy
+    ours, wheels = (a.ate_m for a in (assessed.ekf, assessed.dead_reckoning) if a)
     assert ours == pytest.approx(wheels, abs=0.05)
     reasons = [c.find(ScanLandmarksFinding).source.found.reasons for c in found]
     share = [r["used"] / sum(r.values()) for r in reasons]

@@ -46,15 +46,15 @@ def test_trunks_become_landmarks_with_their_diameters() -> None:
     c = compared(log, association="nn")
     assert_followed(c, 1e-8)
     assert len(c.ekf.estimate.landmark) == 60  # every trunk once, and nothing else
-    assert c.assessment.smoother is not None
-    assert c.assessment.smoother.landmarks_found == 60
-    assert present(c.assessment.smoother.landmark_rmse_aligned_m) < 0.05
+    assert c.accuracy.smoother is not None
+    assert c.accuracy.smoother.landmarks_found == 60
+    assert present(c.accuracy.smoother.landmark_rmse_aligned_m) < 0.05
 
 
 def test_trunks_are_told_from_the_vehicle_wherever_its_scanner_sits() -> None:
     log = with_tree_features(with_scans(simulated(seed=1), Mount(1.5, -0.4, 0.3)))
     c = compared(log, association="nn")
-    assert present(present(c.assessment.smoother).ate_aligned_m) < 0.05
+    assert present(present(c.accuracy.smoother).ate_aligned_m) < 0.05
 
 
 @pytest.mark.slow
@@ -64,7 +64,7 @@ def test_car_park_by_tree_features(shared_data: Path) -> None:
     c = compared(log)
     assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
-    assert present(present(c.assessment.smoother).gps_median_aligned_m) < 0.15
+    assert present(present(c.accuracy.smoother).gps_median_aligned_m) < 0.15
 
 
 def test_features_that_cannot_be_had() -> None:

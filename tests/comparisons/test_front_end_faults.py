@@ -26,7 +26,7 @@ from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Landmarks, Log, Positions, Truth
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import Modified
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.odometry import run_front_end
 from comparisons.pipeline.solve import solve
 from comparisons.report.odometry import build_front_end_result
@@ -137,7 +137,7 @@ def test_measurements_of_surveyed_landmarks_between_scans_count() -> None:
         within = present(log.known_measurements).time_s <= c.ekf.timeline.epoch_time_s[-1]
         instants = np.unique(present(log.known_measurements).time_s[within])
         assert np.isin(instants, c.ekf.timeline.epoch_time_s).all()
-        assert present(present(c.assessment.smoother).ate_m) < 0.1
+        assert present(present(c.accuracy.smoother).ate_m) < 0.1
 
 
 @pytest.mark.slow
@@ -160,7 +160,7 @@ def test_an_unproven_smoother_on_scans_has_no_say() -> None:
     three, motion = three_of(c), c.find(ScanMotionFinding).motion
     apart = replace(three, ekf=replace(three.ekf, outside=three.ekf.landmarks, agrees=False))
     lost = replace(apart, optimality=replace(three.optimality, agreeing=(), stationarity=_SADDLE))
-    both = Compared(prepared=c.prepared, setup=FilterSetup(), ekf=c.ekf, gaps=c.gaps)
+    both = Known(prepared=c.prepared, setup=FilterSetup(), ekf=c.ekf, gaps=c.gaps)
     found = [ScanMotionFinding(both, motion, third) for third in (apart, lost)]
     said = [judge(c.agreement, c.smoother, c.ekf, Diagnosis(), causes=f.causes) for f in found]
     assert [v.outcome for v in said] == ["disagree", "agree"]

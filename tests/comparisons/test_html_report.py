@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from comparisons.checks.causes import EXPLANATIONS, Cause
+from comparisons.checks.check import Finding
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Finding
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.html import map as map_page
 from comparisons.report.html.curves import data_block

@@ -40,7 +40,7 @@ def test_car_park(shared_data: Path) -> None:
     assert c.prepared.ekf.association == "nn"
     assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
-    for accuracy in (c.assessment.ekf, c.assessment.smoother):
+    for accuracy in (c.accuracy.ekf, c.accuracy.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == accuracy.landmarks_true == 15
         assert present(accuracy.landmark_rmse_m) < 0.30
@@ -55,7 +55,7 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
     assert_followed(c, 1e-6)
     assert c.smoother.optimality.verified
     assert c.ekf.unused["rejected"] == (4 if robot == 3 else 0)  # one misread label, four times
-    for accuracy in (c.assessment.ekf, c.assessment.smoother):
+    for accuracy in (c.accuracy.ekf, c.accuracy.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == 15
         assert present(accuracy.landmark_rmse_aligned_m) < 0.12
@@ -65,7 +65,7 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
 @pytest.mark.parametrize(("robot", "recall"), [(1, 0.93), (2, 0.97), (3, 0.97)])
 def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: float) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    score = present(compared(log, association="consensus").assessment.association)
+    score = present(compared(log, association="consensus").association)
     assert present(score.clusters).precision > 0.99
     assert present(score.clusters).recall > recall
 

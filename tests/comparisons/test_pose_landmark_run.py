@@ -143,7 +143,7 @@ def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
 
 
 def test_the_whole_job_agrees() -> None:
-    """Compared, written and read: scan landmarks are in both estimates."""
+    """Known, written and read: scan landmarks are in both estimates."""
     found = compared(log(), Source(Frames), filter="full", association="known")
     assert found.verdict.outcome == "agree"
     assert len(found.agreement.pose_landmarks) == len(found.smoothed.pose_landmarks) > 4

@@ -174,7 +174,7 @@ def test_held_back_positions_judge(antenna: tuple[float, float]) -> None:
     """The antenna's place is compared with the fixes, wherever it sits."""
     log = with_fixes(simulated(seed=3, loop_s=30.0), antenna)
     c = compared(log, association="known", gps="half")
-    for accuracy in (c.assessment.ekf, c.assessment.smoother):
+    for accuracy in (c.accuracy.ekf, c.accuracy.smoother):
         assert accuracy is not None
         assert present(accuracy.gps_median_m) < 0.6
 
@@ -190,7 +190,7 @@ def test_no_position_judges_what_it_was_given_to() -> None:
         assert len(given) == fused_count
         assert sorted(given + judges) == every
     c = compared(log, association="known", gps="on")
-    assert present(c.assessment.ekf).gps_median_m is None
+    assert present(c.accuracy.ekf).gps_median_m is None
 
 
 def test_our_position_factor_equals_central_differences() -> None:
@@ -221,7 +221,7 @@ def test_car_park_with_gps(shared_data: Path) -> None:
     log = open_log(str(shared_data / "acfr_car_park"))
     c = compared(log, gps="on")
     assert_followed(c, 1e-6)
-    for accuracy, limit in ((c.assessment.ekf, 0.08), (c.assessment.smoother, 0.05)):
+    for accuracy, limit in ((c.accuracy.ekf, 0.08), (c.accuracy.smoother, 0.05)):
         assert accuracy is not None
         assert accuracy.landmarks_found == 15
         assert present(accuracy.landmark_rmse_m) < limit
@@ -234,4 +234,4 @@ def test_victoria_park_with_gps(shared_data: Path) -> None:
     c = compared(log, filter="compressed", gps="half")
     assert_followed(c, 1e-6)
     assert c.ekf.rejected_fixes > 0
-    assert present(present(c.assessment.ekf).gps_median_m) < 0.8
+    assert present(present(c.accuracy.ekf).gps_median_m) < 0.8

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 
 from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.consistency.limits import inconsistencies, limit
 from comparisons.checks.qualifiers import (
     TRUTH_GAP,
     UNCHECKED,
     Distance,
     TruthGap,
-    inconsistencies,
-    limit,
     measurement_scale,
     qualified,
     truth_gap,
@@ -231,7 +230,7 @@ def test_a_map_that_is_nowhere_near_is_a_gap(sound: Comparison) -> None:
     lost = shifted_truth(log, 500.0)
     lost = replace(lost, truth=replace(lost.truth, poses=None))
     found = compared(lost, association="nn")
-    assert present(found.assessment.truth_gap).lost
+    assert present(found.truth_gap).lost
     assert TRUTH_GAP in found.verdict.qualifiers
 
 
@@ -268,10 +267,10 @@ def test_labels_stand_for_the_truth() -> None:
     """A log with labels and without truth: the smoother with them says how far off S is."""
     log = replace(first_seconds(simulated(0), 30.0), truth=Truth())
     found = compared(log, association="nn")
-    right = present(found.assessment.truth_gap)
+    right = present(found.truth_gap)
     assert right.reference == "the smoother with the log's labels"
     assert not right.stands
-    assert compared(log, association="known").assessment.truth_gap is None
+    assert compared(log, association="known").truth_gap is None
 
 
 def test_labels_that_do_not_fit_are_no_truth(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -281,7 +280,7 @@ def test_labels_that_do_not_fit_are_no_truth(monkeypatch: pytest.MonkeyPatch) ->
     label[::7] = label[3]
     misread = replace(log, measurements=replace(log.measurements, landmark=label))
     monkeypatch.setattr(second_association, "smooth", None)
-    assert compared(misread, association="nn").assessment.truth_gap is None
+    assert compared(misread, association="nn").truth_gap is None
     with pytest.raises(TypeError):  # with the right labels it is asked
         compared(log, association="nn")
 
@@ -308,7 +307,7 @@ def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path
     for association in ("jcbb", "consensus"):
         found = compared(log, association=association)
         assert TRUTH_GAP in found.verdict.qualifiers, association
-        held = present(found.assessment.truth_gap)
+        held = present(found.truth_gap)
         assert all(d.worse and not d.far for d in held.distances)
         evidence = next(one.evidence for one in found.verdict.causes if one.gap == "truth")
         assert "with the log's labels 0.13 m" in evidence
@@ -317,9 +316,7 @@ def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path
     sound = compared(log, association="known").verdict
     assert sound.outcome == "agree"
     assert TRUTH_GAP not in sound.qualifiers
-    by_labels = present(
-        compared(replace(whole, truth=Truth()), association="nn").assessment.truth_gap
-    )
+    by_labels = present(compared(replace(whole, truth=Truth()), association="nn").truth_gap)
     assert by_labels.reference == "the smoother with the log's labels"
     assert by_labels.stands
 

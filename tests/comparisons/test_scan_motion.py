@@ -163,8 +163,8 @@ def test_both_estimators_move_by_scans() -> None:
     assert by_scans.agreement.algebra.sigma < 1e-9
     assert by_scans.agreement.model.sigma < 1e-9
     assert by_scans.smoother.optimality.chi_square.reading == "plausible"
-    assert present(present(by_scans.assessment.ekf).ate_aligned_m) < 0.5 * present(
-        present(by_wheels.assessment.ekf).ate_aligned_m
+    assert present(present(by_scans.accuracy.ekf).ate_aligned_m) < 0.5 * present(
+        present(by_wheels.accuracy.ekf).ate_aligned_m
     )
 
 

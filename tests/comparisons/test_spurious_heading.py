@@ -16,11 +16,11 @@ from comparisons.audit.audit import audit
 from comparisons.audit.run_trace import write_run
 from comparisons.audit.spurious import HEADING, LargestShare, Learnt, LearntDirection
 from comparisons.checks import causes
+from comparisons.checks.spurious import SpuriousFinding, spurious_rows
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.html.curves import panel_data
 from comparisons.report.panels import consistency_panels
 from comparisons.report.result import build_result, run_rows
-from comparisons.report.rows import spurious_rows
 from comparisons.trace.events import Event, Update
 from comparisons.trace.reader import Trace
 from tests.comparisons.test_known_landmarks import with_survey
@@ -175,9 +175,11 @@ def test_the_page_has_its_figures() -> None:
     assert rows[0].value == f"{present(result.spurious_heading).sigma_deg:.3g} deg"
     nothing = present(result.spurious_heading).model_copy(update={"sigma_deg": 1e12})
     assert [row.value for row in spurious_rows(nothing)] == ["nothing learnt"]
-    assert spurious_rows(None) == []
 
 
 def test_nothing_learnt_is_not_drawn() -> None:
-    c = sound()
-    assert consistency_panels(replace(c, spurious=with_information(1e-26))).learnt is None
+    c, faint = sound(), SpuriousFinding(with_information(1e-26))
+    assert (
+        consistency_panels(replace(c, findings=c.findings | {"spurious_heading": faint})).learnt
+        is None
+    )

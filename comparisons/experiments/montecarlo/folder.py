@@ -26,7 +26,7 @@ from comparisons.experiments.montecarlo.statistics import (
     per_run,
 )
 from comparisons.experiments.montecarlo.study import Outcome
-from comparisons.report.model import finite
+from comparisons.figures import finite
 from comparisons.report.picture import save
 from comparisons.report.terminal import Summary
 from comparisons.words import Row

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from comparisons.report.model import Model
+from comparisons.figures import Model
 
 
 class ConsistencyResult(Model):

@@ -17,7 +17,7 @@ from comparisons.experiments.reproduction.models import (
     SkippedResult,
 )
 from comparisons.experiments.reproduction.registry import FIGURES
-from comparisons.report.model import finite, package_versions
+from comparisons.figures import finite, package_versions
 
 CONTENTS = frozenset(
     {"gallery.html", "claims.json"}

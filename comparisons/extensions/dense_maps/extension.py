@@ -8,14 +8,15 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.checks.check import Finding
 from comparisons.extensions.dense_maps.check import DenseAgreement, compare_dense, dense_cause
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.memory import Demand
 from comparisons.extensions.dense_maps.result import dense_result, dense_rows
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Log
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing
 from comparisons.words import Row
@@ -45,16 +46,16 @@ class DenseMaps(Extension):
         if self._config.attribute_values:
             setup.layer = watcher
 
-    def check(self, compared: Compared) -> DenseMapsFinding | None:
+    def find(self, known: Known) -> DenseMapsFinding | None:
         """Compare the layers that were asked for with the smoother's."""
-        watcher = compared.setup.find(DenseWatcher)
+        watcher = known.setup.find(DenseWatcher)
         if watcher is None or not self._config.layers:
             return None
-        prepared = compared.prepared
+        prepared = known.prepared
         with prepared.clock.stage("dense check"):
             prepared.progress("dense check", 0, 0)
             dense = watcher.run()
-            found = compare_dense(prepared.log, dense, compared.gaps.smoothed)
+            found = compare_dense(prepared.log, dense, known.gaps.smoothed)
         return DenseMapsFinding(prepared.log, dense, found)
 
 

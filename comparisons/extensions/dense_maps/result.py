@@ -9,7 +9,7 @@ import numpy as np
 from comparisons.extensions.dense_maps.accuracy import SurfaceError
 from comparisons.extensions.dense_maps.check import DenseAgreement
 from comparisons.extensions.dense_maps.source import DenseRun
-from comparisons.report.model import Model, finite
+from comparisons.figures import Model, finite
 from comparisons.words import Row
 
 _LISTED = 20

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.checks.check import Finding
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.dynamic.config import DynamicConfig
-from comparisons.extensions.interface import Extension, Finding
-from comparisons.pipeline.gaps import Compared
+from comparisons.extensions.interface import Extension
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from ekf_reference.dense.dynamic import Differencing, places
 
@@ -33,9 +34,9 @@ class Dynamic(Extension):
             watcher.difference_by(self._rule)
         setup.guard = watcher
 
-    def check(self, compared: Compared) -> DynamicFinding | None:
+    def find(self, known: Known) -> DynamicFinding | None:
         """Report what was found, and whether most of it could be looked at."""
-        watcher = compared.setup.find(DenseWatcher)
+        watcher = known.setup.find(DenseWatcher)
         return None if watcher is None else DynamicFinding(watcher)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
+from comparisons.checks.check import Finding
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_clouds
@@ -16,9 +17,9 @@ from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import Cloud, Sampling, build_fastslam, run_fastslam
 from comparisons.extensions.fastslam.result import FastSlamResult, fastslam_result
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.extensions.interface import Extension
 from comparisons.logs.transforms.known_landmarks import surveyed
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
@@ -53,16 +54,16 @@ class FastSlamExtension(Extension):
             raise InputError(f"{prepared.log.name}: --third fastslam takes no surveyed landmarks")
         return prepared
 
-    def check(self, compared: Compared) -> FastSlamFinding:
+    def find(self, known: Known) -> FastSlamFinding:
         """Run the clouds, and compare them with the smoother."""
-        prepared = compared.prepared
+        prepared = known.prepared
         with prepared.clock.stage("fastslam"):
             prepared.progress("fastslam", 0, 0)
             cloud = self.cloud(prepared)
-            stretches = StretchComparison(compared.gaps, prepared.log, self.sampling)
+            stretches = StretchComparison(known.gaps, prepared.log, self.sampling)
             progress = prepared.stage_progress("fastslam, stretches")
             check = check_clouds(stretches.run(self._settings.clouds, progress))
-        return FastSlamFinding(compared, self._settings, cloud, check)
+        return FastSlamFinding(known, self._settings, cloud, check)
 
     def cloud(self, prepared: Prepared[Any]) -> Cloud:
         """Run one cloud through the whole log."""
@@ -75,12 +76,12 @@ class FastSlamFinding(Finding):
     """Clouds against the smoother. accuracy: of the cloud of the whole log."""
 
     def __init__(
-        self, compared: Compared, settings: FastSlamConfig, cloud: Cloud, check: CloudCheck
+        self, known: Known, settings: FastSlamConfig, cloud: Cloud, check: CloudCheck
     ) -> None:
         """Report in remarks: a witness changes no verdict."""
-        smoothed, prepared = compared.gaps.smoothed, compared.prepared
+        smoothed, prepared = known.gaps.smoothed, known.prepared
         self.check, depletion = check, cloud.depletion()
-        estimate = cloud_estimate(cloud, compared.ekf.estimate.time_s)
+        estimate = cloud_estimate(cloud, known.ekf.estimate.time_s)
         self.accuracy: Accuracy | None = assess(
             estimate, prepared.judged, labelled=prepared.labelled
         )

@@ -11,7 +11,7 @@ from comparisons.checks.accuracy import Accuracy
 from comparisons.extensions.fastslam.check import LEVEL, CloudCheck
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import Depletion
-from comparisons.report.model import Model
+from comparisons.figures import Model
 
 _AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
 

@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.checks.check import Finding
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
@@ -18,8 +19,8 @@ from comparisons.extensions.high_level.source import (
     HighLevelRun,
     HighLevelSource,
 )
-from comparisons.extensions.interface import Extension, Finding
-from comparisons.pipeline.gaps import Compared
+from comparisons.extensions.interface import Extension
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing
 from comparisons.words import Row
@@ -44,9 +45,9 @@ class HighLevel(Extension):
         setup.source = HighLevelSource(prepared.log, self.options, shared)
         setup.offers.append(setup.source)
 
-    def check(self, compared: Compared) -> HighLevelFinding | None:
+    def find(self, known: Known) -> HighLevelFinding | None:
         """Report what became of the search."""
-        source = compared.setup.find(HighLevelSource)
+        source = known.setup.find(HighLevelSource)
         return None if source is None else HighLevelFinding(source.run())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.extensions.high_level.source import HighLevelRun
-from comparisons.report.model import Model
+from comparisons.figures import Model
 from comparisons.words import Row
 
 

@@ -15,22 +15,22 @@ from comparisons.arrays import Index
 from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
 from comparisons.checks.agreement import block_agrees
 from comparisons.checks.association import AssociationScore, association_rows, score_association
+from comparisons.checks.check import Finding
 from comparisons.choices import When
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.extensions.interface import Extension
 from comparisons.extensions.own_association.check import (
     OwnAssociationCheck,
     association_cause,
     check_own_association,
 )
+from comparisons.figures import Model, in_sigma
 from comparisons.pipeline.beside import Beside
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.pipeline.second_association import own_work, run_work
 from comparisons.report.html.drawing import Drawing
-from comparisons.report.model import Model
-from comparisons.report.rows import in_sigma
 from comparisons.words import Row
 from ekf_reference.core.measurements import DYNAMIC
 from graphslam.optimum import Optimality
@@ -56,29 +56,29 @@ class OwnAssociation(Extension):
         """Associate and solve beside the smoother; neither needs the other's result."""
         return start_own_association(prepared, run) if self.asked else None
 
-    def check(self, compared: Compared) -> OwnAssociationFinding | None:
+    def find(self, known: Known) -> OwnAssociationFinding | None:
         """Associate without the filter, solve, assess, and compare. Raises InputError."""
         if not self.asked:
             return None
-        prepared, work = compared.prepared, compared.started[self.name]
+        prepared, work = known.prepared, known.started[self.name]
         with prepared.clock.stage("own association"):
             prepared.progress("own association", 0, 0)
             found = work.result()
-            own = compare_with_own_association(compared, found)
+            own = compare_with_own_association(known, found)
         prepared.clock.add_cpu("own association", work.cpu_s)
-        return OwnAssociationFinding(compared, own)
+        return OwnAssociationFinding(known, own)
 
 
 class OwnAssociationFinding(Finding):
     """S against S'. own: the check."""
 
-    def __init__(self, compared: Compared, own: OwnAssociationCheck) -> None:
+    def __init__(self, known: Known, own: OwnAssociationCheck) -> None:
         """Heard in the verdict when its optimum is verified."""
-        self.own, self._compared = own, compared
+        self.own, self._known = own, known
         self.result = _result(own)
         self.entries = {"own_association": self.result}
         if own.optimality.verified and not block_agrees(own.pose):
-            self.causes = [association_cause(own, compared.ekf)]
+            self.causes = [association_cause(own, known.ekf)]
 
     def rows(self) -> Sequence[Row]:
         """Return how the associations compare, and how good the smoother is with its own."""
@@ -98,13 +98,13 @@ class OwnAssociationFinding(Finding):
         """Add a line from the pose to the landmark for each measurement that differs."""
         from comparisons.extensions.own_association.page import differing_lines
 
-        differing_lines(drawing, self.own, self._compared.ekf)
+        differing_lines(drawing, self.own, self._known.ekf)
 
     def sections(self) -> Sequence[str]:
         """Return the table of measurements that differ."""
         from comparisons.extensions.own_association.page import association_differences
 
-        return [association_differences(self.own, self._compared.ekf)]
+        return [association_differences(self.own, self._known.ekf)]
 
 
 @dataclass(frozen=True)
@@ -156,20 +156,20 @@ def solve_with_own_association(
     return OwnSolution(found.landmark_index, estimate, result.optimality)
 
 
-def compare_with_own_association(compared: Compared, found: OwnSolution) -> OwnAssociationCheck:
+def compare_with_own_association(known: Known, found: OwnSolution) -> OwnAssociationCheck:
     """Return how S' compares with S."""
-    log, run, estimate = compared.prepared.log, compared.ekf, found.estimate
+    log, run, estimate = known.prepared.log, known.ekf, found.estimate
     own = check_own_association(
         log.measurements,
         run.timeline.measurement_epoch,
         (run.landmark_index, found.landmark_index),
-        compared.gaps.smoothed,
+        known.gaps.smoothed,
         estimate,
         found.optimality,
     )
     return replace(
         own,
-        accuracy=assess(estimate, compared.prepared.judged, labelled=False),
+        accuracy=assess(estimate, known.prepared.judged, labelled=False),
         score=score_association(found.landmark_index, estimate.landmark, log),
     )
 

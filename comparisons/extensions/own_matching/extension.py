@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from comparisons.adapters.smoother_input import smoothed_estimate
 from comparisons.checks.accuracy import assess
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.checks.check import Finding
+from comparisons.extensions.interface import Extension
 from comparisons.extensions.own_matching.check import (
     OwnMatchingCheck,
     check_own_matching,
@@ -16,7 +17,7 @@ from comparisons.extensions.own_matching.check import (
 from comparisons.extensions.own_matching.result import own_matching_result, own_matching_rows
 from comparisons.extensions.own_matching.source import own_measurements
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.words import Row
 from graphslam.smoother import smooth
 
@@ -26,22 +27,22 @@ class OwnMatching(Extension):
 
     name = "own_matching"
 
-    def check(self, compared: Compared) -> OwnMatchingFinding | None:
+    def find(self, known: Known) -> OwnMatchingFinding | None:
         """See the scan landmarks anew, solve, assess, and compare the alignments."""
-        slam = compared.setup.find(ScanSlamSource)
+        slam = known.setup.find(ScanSlamSource)
         if slam is None:
             return None
-        with compared.prepared.clock.stage("own matcher"):
-            return OwnMatchingFinding(compared, solve_with_own_matching(compared, slam))
+        with known.prepared.clock.stage("own matcher"):
+            return OwnMatchingFinding(known, solve_with_own_matching(known, slam))
 
 
 class OwnMatchingFinding(Finding):
     """S against S''. own: the check."""
 
-    def __init__(self, compared: Compared, own: OwnMatchingCheck) -> None:
+    def __init__(self, known: Known, own: OwnMatchingCheck) -> None:
         """Heard in the verdict when its optimum is verified."""
         self.own = own
-        self.result = own_matching_result(own, compared.ekf.estimate.time_s)
+        self.result = own_matching_result(own, known.ekf.estimate.time_s)
         self.entries = {"own_matching": self.result}
         self.estimates = {"own-matcher": own.estimate}
         self.titles = {"own-matcher": "smoother, own matcher"}
@@ -51,7 +52,7 @@ class OwnMatchingFinding(Finding):
                 "verdict ignores it"
             ]
         elif not own.agrees:
-            self.causes = [matching_cause(own, compared.ekf)]
+            self.causes = [matching_cause(own, known.ekf)]
 
     def rows(self) -> Sequence[Row]:
         """Return how the alignments compare, and how good the smoother is with its own."""
@@ -64,12 +65,12 @@ class OwnMatchingFinding(Finding):
         return [matching_differences(self.result)]
 
 
-def solve_with_own_matching(compared: Compared, slam: ScanSlamSource) -> OwnMatchingCheck:
+def solve_with_own_matching(known: Known, slam: ScanSlamSource) -> OwnMatchingCheck:
     """Return S'' and how it compares with S.
 
     Its measurements take the place of the filter's, so that no scan counts twice.
     """
-    prepared, run, gaps = compared.prepared, compared.ekf, compared.gaps
+    prepared, run, gaps = known.prepared, known.ekf, known.gaps
     progress = prepared.stage_progress("own matcher")
     problem, found = own_measurements(prepared.log, run, slam.found.initialised, progress)
     result = smooth(problem, {}, options=gaps.result.options)

@@ -8,8 +8,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, accuracy_rows
 from comparisons.checks.map_agreement import Pair
 from comparisons.extensions.own_matching.check import LandmarkMatching, OwnMatchingCheck
-from comparisons.report.model import Model, finite
-from comparisons.report.rows import in_sigma
+from comparisons.figures import Model, finite, in_sigma
 from comparisons.words import Row
 
 MATCHER = "Open3D, generalised ICP"

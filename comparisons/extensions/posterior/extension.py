@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.checks.check import Finding
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.extensions.interface import Extension
 from comparisons.extensions.posterior.check import (
     Judged,
     PosteriorCheck,
@@ -18,7 +19,7 @@ from comparisons.extensions.posterior.check import (
     failures,
 )
 from comparisons.extensions.posterior.result import posterior_result, posterior_rows
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.words import Row
 from graphslam.sampling import LARGEST_DIMENSION, SamplingOptions, sample_posterior
@@ -44,9 +45,9 @@ class Posterior(Extension):
                 "stretch"
             )
 
-    def check(self, compared: Compared) -> PosteriorFinding:
+    def find(self, known: Known) -> PosteriorFinding:
         """Draw around the smoother's optimum and judge. Raises InputError."""
-        prepared, gaps = compared.prepared, compared.gaps
+        prepared, gaps = known.prepared, known.gaps
         rng = np.random.default_rng(self._seed)
         with prepared.clock.stage("posterior"):
             try:
@@ -60,7 +61,7 @@ class Posterior(Extension):
                 )
             except ValueError as error:
                 raise InputError(f"{prepared.log.name}: --posterior samples: {error}") from None
-            found = check_posterior(draws, compared.ekf.estimate, gaps.smoothed)
+            found = check_posterior(draws, known.ekf.estimate, gaps.smoothed)
         return PosteriorFinding(found, gaps.smoothed.landmark_id)
 
 

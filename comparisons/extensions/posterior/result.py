@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.extensions.posterior.check import Judged, PosteriorCheck
-from comparisons.report.model import Model, finite
+from comparisons.figures import Model, finite
 from comparisons.words import Row
 from graphslam.chain_diagnostics import Estimated
 from graphslam.sampling import (

@@ -10,10 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.checks.check import Finding
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
     ScanLandmarkResult,
@@ -27,7 +28,7 @@ from comparisons.extensions.scan_landmarks.source import (
     ScanSlamSource,
     scan_slam_options,
 )
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing
 from comparisons.words import Row
@@ -69,19 +70,19 @@ class ScanLandmarksExtension(Extension):
         setup.source = ScanSlamSource(self._scans, self.options, enriching, fusing)
         setup.offers.append(setup.source)
 
-    def check(self, compared: Compared) -> ScanLandmarksFinding | None:
+    def find(self, known: Known) -> ScanLandmarksFinding | None:
         """Report what the scans gave."""
-        source = compared.setup.find(ScanSlamSource)
-        return None if source is None else ScanLandmarksFinding(compared, source)
+        source = known.setup.find(ScanSlamSource)
+        return None if source is None else ScanLandmarksFinding(known, source)
 
 
 class ScanLandmarksFinding(Finding):
     """source: with the templates, and what became of their measurements."""
 
-    def __init__(self, compared: Compared, source: ScanSlamSource) -> None:
+    def __init__(self, known: Known, source: ScanSlamSource) -> None:
         """No causes: whether the landmarks agree is part of the agreement."""
-        self.source, self._compared = source, compared
-        self.result = scan_slam_result(source, compared.ekf.estimate, compared.gaps)
+        self.source, self._known = source, known
+        self.result = scan_slam_result(source, known.ekf.estimate, known.gaps)
         self.entries = {"scan_slam": self.result}
 
     def rows(self) -> Sequence[Row]:
@@ -96,10 +97,10 @@ class ScanLandmarksFinding(Finding):
         """Draw templates, and both estimates' axes and ellipses."""
         from comparisons.extensions.scan_landmarks.figure import draw_scan_landmarks
 
-        draw_scan_landmarks(axis, self._compared, self.source.found)
+        draw_scan_landmarks(axis, self._known, self.source.found)
 
     def layers(self, drawing: Drawing) -> None:
         """Add templates, ellipses and axes."""
         from comparisons.extensions.scan_landmarks.figure import scan_landmark_layers
 
-        scan_landmark_layers(drawing, self._compared, self.source.found)
+        scan_landmark_layers(drawing, self._known, self.source.found)

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
@@ -16,7 +16,7 @@ from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 _SIGMAS = 3.0
 
 
-def draw_scan_landmarks(axis: Axes, c: Compared, found: ScanLandmarks) -> None:
+def draw_scan_landmarks(axis: Axes, c: Known, found: ScanLandmarks) -> None:
     """Draw templates where the filter has them, and both estimates' axes and ellipses."""
     ekf, surfaces = c.ekf.estimate, c.prepared.log.truth.surfaces
     if surfaces is not None:
@@ -32,7 +32,7 @@ def draw_scan_landmarks(axis: Axes, c: Compared, found: ScanLandmarks) -> None:
         axis.add_collection(frames)
 
 
-def scan_landmark_layers(drawing: Drawing, c: Compared, found: ScanLandmarks) -> None:
+def scan_landmark_layers(drawing: Drawing, c: Known, found: ScanLandmarks) -> None:
     """Add templates, ellipses and axes; their keys tell them from points."""
     ekf = c.ekf.estimate
     points = template_points(found, ekf.pose_landmark_id, ekf.pose_landmarks)
@@ -52,7 +52,7 @@ def scan_landmark_layers(drawing: Drawing, c: Compared, found: ScanLandmarks) ->
         drawing.marks(f"{name} scan landmarks", colour, place, labels, keys)
 
 
-def _both(c: Compared) -> tuple[tuple[str, str, Estimate], ...]:
+def _both(c: Known) -> tuple[tuple[str, str, Estimate], ...]:
     return (
         ("smoother", SMOOTHER_COLOUR, c.gaps.smoothed),
         ("EKF", EKF_COLOUR, c.ekf.estimate),

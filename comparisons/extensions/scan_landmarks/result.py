@@ -5,8 +5,8 @@ from __future__ import annotations
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_slam_options
+from comparisons.figures import Model
 from comparisons.pipeline.gaps import Gaps
-from comparisons.report.model import Model
 from comparisons.report.models import LandmarkResult
 from comparisons.report.sections import block_fields
 from comparisons.words import Row

@@ -11,8 +11,9 @@ from pydantic import BaseModel
 
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.checks.accuracy import assess
+from comparisons.checks.check import Finding
 from comparisons.checks.map_agreement import compare_maps
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_motion.increments import check_increments
 from comparisons.extensions.scan_motion.result import (
     increment_remarks,
@@ -30,7 +31,7 @@ from comparisons.extensions.scan_motion.three_way import (
     readable,
 )
 from comparisons.logs.transforms.scan_motion import BEYOND, with_scan_motion
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.words import Row
 from graphslam.scan.loop_closure import loop_closer
@@ -57,25 +58,25 @@ class ScanMotionExtension(Extension):
         fused = prepared.ekf.gps != "off"
         return replace(prepared, log=with_scan_motion(prepared.log, self._motion, positions=fused))
 
-    def check(self, compared: Compared) -> ScanMotionFinding | None:
+    def find(self, known: Known) -> ScanMotionFinding | None:
         """Solve with the scans' motion beside the wheels', where both are asked for."""
         if self._motion is None:
             return None
         three = None
-        prepared = compared.prepared
+        prepared = known.prepared
         if not self.brings_motion:
             with prepared.clock.stage("smoother on scans"):
                 prepared.progress("smoother on scans", 0, 0)
-                three = solve_on_scans(compared, self._motion)
-        return ScanMotionFinding(compared, self._motion, three)
+                three = solve_on_scans(known, self._motion)
+        return ScanMotionFinding(known, self._motion, three)
 
 
 class ScanMotionFinding(Finding):
     """What the scans gave, how honest that is, and the third estimate, where there is one."""
 
-    def __init__(self, compared: Compared, motion: ScanMotion, three: ThreeWay | None) -> None:
+    def __init__(self, known: Known, motion: ScanMotion, three: ThreeWay | None) -> None:
         """The third estimate is heard in the verdict when its optimum is verified."""
-        log, seconds = compared.prepared.log, compared.prepared.clock.seconds
+        log, seconds = known.prepared.log, known.prepared.clock.seconds
         self.motion, self.three = motion, three
         increments = check_increments(motion, log)
         self._odometry = scan_odometry_result(motion, guess=True, seconds=seconds["scan odometry"])
@@ -111,9 +112,9 @@ class ScanMotionFinding(Finding):
             draw_estimate(axis, "smoother on scans", self.three.estimate)
 
 
-def solve_on_scans(compared: Compared, motion: ScanMotion) -> ThreeWay:
+def solve_on_scans(known: Known, motion: ScanMotion) -> ThreeWay:
     """Solve with the scans' motion, and compare both estimates on wheels with that."""
-    prepared, run, gaps = compared.prepared, compared.ekf, compared.gaps
+    prepared, run, gaps = known.prepared, known.ekf, known.gaps
     closer = loop_closer(motion.options)
     scans = smooth_on_scans(prepared.log, motion, run, closer, SmootherOptions())
     accuracy = assess(scans.estimate, prepared.judged, labelled=False)

@@ -13,8 +13,7 @@ from comparisons.checks.accuracy import Accuracy, accuracy_rows
 from comparisons.checks.map_agreement import Pair
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
-from comparisons.report.model import Model
-from comparisons.report.rows import band
+from comparisons.figures import Model, band
 from comparisons.words import Row
 
 _SURE = 2.0

@@ -13,10 +13,11 @@ from pydantic import BaseModel
 
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
+from comparisons.checks.check import Finding
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Extension, Finding
+from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Poses
-from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.picture import blank
 from comparisons.words import Row
@@ -68,20 +69,16 @@ class Docking(Extension):
         setup.source = DockingSource(self._config, prepared.log.truth.poses)
         setup.offers.append(setup.source)
 
-    def check(self, compared: Compared) -> DockingFinding | None:
-        source = compared.setup.find(DockingSource)
-        return (
-            None if source is None or not source.measurements else DockingFinding(compared, source)
-        )
+    def find(self, known: Known) -> DockingFinding | None:
+        source = known.setup.find(DockingSource)
+        return None if source is None or not source.measurements else DockingFinding(known, source)
 
 
 class DockingFinding(Finding):
     """Where both estimators have the station."""
 
-    def __init__(self, compared: Compared, source: DockingSource) -> None:
-        ekf, smoother = (
-            e.pose_landmarks[0, :2] for e in (compared.ekf.estimate, compared.gaps.smoothed)
-        )
+    def __init__(self, known: Known, source: DockingSource) -> None:
+        ekf, smoother = (e.pose_landmarks[0, :2] for e in (known.ekf.estimate, known.gaps.smoothed))
         self.result = DockingResult(
             measurements=source.measurements, ekf_m=_pair(ekf), smoother_m=_pair(smoother)
         )

@@ -1,30 +1,182 @@
-"""Consistency as a part of `result.json`, as rows of figures, and in a line."""
+"""Consistency as a check: part of `result.json`, rows of figures, and a line."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.checks.consistency.consistency import Consistency, ExternalConsistency
-from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
-from comparisons.checks.consistency.nees import TruthConsistency
-from comparisons.report.model import InnovationResult
-from comparisons.report.models import (
-    ConsistencyResult,
-    ExternalConsistencyResult,
-    FilterAgainstSmootherResult,
-    NeesResult,
-    TruthConsistencyResult,
+from comparisons.checks.check import Check, Of
+from comparisons.checks.consistency.consistency import (
+    Consistency,
+    ExternalConsistency,
+    check_consistency,
 )
-from comparisons.report.rows import band
+from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
+from comparisons.checks.consistency.limits import inconsistencies
+from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.figures import Model, band
+from comparisons.innovations import InnovationResult
 from comparisons.statistics import Normalised
 from comparisons.words import Row
+
+if TYPE_CHECKING:
+    from comparisons.pipeline.gaps import Known
 
 _NEES_BANDS = "95 % bands; the verdict: pose and landmarks at 99.9 %"
 _NIS_BANDS = "95 % bands; the verdict: NIS alone, at 99.9 %"
 """A consistent filter leaves one of twenty bands of 95 %; see checks.qualifiers.inconsistencies."""
+
+
+class NeesResult(Model):
+    """Normalised errors squared, each with `dof` degrees of freedom.
+
+    See comparisons.statistics.
+
+    Over time, and over landmarks of one run, the values are correlated: no band holds for their
+    average.
+
+    Attributes:
+        dof: degrees of freedom of a value.
+        count: number of values.
+        mean: average; `dof` is right.
+        last: the last value.
+        single_band: interval of 95 % of single values.
+        inside: share of the values in it.
+        unusable: errors without a value, by reason.
+    """
+
+    dof: int
+    count: int
+    mean: float | None
+    last: float | None
+    single_band: tuple[float, float]
+    inside: float | None
+    unusable: dict[str, int]
+
+
+class TruthConsistencyResult(Model):
+    """NEES against truth, of errors in the log's frame, additive in x, y and wrapped heading.
+
+    Attributes:
+        pose: poses over time.
+        position: positions over time.
+        heading: headings over time.
+        landmarks: each landmark alone.
+        map: all landmarks jointly.
+        whole: all landmarks and the last pose jointly.
+        distance: lengths of a spanning tree over landmarks and last pose, which no frame affects,
+            each alone.
+        distances: the same lengths jointly.
+        too_short: lengths that were left out since they are too short.
+    """
+
+    pose: NeesResult | None
+    position: NeesResult | None
+    heading: NeesResult | None
+    landmarks: NeesResult | None
+    map: NeesResult | None
+    whole: NeesResult | None
+    distance: NeesResult | None
+    distances: NeesResult | None
+    too_short: int
+
+
+class FilterAgainstSmootherResult(Model):
+    """Filtered poses compared with smoothed ones.
+
+    See comparisons.checks.consistency.filter_smoother.
+
+    Attributes:
+        epochs: poses that were compared.
+        squared_per_dof: squared difference over its degrees of freedom, by P_filter - P_smoother; 1
+            is right.
+        band: 95 % band of it, for correlated epochs.
+        inside: share of the epochs in their single 95 % band.
+        least_ratio: least variance of the filter over the smoother's, of all directions and epochs.
+        least_ratio_s: time of that epoch.
+        overconfident_epochs: epochs with a ratio clearly below 1: there the filter is
+        overconfident.
+        overconfident_since_s: time of the first one.
+        unusable: epochs that could not be compared, by reason.
+    """
+
+    epochs: int
+    squared_per_dof: float | None
+    band: tuple[float, float] | None = None
+    inside: float | None
+    least_ratio: float | None
+    least_ratio_s: float | None
+    overconfident_epochs: int
+    overconfident_since_s: float | None
+    unusable: dict[str, int]
+
+
+class ConsistencyResult(Model):
+    """Consistency by truth, by the filter's innovations, and by the smoother.
+
+    Attributes:
+        ekf: the filter by truth.
+        smoother: the smoother by truth.
+        innovations: each sensor.
+        filter_against_smoother: the filter by the smoother.
+    """
+
+    ekf: TruthConsistencyResult | None
+    smoother: TruthConsistencyResult | None
+    innovations: list[InnovationResult]
+    filter_against_smoother: FilterAgainstSmootherResult | None
+
+
+class ExternalConsistencyResult(Model):
+    """Consistency of an external estimate's covariances, by truth and by the smoother.
+
+    Attributes:
+        truth: by truth.
+        filter_against_smoother: by the smoother.
+        unjudged: why there is no comparison with the smoother.
+    """
+
+    truth: TruthConsistencyResult | None
+    filter_against_smoother: FilterAgainstSmootherResult | None
+    unjudged: str
+
+
+class ConsistencyFinding(Of[Consistency]):
+    """What of the filter is outside its band, and what is within."""
+
+    def __init__(self, found: Consistency) -> None:
+        """found: by truth, innovations and smoother."""
+        self.value, self.result = found, consistency_result(found)
+        self.entries = {"consistency": self.result}
+        self.remarks = found.remarks
+        result = self.result
+        lines = consistency_line(
+            inconsistencies(found), result.ekf, result.filter_against_smoother, result.innovations
+        )
+        self.line = next(iter(lines), None)
+
+    def rows(self) -> Sequence[Row]:
+        """Return NEES of both estimators, NIS by sensor, and the filter by the smoother."""
+        return consistency_rows(self.result)
+
+
+class CheckConsistency(Check):
+    """Is the filter as sure as it may be, by truth, by its innovations, by the smoother?"""
+
+    name = "consistency"
+
+    def find(self, known: Known) -> ConsistencyFinding:
+        """Return the statistics that the log allows; they have no say in the verdict."""
+        gaps, prepared = known.gaps, known.prepared
+        robust = gaps.result.options.robust
+        return ConsistencyFinding(
+            check_consistency(
+                prepared.log, known.ekf, gaps.smoothed, labelled=prepared.labelled, robust=robust
+            )
+        )
 
 
 def consistency_result(c: Consistency) -> ConsistencyResult:
