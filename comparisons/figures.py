@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import platform
 import re
@@ -23,6 +24,7 @@ _FORMER = {
 }
 _PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
 """Those that the results depend on."""
+_MEANING = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 _WORDS = re.compile(rf"(?<![a-z])(?<!loop_)({'|'.join(_FORMER)})")
 
 
@@ -66,11 +68,24 @@ def kept_fields(kind: type) -> Mapping[str, Any]:
     if not dataclasses.is_dataclass(kind):
         return {}
     marked = get_type_hints(kind, include_extras=True)
-    return {
+    found = {
         name: float | None if hint == Figure else hint
         for name, hint in marked.items()
         if not any(getattr(one, "exclude", None) for one in getattr(hint, "__metadata__", ()))
     }
+    for name, value in vars(kind).items():
+        if hasattr(value, "decorator_info"):  # a computed field
+            found[name] = get_type_hints(value.wrapped.fget)["return"]
+    return found
+
+
+def meanings(kind: type) -> dict[str, str]:
+    """Return the meaning of each field, from the `Attributes:` of the model and those above it."""
+    found: dict[str, str] = {}
+    for one in reversed(kind.__mro__):
+        listed = inspect.cleandoc(one.__doc__ or "").partition("\n\nAttributes:\n")[2]
+        found |= {name: " ".join(text.split()) for name, text in _MEANING.findall(listed)}
+    return found
 
 
 def band(low: object, high: object) -> str:

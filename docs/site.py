@@ -44,7 +44,7 @@ from comparisons.extensions.scan_motion.result import (
     ScanOdometryResult,
     ThreeWayResult,
 )
-from comparisons.figures import kept_fields
+from comparisons.figures import kept_fields, meanings
 from comparisons.options import FLAGS
 from comparisons.report.check import CheckResult
 from comparisons.report.dense_map import MapResult
@@ -83,7 +83,6 @@ UNITS = {"_m": "m", "_m2": "m²", "_rad": "rad", "_s": "s", "_sigma": "sigma", "
          "_per_second": "1/s"}  # fmt: skip
 """Endings of fields' names, and the unit that each stands for."""
 _JSON = {str: "text", float: "number", int: "integer", bool: "true, false", NoneType: "null"}
-_MEANING = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
 def _result_schema() -> str:
@@ -130,15 +129,6 @@ def _key(kind: Any, name: str) -> str:
     """Return the name of a field in the file."""
     field = getattr(kind, "model_fields", {}).get(name)
     return (field and field.alias) or name
-
-
-def meanings(kind: type) -> dict[str, str]:
-    """Return the meaning of each field, from the `Attributes:` of the model and those above it."""
-    found: dict[str, str] = {}
-    for one in reversed(kind.__mro__):
-        listed = inspect.cleandoc(one.__doc__ or "").partition("\n\nAttributes:\n")[2]
-        found |= {name: " ".join(text.split()) for name, text in _MEANING.findall(listed)}
-    return found
 
 
 def _type(kind: Any, names: dict[type, str]) -> str:

@@ -23,7 +23,7 @@ import pytest
 from pydantic import BaseModel
 
 import slamcheck
-from comparisons.figures import kept_fields
+from comparisons.figures import kept_fields, meanings
 from tests.test_docs import script
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -331,7 +331,7 @@ def unexplained(site: ModuleType, *kinds: type) -> list[str]:
         f"{kind.__name__}.{name}"
         for kind in site._nested(*kinds)
         for name in kept_fields(kind)
-        if name not in site.meanings(kind)
+        if name not in meanings(kind)
     ]
 
 

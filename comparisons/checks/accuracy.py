@@ -127,6 +127,9 @@ class CheckAccuracy(Check):
     """How far are the estimates from truth, or from the positions that were held back?"""
 
     name = "accuracy"
+    needs = "true poses or landmarks, or absolute positions that the filter has not used"
+    errs = "not at all: errors are reported and judged by nothing"
+    figures = Accuracies
 
     def find(self, known: Known) -> AccuracyFinding | Absent:
         """Return the errors of each estimate."""

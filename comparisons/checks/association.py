@@ -94,6 +94,9 @@ class CheckAssociation(Check):
     """Does the filter put together the measurements that the log's labels put together?"""
 
     name = "association"
+    needs = "labels in the log, and a filter that associates without them"
+    errs = "not at all: the scores are reported and judged by nothing"
+    figures = AssociationScore
 
     def find(self, known: Known) -> AssociationFinding | Absent:
         """Return the score of the filter's association."""

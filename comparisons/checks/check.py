@@ -78,9 +78,16 @@ class Absent(NamedTuple):
 
 
 class Check:
-    """One question about a job. name: its key in a result and in `slamcheck explain`."""
+    """One question about a job, which is the first line of a check's docstring."""
 
     name = ""
+    """Its key in a result, and what `slamcheck explain` calls it."""
+    needs = ""
+    """What a job must have for an answer."""
+    errs = ""
+    """How often it says something wrong of what is sound, as far as that is measured."""
+    figures: type | None = None
+    """What it adds to the result, if it does: a class that describes every field."""
 
     def find(self, known: Known) -> Finding | Absent | None:
         """Return the answer, or why there is none; None where nothing was asked."""

@@ -108,6 +108,8 @@ class CheckPositions(Check):
     """Do the positions that the filter's gate rejected fit the smoother's optimum?"""
 
     name = "positions"
+    needs = "absolute positions that the filter was given"
+    errs = "a disagreement needs more than half of all positions to contradict the optimum"
 
     def find(self, known: Known) -> PositionsFinding | Absent:
         """Return what the gate rejected."""

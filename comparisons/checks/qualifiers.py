@@ -122,6 +122,9 @@ class CheckTruthGap(Check):
     """Is the smoother near the truth, or near what it finds with the log's labels?"""
 
     name = "truth_gap"
+    needs = "truth, or labels that the run has not used"
+    errs = "1 of 1,000 sound runs is farther from the truth than the limit of its NEES"
+    figures = TruthGap
 
     def find(self, known: Known) -> TruthGapFinding | Absent:
         """Return S against truth, or else against labels, where S has not used them."""

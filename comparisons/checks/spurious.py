@@ -74,6 +74,9 @@ class CheckSpurious(Check):
     """Did the filter learn its global heading from measurements that cannot tell it?"""
 
     name = "spurious_heading"
+    needs = "landmarks whose places the filter finds itself"
+    errs = "not at all: it explains a linearisation gap and is judged by nothing"
+    figures = SpuriousHeadingResult
 
     def find(self, known: Known) -> SpuriousFinding | Absent:
         """Return what it learnt, with or without positions and prior."""

@@ -25,6 +25,7 @@ PANELS = {
         "run": "run:run",
         "compare": "compare:compare",
         "logs": "logs:logs",
+        "explain": "explain:explain",
         "config": "config:config",
     },
     "Your own data and filter": {

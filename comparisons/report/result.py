@@ -71,7 +71,10 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
         *block_rows("Last pose", "EKF", gaps.pose, AGREEING_RATIOS),
         *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
         *(row for found in comparison.findings.values() for row in found.rows()),
-        *(Row("Not checked", name, why) for name, why in comparison.absent.items()),
+        *(
+            Row("Not checked", name.replace("_", " "), why)
+            for name, why in comparison.absent.items()
+        ),
     ]
 
 

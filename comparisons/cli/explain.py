@@ -1,0 +1,29 @@
+"""`slamcheck explain`: what a check asks and finds, and what a cause means."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from comparisons.cli.support import AGREE, guarded
+
+
+def explain(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="A check or a cause; none lists them all.")
+    ] = None,
+) -> None:
+    """Say what a check asks, needs and finds, or what a cause of a verdict means.
+
+    \b
+    Examples:
+      slamcheck explain
+      slamcheck explain truth_gap
+      slamcheck explain linearisation
+    """
+    with guarded():
+        from comparisons.report.explain import explanation, overview
+
+        typer.echo(overview() if name is None else explanation(name))
+        raise SystemExit(AGREE)

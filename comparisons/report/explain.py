@@ -1,0 +1,67 @@
+"""Checks and causes in words, from what they say of themselves."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from collections.abc import Iterator
+
+from comparisons.checks.causes import EXPLANATIONS
+from comparisons.checks.check import Check
+from comparisons.checks.registry import CHECKS
+from comparisons.errors import InputError
+from comparisons.figures import kept_fields, meanings
+from comparisons.words import cause_name
+
+_WIDTH = 80
+
+
+def overview() -> str:
+    """Return every check with its question, and every cause with its title."""
+    checks = [(one.name, _question(one)) for one in CHECKS]
+    causes = [(name, one.title) for name, one in EXPLANATIONS.items()]
+    longest = max(len(name) for name, _ in (*checks, *causes)) + 2
+    lines = ["Checks of a run:"]
+    lines += [_wrapped(f"  {name:<{longest}}{words}", longest + 2) for name, words in checks]
+    lines += ["", "Causes of a verdict:"]
+    lines += [_wrapped(f"  {name:<{longest}}{words}", longest + 2) for name, words in causes]
+    return "\n".join(lines)
+
+
+def explanation(name: str) -> str:
+    """Return what a check asks, needs and finds, and what a cause means. Raises InputError."""
+    key = name.removesuffix(" gap").replace(" ", "_") if name not in EXPLANATIONS else name
+    wanted = {name, key, name.replace(" ", "_").replace("-", "_")}
+    parts = ["\n".join(_of_check(one)) for one in CHECKS if one.name in wanted]
+    parts += ["\n".join(_of_cause(one)) for one in EXPLANATIONS if one in wanted]
+    if not parts:
+        known = ", ".join(dict.fromkeys((*(one.name for one in CHECKS), *EXPLANATIONS)))
+        raise InputError(f"{name[:80]}: no check or cause is called so, expected one of {known}")
+    return "\n\n".join(parts)
+
+
+def _of_check(one: Check) -> Iterator[str]:
+    yield f"{one.name.replace('_', ' ')} (a check)"
+    yield _wrapped(f"  asks:   {_question(one)}", 10)
+    yield _wrapped(f"  needs:  {one.needs}", 10)
+    yield _wrapped(f"  errs:   {one.errs}", 10)
+    if one.figures is not None:
+        text = meanings(one.figures)
+        yield "  finds:"
+        for field in kept_fields(one.figures):
+            yield _wrapped(f"    {field}: {text[field]}", 6)
+
+
+def _of_cause(name: str) -> Iterator[str]:
+    found = EXPLANATIONS[name]
+    yield f"{cause_name(name)} (a cause): {found.title}"
+    yield _wrapped(f"  {found.meaning}", 2)
+    yield _wrapped(f"  {found.check}", 2)
+
+
+def _question(one: Check) -> str:
+    return inspect.cleandoc(type(one).__doc__ or "").splitlines()[0]
+
+
+def _wrapped(text: str, indent: int) -> str:
+    return textwrap.fill(text, _WIDTH, subsequent_indent=" " * indent)

@@ -1,0 +1,91 @@
+"""Every check keeps its contract: it says what it asks and needs, and finds or says why not."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from comparisons.checks.check import Absent, Check, Finding
+from comparisons.checks.registry import CHECKS
+from comparisons.figures import kept_fields, meanings
+from comparisons.logs.log import Log, Truth
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.result import build_result, run_rows
+from tests.commands import refused, works
+from tests.helpers import compared, simulated
+
+
+def bare(log: Log) -> Log:
+    return replace(log, truth=Truth())
+
+
+def as_it_is(log: Log) -> Log:
+    return log
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda one: one.name)
+def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(check: Check) -> None:
+    question = inspect.cleandoc(type(check).__doc__ or "").splitlines()[0]
+    assert question.endswith("?")
+    assert check.needs
+    assert check.errs
+    if check.figures is not None:
+        assert kept_fields(check.figures).keys() <= meanings(check.figures).keys()
+
+
+def unaccounted(c: Comparison) -> list[str]:
+    """Checks that neither found something nor said why not, or did both."""
+    return [one.name for one in CHECKS if (one.name in c.findings) == (one.name in c.absent)]
+
+
+@pytest.mark.parametrize(
+    ("change", "association", "lacking"),
+    [
+        (as_it_is, "known", {"association", "positions"}),
+        (as_it_is, "nn", {"positions"}),
+        (bare, "known", {"accuracy", "association", "positions", "truth_gap"}),
+    ],
+)
+def test_a_check_finds_or_says_what_the_log_lacks(
+    change: Callable[[Log], Log], association: str, lacking: set[str]
+) -> None:
+    c = compared(change(simulated()), association=association)
+    assert c.absent.keys() == lacking
+    assert unaccounted(c) == []
+    silent = replace(c, absent={})
+    assert set(unaccounted(silent)) == lacking, "a check that is silent was not seen"
+
+
+def test_what_is_found_and_what_is_not_stand_in_result_and_table() -> None:
+    c = compared(bare(simulated()))
+    result = build_result(c)
+    kept = json.loads(result.model_dump_json())
+    assert kept["not_checked"] == dict(c.absent)
+    entries = {key for found in c.findings.values() for key in found.entries}
+    assert entries <= {key for key, value in kept.items() if value is not None}
+    assert all(kept[name] is None for name in ("accuracy", "association", "truth_gap"))
+    rows = [row for row in run_rows(c, result) if row.group == "Not checked"]
+    assert [(row.quantity.replace(" ", "_"), row.value) for row in rows] == list(c.absent.items())
+
+
+def test_a_finding_of_nothing_adds_nothing() -> None:
+    found = Finding()
+    assert not (*found.entries, *found.causes, *found.remarks, *found.rows(), *found.sections())
+    assert Absent("the log has no truth").why == "the log has no truth"
+
+
+def test_explain_lists_checks_and_causes_and_says_what_each_means(tmp_path: Path) -> None:
+    listed = works("explain", cwd=tmp_path)
+    assert all(f"\n  {one.name} " in listed for one in CHECKS)
+    assert "\n  linearisation " in listed
+    check = works("explain", "truth_gap", cwd=tmp_path)
+    assert works("explain", "truth gap", cwd=tmp_path).startswith(check.rstrip())
+    assert "needs:  truth, or labels" in check
+    assert "stands: the smoother is far from truth" in check
+    assert "linearised at the wrong points" in works("explain", "linearisation", cwd=tmp_path)
+    assert "expected one of spurious_heading" in refused("explain", "weather", cwd=tmp_path)
