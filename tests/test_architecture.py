@@ -248,7 +248,7 @@ def test_nothing_stands_on_experiments() -> None:
 
 LAYERS = {
     "arrays": 0, "errors": 0, "choices": 0, "atomic": 0, "archive": 0, "words": 0, "statistics": 0,
-    "trace": 0, "innovations": 0,
+    "figures": 0, "trace": 0, "innovations": 0,
     "logs": 1, "options": 1,
     "config": 2, "estimates": 2,
     "documented": 3, "settings": 3, "adapters": 3, "logs.transforms": 3, "audit": 3,
@@ -260,8 +260,8 @@ LAYERS = {
     # Jobs that are made of an extension stand on it.
     "pipeline.dense_map": 7, "report.dense_map": 7, "report.figures.dense_map": 7,
     "pipeline.odometry": 7, "report.odometry": 7, "report.figures.odometry": 7,
-    # The contract and the names are what all know of extensions.
-    "extensions.interface": 0, "extensions.registry": 0,
+    # The contract and the names are what all know of checks and extensions.
+    "checks.check": 0, "extensions.interface": 0, "extensions.registry": 0,
 }  # fmt: skip
 """Parts of comparisons from the ground up: each stands on its own level and those below."""
 

@@ -95,7 +95,7 @@ class CheckAssociation(Check):
 
     name = "association"
     needs = "labels in the log, and a filter that associates without them"
-    errs = "not at all: the scores are reported and judged by nothing"
+    errs = "not at all: the scores are reported and change no verdict"
     figures = AssociationScore
 
     def find(self, known: Known) -> AssociationFinding | Absent:

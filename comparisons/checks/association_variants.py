@@ -13,10 +13,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.adapters.smoother_association import Alternative
 from comparisons.arrays import Array
 from comparisons.checks.association import (
     LandmarkIndices,
@@ -27,6 +27,9 @@ from comparisons.checks.association import (
 from comparisons.figures import Figure, in_sigma
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
+
+if TYPE_CHECKING:
+    from comparisons.adapters.smoother_association import Alternative
 
 APART = 0.7
 """Root mean square distance of the poses, in sigma, from which a difference matters."""

@@ -16,7 +16,7 @@ MOST_OUTSIDE = 0.05
 """Share of landmarks that may lie beyond their 99 % region before the maps disagree."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Pair:
     """Two maps of the same landmarks.
 
@@ -44,7 +44,14 @@ class Pair:
         """Return it from squared Mahalanobis distances (L,), each of so many degrees of freedom."""
         median = float(np.median(np.sqrt(squared / dof))) if len(squared) else None
         agrees = outside <= max(1.0, MOST_OUTSIDE * len(squared))
-        return cls(rms_m, rms_aligned_m, median, outside, len(squared), agrees)
+        return cls(
+            rms_m=rms_m,
+            rms_aligned_m=rms_aligned_m,
+            distance_sigma_median=median,
+            outside=outside,
+            landmarks=len(squared),
+            agrees=agrees,
+        )
 
 
 def compare_maps(first: Estimate, second: Estimate) -> Pair:

@@ -75,7 +75,7 @@ class CheckSpurious(Check):
 
     name = "spurious_heading"
     needs = "landmarks whose places the filter finds itself"
-    errs = "not at all: it explains a linearisation gap and is judged by nothing"
+    errs = "not at all: it explains a linearisation gap and makes none"
     figures = SpuriousHeadingResult
 
     def find(self, known: Known) -> SpuriousFinding | Absent:

@@ -21,7 +21,6 @@ from comparisons.report.html.map import (
     farthest,
 )
 from comparisons.report.html.page import PageContent, page
-from comparisons.report.html.shell import number
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
@@ -144,13 +143,13 @@ def run_page(
 
 
 def _facts(result: Result, landmarks: Sequence[BlockResult]) -> list[tuple[str, str]]:
-    """What the verdict rests on, in a few lines. landmarks: all that both estimators have."""
-    gaps, smoother, accuracy = result.agreement, result.smoother, result.accuracy
+    """What the verdict rests on, beside the lines of findings. landmarks: that both have."""
+    gaps, smoother = result.agreement, result.smoother
     agreeing = sum(row.agrees for row in landmarks)
     optimum = "verified" if smoother.verified else f"not verified: {smoother.lacks}"
     if smoother.dof:
         optimum += f"; chi-square {smoother.chi2:,.0f} for {smoother.dof:,} degrees of freedom"
-    facts = [
+    return [
         ("Smoother's optimum", optimum),
         (
             "Last pose",
@@ -164,12 +163,6 @@ def _facts(result: Result, landmarks: Sequence[BlockResult]) -> list[tuple[str, 
             else "none",
         ),
     ]
-    if not result.inconsistent:
-        facts.append(("Filter", "not judged" if result.inconsistent is None else "consistent"))
-    if accuracy is not None and accuracy.ekf.ate_m is not None:
-        errors = f"EKF {number(accuracy.ekf.ate_m)} m, smoother {number(accuracy.smoother.ate_m)} m"
-        facts.append(("Error of the path", f"{errors} (RMS)"))
-    return facts
 
 
 def run_map(c: Comparison, marked: Index) -> MapContent:

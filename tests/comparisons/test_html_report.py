@@ -15,6 +15,7 @@ import pytest
 
 from comparisons.checks.causes import EXPLANATIONS, Cause
 from comparisons.checks.check import Finding
+from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.html import map as map_page
@@ -254,7 +255,8 @@ def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -
     found = Finding()
     found.estimates = {"third": third, "plain": comparison.smoothed}
     found.titles = {"third": "a third <i>"}
-    text = drawn(replace(comparison, findings={"x": found}), build_result(comparison))
+    more = replace(comparison, findings={**comparison.findings, "x": found})
+    text = drawn(more, build_result(comparison))
     assert 'data-name="a third &lt;i&gt; trajectory"' in text
     assert 'data-name="plain landmarks"' in text
     count = len(comparison.smoothed.landmark)
@@ -339,8 +341,9 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     blocks = tuple(replace(b, least=np.nan, distance=np.inf) for b in c.agreement.landmarks)
     broken = altered(c, "ekf.estimate", replace(ekf, pose=gone * ekf.pose, landmark=landmark))
     broken = altered(broken, "gaps.agreement.landmarks", blocks)
-    broken = altered(broken, "consistency.ekf.poses.error", gone[1:] * poses.error)
-    broken = altered(broken, "consistency.ekf.poses.sigma", gone[1:] * poses.sigma)
+    worse = altered(c.consistency, "ekf.poses.error", gone[1:] * poses.error)
+    worse = altered(worse, "ekf.poses.sigma", gone[1:] * poses.sigma)
+    broken = replace(broken, findings={**c.findings, "consistency": ConsistencyFinding(worse)})
     text = drawn(broken, build_result(c))
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
     assert len(places) > 100

@@ -237,11 +237,11 @@ def test_a_map_that_is_nowhere_near_is_a_gap(sound: Comparison) -> None:
 @pytest.mark.slow
 def test_without_truth_and_labels_the_own_association_is_asked() -> None:
     found = compared(blind(simulated(0)), association="nn")
-    assert list(found.findings) == ["own_association"]
+    assert "own_association" in found.findings
     assert found.verdict.headline == "agree"
     declined = compared(blind(simulated(0)), association="nn", smoother_association="ekf")
     assert declined.verdict.headline == "agree, association unchecked"
-    assert not declined.findings
+    assert "own_association" not in declined.findings
 
 
 def test_what_costs_more_than_the_run_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -254,13 +254,13 @@ def test_what_costs_more_than_the_run_is_not_asked(monkeypatch: pytest.MonkeyPat
 def test_the_cost_is_counted_and_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     log = blind(first_seconds(simulated(0), 10.0))
     asked = compared(log, association="nn")
-    assert list(asked.findings) == ["own_association"]
+    assert "own_association" in asked.findings
     real, calls = time.perf_counter, itertools.count()
     slow = lambda: real() + 1e3 * next(calls)  # noqa: E731 - a machine that is slow
     monkeypatch.setattr(time, "perf_counter", slow)
     again = compared(log, association="nn")
     assert again.seconds["ekf"] > 100.0
-    assert list(again.findings) == ["own_association"]
+    assert "own_association" in again.findings
 
 
 def test_labels_stand_for_the_truth() -> None:
