@@ -24,10 +24,9 @@ from comparisons.extensions.own_association.check import (
     association_cause,
     check_own_association,
 )
-from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
-from comparisons.pipeline.second_association import own_work, run_work
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, AssociationResult
@@ -132,8 +131,8 @@ def start_own_association(prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSol
         associator,
         run.pose_landmarks,
         options,
-        seconds=min(own_work(run), run_work(run)),
         size=size,
+        pays_from=ASSOCIATION_PAYS_FROM,
     )
 
 
