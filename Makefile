@@ -101,10 +101,10 @@ peers: $(VENV)/installed-dev
 	@command -v kf-slam >/dev/null || echo "for MRPT: sudo apt-get install mrpt-apps mrpt-common"
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.peers $(if $(ONLY),--only $(ONLY))
 
-# Short benchmarks as ratios beside those kept in benchmarks/ratios.toml; what has become slower by
-# more than 20 % is an error. KEEP=1 keeps the new ratios. Two to three minutes.
+# Jobs by the code of a commit (BASE, main if left out) and by the tree's, in turns; what has become
+# slower by more than 10 % is an error. Three to five minutes.
 bench: $(VENV)/installed-dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.ratios $(if $(KEEP),--keep)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bench $(BASE)
 
 # Hours: every test; 20,000 damaged files, odd settings, kills and full disks, drawn anew each time,
 # with how many of each kind were tried; the quick tests as on each processor, on each Python, and

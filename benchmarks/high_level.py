@@ -1,12 +1,10 @@
-"""High level landmarks: what they are worth to the vehicle, and what looking for them costs.
+"""High level landmarks: what they are worth to the vehicle.
 
-    python benchmarks/high_level.py [--only drives size] [--first 100] [--seeds 30] [--loops 2]
-                                    [--every 20] [--sizes 11 101 1001] [--searches 20]
+    python benchmarks/high_level.py [--first 100] [--seeds 30] [--loops 2] [--every 20]
 
-drives: `occupancy-loop` (Nieto 2005, section 6.1.3) with and without them, seed by seed; errors
-of the vehicle over the whole drive and from the second loop on, and whether they differ. The 30
-seeds from 100 were chosen before any of them was driven; the settings, on seeds 0 to 9. size: one
-search in a patch of regions, alike in maps of all sizes; times are of the processor.
+`occupancy-loop` (Nieto 2005, section 6.1.3) with and without them, seed by seed; errors of the
+vehicle over the whole drive and from the second loop on, and whether they differ. The 30 seeds from
+100 were chosen before any of them was driven; the settings, on seeds 0 to 9.
 """
 
 from __future__ import annotations
@@ -16,13 +14,11 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from dense_maps import Patches  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -36,7 +32,6 @@ from comparisons.extensions.high_level.source import HighLevelOptions, HighLevel
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
-from ekf_reference.scan_landmarks.high_level import Around, search
 
 Array = NDArray[np.float64]
 
@@ -138,53 +133,16 @@ def shown(without: Array, with_them: Array) -> str:
     return "   ".join(f"{a:6.3f} -> {b:6.3f}" for a, b in pairs)
 
 
-def cost_against_size(sizes: Sequence[int], searches: int) -> None:
-    """The same search in maps of all sizes, taking turns."""
-    maps = [Patches.built(max(1, round(size / 10))) for size in sizes]
-    for one in maps:
-        for number in range(20):  # what was seen three times only is not occupied yet
-            one.take(np.random.default_rng(number), number)
-    around = [of_patches(one) for one in maps]
-    spent, corners = np.empty((len(maps), searches)), [0] * len(maps)
-    none = np.empty((0, 4, 2))
-    for turn in range(searches):
-        for row, one in enumerate(around):
-            start = time.thread_time()
-            made = search(one, none)
-            spent[row, turn] = 1e3 * (time.thread_time() - start)
-            corners[row] = len(made.corner)
-    print("ms per search")
-    print("regions  median   95 %   to the first  corners")
-    for patches, times, number in zip(maps, spent, corners, strict=True):
-        median, most = np.percentile(times, (50.0, 95.0))
-        share = median / np.median(spent[0])
-        regions = len(patches.dense.regions.base)
-        print(f"{regions:7d}  {median:6.1f}  {most:5.1f}  {share:12.2f}  {number:7d}")
-
-
-def of_patches(one: Patches) -> Around:
-    """What a search reads, the vehicle in the first patch."""
-    layers, placed = one.dense.layers, one.dense.regions.placed(one.landmark)
-    return Around(layers["occupancy"], layers["sog"], placed, np.zeros(3), one.landmark)
-
-
 def main() -> None:
     """Measure and print."""
-    parts = ("drives", "size")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--first", type=int, default=100, help="first seed")
     parser.add_argument("--seeds", type=int, default=30, help="number of seeds")
     parser.add_argument("--loops", type=int, default=2)
     parser.add_argument("--every", type=float, default=20.0, help="seconds between two searches")
-    parser.add_argument("--sizes", type=int, nargs="+", default=[11, 101, 1001])
-    parser.add_argument("--searches", type=int, default=20)
     choices = parser.parse_args()
-    if "drives" in choices.only:
-        seeds = range(choices.first, choices.first + choices.seeds)
-        value_of_landmarks(seeds, choices.loops, choices.every)
-    if "size" in choices.only:
-        cost_against_size(choices.sizes, choices.searches)
+    seeds = range(choices.first, choices.first + choices.seeds)
+    value_of_landmarks(seeds, choices.loops, choices.every)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.peer_pairs import ROOT, MissingError, Pair, here
+from benchmarks.timing import ROOT, MissingError, Pair, here
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import Timeline, build_timeline

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.peer_pairs import MissingError, Pair, here
+from benchmarks.timing import MissingError, Pair, here
 from comparisons.arrays import Array
 from ekf_reference.core.state import KalmanState
 

@@ -21,13 +21,13 @@ import math
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.dense_maps import Reported, grid_of_landmarks, view_of
-from benchmarks.peer_pairs import (
+from benchmarks.timing import (
     MissingError,
     Pair,
     Side,
@@ -40,6 +40,8 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import build_map
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
+from ekf_reference.dense.layers.layer import Hits
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.view import FilterView
 
@@ -71,6 +73,11 @@ WALL = np.array(
 )  # fmt: skip
 """(S, 4) of the corridor, in its own axes [m]."""
 
+LANDMARK_SIGMA_M = 0.01
+"""Of landmarks against each other."""
+COMMON_SIGMA_M = 0.3
+"""Of the whole map."""
+
 
 def ranges() -> Array:
     """Return the scan's ranges (361,) [m], to the wall or to where beams are cut."""
@@ -91,6 +98,48 @@ def scans(rng: np.random.Generator, count: int) -> list[Scan]:
     distance, side = ranges(), (1.0, 1.0, math.pi)
     poses = rng.uniform(np.negative(side), side, (count, 3))
     return [Scan.of_ranges(pose, BEARING, distance, SENSOR) for pose in poses]
+
+
+def grid_of_landmarks(east: int, north: int, step_m: float) -> Array:
+    """(east x north, 2) [m] around the origin."""
+    i, j = np.meshgrid(np.arange(east), np.arange(north), indexing="ij")
+    middle = 0.5 * np.array((east - 1, north - 1))
+    places: Array = step_m * (np.stack((i, j), axis=-1).reshape(-1, 2) - middle)
+    return places
+
+
+def view_of(pose: Array, landmark: Array, landmark_index: NDArray[np.intp]) -> FilterView:
+    """A filter that knows landmarks well against each other and the vehicle, less in the world."""
+    m = len(landmark_index)
+    common = np.zeros((3 + 2 * m, 2))
+    common[:2], common[3:] = np.eye(2), np.tile(np.eye(2), (m, 1))
+    own = np.full(3 + 2 * m, LANDMARK_SIGMA_M**2)
+    own[2] = 1e-6
+    covariance = COMMON_SIGMA_M**2 * common @ common.T + np.diag(own)
+    return FilterView(pose, landmark, landmark_index, covariance)
+
+
+@dataclass(frozen=True)
+class Reported:
+    """What a dense map tells its layers of a scan."""
+
+    hits: Hits
+    placed: RegionsAtMap
+    scan: Scan
+    near: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, placed: RegionsAtMap, scan: Scan) -> Reported:
+        """Of a scan."""
+        found = placed.locate(scan.point)
+        inside = np.flatnonzero(found.region >= 0)
+        hits = Hits(
+            region=found.region[inside],
+            local=found.local[inside],
+            point=scan.point[inside],
+            covariance=scan.covariance[inside],
+        )
+        return cls(hits, placed, scan, np.sort(placed.tree.meeting(scan.box()[None]).item))
 
 
 Work = Callable[[], None]

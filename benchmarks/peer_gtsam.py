@@ -1,6 +1,7 @@
 """gtsam as its users call it, and our smoother, on gtsam's Victoria Park.
 
-The functions that call gtsam plainly are those of `benchmarks/smoother.py`.
+Bare gtsam gets the values that our tracked start ends with, as it has no start of its own. From
+nothing to the optimum it has iSAM2; we take the relaxed start, the first of our smoother's.
 """
 
 from __future__ import annotations
@@ -9,13 +10,15 @@ from dataclasses import replace
 from typing import Any
 
 import gtsam
+import numpy as np
 
-from benchmarks.peer_pairs import Pair, here
-from benchmarks.smoother import bare_graph, bare_isam2, bare_marginals, bare_solution, own_solution
+from benchmarks.timing import Pair, here
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.solve import solve
-from graphslam.graph_builder import build_graph
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, build_graph
 from graphslam.initialisation import track
+from graphslam.optimisers import optimise, polish
+from graphslam.problem import SlamProblem
 from graphslam.search import relaxed_values
 
 
@@ -73,3 +76,70 @@ def rows(*, quick: bool) -> list[Pair]:
             notes=errors("ours, from nothing", "iSAM2"),
         ),
     ]
+
+
+def bare_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
+    """As a user of gtsam would write it."""
+    graph = gtsam.NonlinearFactorGraph()
+    first = gtsam.noiseModel.Gaussian.Covariance(problem.prior_covariance)
+    graph.add(gtsam.PriorFactorPose2(POSE_KEY, gtsam.Pose2(*problem.prior_pose), first))
+    for k in range(len(problem.increment)):
+        noise = gtsam.noiseModel.Gaussian.Covariance(problem.increment_covariance[k])
+        move = gtsam.Pose2(*problem.increment[k])
+        graph.add(gtsam.BetweenFactorPose2(POSE_KEY + k, POSE_KEY + k + 1, move, noise))
+    for i in range(len(problem.z)):
+        r, bearing = problem.z[i]
+        noise = gtsam.noiseModel.Diagonal.Sigmas(problem.sigma[i, ::-1].copy())
+        pose = POSE_KEY + int(problem.measurement_pose[i])
+        landmark = LANDMARK_KEY + int(problem.measurement_landmark[i])
+        graph.add(gtsam.BearingRangeFactor2D(pose, landmark, gtsam.Rot2(bearing), r, noise))
+    return graph
+
+
+def bare_isam2(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> gtsam.Values:
+    """One update per pose with gtsam's defaults."""
+    isam = gtsam.ISAM2(gtsam.ISAM2Params())
+    order = np.argsort(problem.measurement_pose, kind="stable") + problem.pose_count
+    begin = np.searchsorted(np.sort(problem.measurement_pose), np.arange(problem.pose_count + 1))
+    values = gtsam.Values()
+    for k in range(problem.pose_count):
+        piece, new = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        piece.add(graph.at(k))
+        if k:
+            before = isam.calculateEstimatePose2(POSE_KEY + k - 1)
+            pose = before.compose(gtsam.Pose2(*problem.increment[k - 1]))
+        else:
+            pose = gtsam.Pose2(*problem.prior_pose)
+        new.insert(POSE_KEY + k, pose)
+        for row in order[begin[k] : begin[k + 1]].tolist():
+            piece.add(graph.at(row))
+            key = LANDMARK_KEY + int(problem.measurement_landmark[row - problem.pose_count])
+            if not values.exists(key):
+                r, bearing = problem.z[row - problem.pose_count]
+                place = np.array([r * np.cos(bearing), r * np.sin(bearing)])
+                new.insert(key, pose.transformFrom(place))
+                values.insert(key, place)
+        isam.update(piece, new)
+    return isam.calculateEstimate()
+
+
+def bare_marginals(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+    """Of every variable, and of the last pose and all landmarks jointly."""
+    marginals = gtsam.Marginals(graph, values)
+    keys = list(values.keys())
+    for key in keys:
+        marginals.marginalCovariance(key)
+    marginals.jointMarginalCovariance([max(keys), *(key for key in keys if key < POSE_KEY)])
+
+
+def own_solution(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+    """Our way from a start to the optimum."""
+    return polish(graph, optimise(graph, start)[0])[0]
+
+
+def bare_solution(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
+    """Levenberg-Marquardt with gtsam's defaults, but for the tolerances: to the same optimum."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-10)  # with its own, 1e-5, it ends before the optimum
+    parameters.setAbsoluteErrorTol(0.0)
+    return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()

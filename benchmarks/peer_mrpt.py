@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peer_pairs import MissingError, Pair, Ran, Side, Spent, median, run, scratch
+from benchmarks.timing import MissingError, Pair, Ran, Side, Spent, median, run, scratch
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import build_timeline

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.peer_pairs import MissingError, Pair, Spent, here, run
+from benchmarks.timing import MissingError, Pair, Spent, here, run
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess
 from comparisons.checks.consistency.nees import against_truth

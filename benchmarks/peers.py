@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 
-from benchmarks.peer_pairs import Measured, MissingError, Pair, interleaved, median
+from benchmarks.timing import Measured, MissingError, Pair, interleaved, median
 
 SOURCES = {
     "mrpt": "benchmarks.peer_mrpt",

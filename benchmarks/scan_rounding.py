@@ -1,16 +1,7 @@
-"""Whether Scan-SLAM's results depend on rounding: runs with inputs moved by 1e-12 beside others.
-
-    python benchmarks/scan_rounding.py [--seeds 10] [--first 0] [--seconds 15] [--fuse] [LOG]
-
-LOG: a recorded log with scans instead of simulated drives; then seeds are those of the inputs'
-motion. Per run: whether all decisions stay; how far z moved, in its sigmas, before the first one
-that does not, and how far final pose and landmarks; and that decision. Processor time of the run.
-"""
+"""Whether Scan-SLAM's results depend on rounding: runs with inputs moved by 1e-12 beside others."""
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -21,10 +12,8 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
-from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Odometry, RelativePoses, SteeringOdometry
-from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.compare import compare
 from comparisons.settings import run_config
 from ekf_reference.scan_landmarks.segmentation import Quality, quality
@@ -69,35 +58,6 @@ class Difference:
     first: str
     z: float
     result: float
-
-
-def main() -> None:
-    """Run all and print a line each."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("log", nargs="?", default="")
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=15.0)
-    parser.add_argument("--fuse", action="store_true")
-    choices = parser.parse_args()
-    name, options = choices.log or "scan-slam", {"merge_landmarks": choices.fuse}
-    decisions, verdicts, base = 0, 0, None
-    for seed in range(choices.first, choices.first + choices.seeds):
-        drive = SimulationChoices(0 if choices.log else seed)
-        log = cut_log(open_log(name, choices=drive), end_s=choices.seconds)
-        if base is None or not choices.log:
-            base = outcome(log, **options)
-        start = time.process_time()
-        other = outcome(perturbed(log, np.random.default_rng(1000 + seed)), **options)
-        spent, found = time.process_time() - start, difference(base, other)
-        decisions += not found.first
-        verdicts += found.stays
-        print(
-            f"{seed:4}  {base.decided[0]:9} decisions {'differ' if found.first else 'stay':6} "
-            f"z {found.z:8.1e} result {found.result:8.1e} sigma {spent:6.1f} s  {found.first}",
-            flush=True,
-        )
-    print(f"decisions stay in {decisions}, verdict and landmarks in {verdicts} of {choices.seeds}")
 
 
 def perturbed(log: Log, rng: np.random.Generator, size: float = SIZE) -> Log:
@@ -202,7 +162,3 @@ def _apart(one: Array, other: Array, sigma: Array) -> float:
     apart = other - one
     apart[..., 2] = np.mod(apart[..., 2] + np.pi, 2.0 * np.pi) - np.pi
     return float(np.max(np.abs(apart) / sigma))
-
-
-if __name__ == "__main__":
-    main()

@@ -40,7 +40,7 @@ LEAST_GAIN = 1e-4
 """c1 of the suboptimal global update, the example of Guivant 2002, eq. 22."""
 SHARE = 0.6
 """Of all states in an area from which on the exact compressed filter takes them all: to keep phi
-would cost more than it saves (benchmarks/map_size.py)."""
+would cost more than it saves."""
 NO_GATE = float("inf")
 """Of labels and positions in Misono's published filter, which rejects nothing."""
 WIDER = 2.0

@@ -9,7 +9,7 @@ from comparisons.documented.row import Documented
 CAR_PARK = {"log.format": ("acfr-car-park",)}
 OTHERS = {"log.format": (None, "simulated")}
 _FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
-_BY = " (benchmarks/dense_maps.py --only rules)"
+_BY = " (benchmarks/dense_maps.py)"
 
 ROWS = (
     Documented(

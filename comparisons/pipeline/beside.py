@@ -1,8 +1,8 @@
 """Work in a second process, beside this one, where another core is free; else here, when asked for.
 
 gtsam keeps Python's global lock while it works, so a thread would only wait. The result is the same
-to the bit wherever it is computed. The process has no part of the terminal's signals; it is ended
-with the `with` block, and ends by itself when this process is gone.
+to the bit wherever it is computed. The pool is joblib's, an executor of concurrent.futures that
+does not load the user's `__main__` once more, as the standard library's would.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from typing import IO, TYPE_CHECKING, Any, Generic, TypeVar, cast
+from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, Generic, TypeVar
 
-if TYPE_CHECKING:
-    import subprocess
+from comparisons.errors import InputError
 
 T = TypeVar("T")
 
-PAYS_S = 4.0
-"""Seconds of work beyond which a second process pays: to start one takes 1 to 2."""
-_CODE = "import sys; sys.path[:] = {path!r}; from comparisons.pipeline.beside import serve; serve()"
+ASSOCIATION_PAYS_FROM = 10_000
+"""Poses and measurements from which an association by the smoother is worth a second process."""
 
 
 class Beside(Generic[T]):
@@ -34,51 +33,57 @@ class Beside(Generic[T]):
         self,
         function: Callable[..., T],
         *arguments: Any,
-        seconds: float,
-        size: tuple[int, int, int] = (0, 0, 0),
+        size: tuple[int, int, int],
+        pays_from: int,
     ) -> None:
         """Start the call where it pays.
 
-        function: of a module's top level. arguments: that can be pickled. seconds: about what the
-        call takes, or what is done meanwhile, whichever is less. size: poses, measurements and
-        landmarks of what it solves, for which there must be memory beside this process.
+        size: poses, measurements and landmarks of what the call solves, for which there must be
+        memory beside this process. pays_from: poses and measurements from which a second process,
+        which takes a second or two to start, gains time.
         """
         self.cpu_s = 0.0
         self._function, self._arguments = function, arguments
-        self._process: subprocess.Popen[bytes] | None = None
-        if seconds > PAYS_S and _is_free() and _has_room(size):
-            self._process = _started(function, arguments)
+        self._pool: Executor | None = None
+        self._future: Future[tuple[T, float]] | None = None
+        if size[0] + size[1] >= pays_from and _is_free() and _has_room(size):
+            self._pool = _pool()
+            if self._pool is not None:
+                self._future = self._pool.submit(_measured, function, arguments)
 
     @property
     def elsewhere(self) -> bool:
         """Whether another process has the work."""
-        return self._process is not None
+        return self._future is not None
 
     def __enter__(self) -> Beside[T]:
         """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End the process if it is still at work."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.kill()
-            with suppress(OSError):  # what was not yet written finds nobody
-                process.communicate()
+        """End the process, also if it is still at work."""
+        pool, self._pool = self._pool, None
+        if pool is not None and self._future is not None:
+            pool.shutdown(kill_workers=not self._future.done())  # type: ignore[call-arg]
 
     def result(self) -> T:
         """Return what the function returns, or raise what it raises.
 
-        What a process leaves that was killed, or had too little memory, is computed here.
+        What cannot be sent to another process is computed here. Raises InputError where that
+        process was ended from outside.
         """
-        answer = None if self._process is None else _answer(self._process)
-        if answer is None:
+        if self._future is None:
             return self._function(*self._arguments)
-        value, error, self.cpu_s = answer
-        if error is not None:
-            raise error
-        found: T = value
-        return found
+        try:
+            value, self.cpu_s = self._future.result()
+        except pickle.PicklingError:
+            return self._function(*self._arguments)
+        except BrokenProcessPool as error:
+            raise InputError(
+                "a second process, which worked beside this one, was ended from outside, perhaps "
+                "for lack of memory; on one core (taskset -c 0) there is none"
+            ) from error
+        return value
 
 
 def cores() -> int:
@@ -95,6 +100,7 @@ def _is_free() -> bool:
     return (
         multiprocessing.parent_process() is None
         and threading.current_thread() is threading.main_thread()
+        and os.access(sys.executable or "", os.X_OK)
         and cores() > 1
     )
 
@@ -107,79 +113,37 @@ def _has_room(size: tuple[int, int, int]) -> bool:
     return room is None or room > 2.0 * needed(*size)
 
 
-def _started(
-    function: Callable[..., Any], arguments: tuple[Any, ...]
-) -> subprocess.Popen[bytes] | None:
-    """Return a process that has its work; None where it cannot be had."""
-    import subprocess
+def _pool() -> Executor | None:
+    """Return a pool of one process; None where the system has none to give."""
+    from joblib.externals.loky import ProcessPoolExecutor
 
     try:
-        asked = pickle.dumps((function, arguments), pickle.HIGHEST_PROTOCOL)
-        process = subprocess.Popen(  # noqa: S603 - this very program
-            [sys.executable, "-c", _CODE.format(path=sys.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            process_group=0,
-        )
-    except (OSError, ValueError, TypeError, AttributeError, pickle.PicklingError):
+        pool: Executor = ProcessPoolExecutor(1, initializer=_become_worker, initargs=(os.getpid(),))
+    except (OSError, NotImplementedError, ImportError):  # such as no shared memory
         return None
-    with suppress(OSError):  # a process that is gone gives no answer
-        _write(cast(IO[bytes], process.stdin), asked)
-    return process
+    return pool
 
 
-def _answer(process: subprocess.Popen[bytes]) -> tuple[Any, Exception | None, float] | None:
-    """Return value, error and processor time; None where the process has none to give."""
-    try:
-        value, error, cpu_s = pickle.loads(_read(cast(IO[bytes], process.stdout)))  # noqa: S301 - our own process
-    except (OSError, EOFError, pickle.UnpicklingError, TypeError, AttributeError, ImportError):
-        return None
-    return None if isinstance(error, MemoryError) else (value, error, cpu_s)
-
-
-def serve() -> None:
-    """Do what is asked for on standard input, and answer on standard output."""
+def _become_worker(parent: int) -> None:
+    """Print to standard error only, leave interrupts to the parent, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # libraries' prints
-    asked = _read(sys.stdin.buffer)  # whole, before the imports: the other side waits for it
-    threading.Thread(target=_leave_at_end, args=(sys.stdin.buffer,), daemon=True).start()
-    answer = _call(asked)
-    with suppress(OSError):
-        _write(answers, answer)
+    os.dup2(2, 1)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
-def _call(asked: bytes) -> bytes:
+def _end_with(parent: int) -> None:
+    """Leave when the process that asked is gone, killed or not."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)
+
+
+def _measured(function: Callable[..., T], arguments: tuple[Any, ...]) -> tuple[T, float]:
+    """Return value and processor time, without warnings, which would be for the parent's log."""
     import warnings
 
     import numpy as np
 
-    value, error = None, None
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # as in the other process, whose log they would be for
-        try:
-            function, arguments = pickle.loads(asked)  # noqa: S301 - our own process
-            value = function(*arguments)
-        except Exception as caught:  # to be raised in the other process
-            error = caught
-    return pickle.dumps((value, error, time.process_time()), pickle.HIGHEST_PROTOCOL)
-
-
-def _leave_at_end(source: IO[bytes]) -> None:
-    """Leave when the process that asked is gone."""
-    source.read(1)
-    os._exit(1)
-
-
-def _write(stream: IO[bytes], content: bytes) -> None:
-    stream.write(len(content).to_bytes(8, "little") + content)
-    stream.flush()
-
-
-def _read(stream: IO[bytes]) -> bytes:
-    """Raise EOFError where less is there than was announced."""
-    length = int.from_bytes(stream.read(8), "little")
-    content = stream.read(length)
-    if not length or len(content) < length:
-        raise EOFError
-    return content
+        warnings.simplefilter("ignore")
+        return function(*arguments), time.process_time()

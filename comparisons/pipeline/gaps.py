@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 V = TypeVar("V")
 Frozen = tuple[LinearProblem, LinearProblem, Marginal, Marginal]
 """The linear systems of F1 and F2, and the estimates that solve them."""
-FROZEN_S = (4e-5, 2.6e-5)
-"""Seconds, about, that F1 and F2 take for each pose and each measurement."""
+PAYS_FROM = 120_000
+"""Poses and measurements from which F1 and F2 are worth a second process."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,8 +161,7 @@ def _start_frozen(
     size = problem.pose_count, len(problem.z), problem.landmark_count
     with clock.stage("frozen"):
         progress("fixed-linearisation smoothers", 0, 0)
-        seconds = FROZEN_S[0] * size[0] + FROZEN_S[1] * size[1]
-        return Beside(solve_frozen, problem, run, seconds=seconds, size=size)
+        return Beside(solve_frozen, problem, run, size=size, pays_from=PAYS_FROM)
 
 
 def _finished(work: Beside[Frozen], clock: Clock) -> Frozen:

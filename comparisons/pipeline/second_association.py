@@ -1,7 +1,7 @@
 """Checks of an association that both estimators share: another one, or the log's labels.
 
 The other one is the smoother's own. A run asks for it by itself where nothing else could tell, and
-where it costs less than the run. Both costs are estimated by counts, so that a run repeats.
+where its work is bounded: by a count, so that a run repeats on every machine.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 
 NAME = "own_association"
+MOST_PAIRS = 5_000_000
+"""Pairs of measurement and landmark up to which a run makes the second association unasked."""
 
 
 def own_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extension | None, str]:
@@ -45,42 +47,16 @@ def own_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extensi
         if any(one.asked for one in prepared.extensions if isinstance(one, OwnAssociation)):
             return None, ""
         return None, "the association is unchecked, as --smoother-association ekf asks"
-    own, whole = own_work(run), run_work(run)
-    if own > whole:
+    pairs = len(run.landmark_index) * len(run.estimate.landmark)
+    if pairs > MOST_PAIRS:
         return None, (
-            "the association is unchecked: the smoother's own costs about "
-            f"{own / whole:.1f} times the run; ask for it with --smoother-association own"
+            f"the association is unchecked: {pairs / 1e6:.1f} million pairs of measurement and "
+            f"landmark, more than {MOST_PAIRS / 1e6:.0f} million, are many for the smoother's own; "
+            "ask for it with --smoother-association own"
         )
     from comparisons.extensions.own_association.extension import OwnAssociation
 
     return OwnAssociation(), ""
-
-
-def own_work(run: EkfRun) -> float:
-    """Seconds, about, of the smoother's own association and of the optimum with it.
-
-    Coefficients: least squares of relative errors over six logs, of 430 to 7,200 epochs and 900 to
-    53,000 measurements, of processor time on one machine; within a third on each.
-    """
-    epochs, seen, landmarks, _ = _counts(run)
-    return 8.5e-4 * epochs + 1.5e-6 * seen * landmarks
-
-
-def run_work(run: EkfRun) -> float:
-    """Seconds, about, of the run itself, measured likewise, one of them for reading and report."""
-    _, seen, _, steps = _counts(run)
-    return 1.0 + 3.0e-4 * seen + 6.9e-5 * steps
-
-
-def _counts(run: EkfRun) -> tuple[int, int, int, int]:
-    """Epochs, measurements, landmarks, and samples of odometry."""
-    timeline = run.timeline
-    return (
-        len(timeline.epoch_time_s),
-        len(run.landmark_index),
-        len(run.estimate.landmark),
-        len(timeline.step_epoch),
-    )
 
 
 def with_labels(compared: Known, gap: TruthGap) -> TruthGap:

@@ -25,7 +25,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.figures import rounded
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import indices_by_label
-from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.prepare import (
     Prepared,
     Progress,
@@ -220,8 +220,8 @@ def _check(
         associator.alternatives,
         ways[1::2],
         given,
-        seconds=len(ways[1::2]) * clock.cpu_s["association"],
         size=size,
+        pays_from=ASSOCIATION_PAYS_FROM,
     )
     with second:
         found = [*associator.alternatives(ways[::2], given), *second.result()]

@@ -7,7 +7,7 @@ STRIP = 128
 """Rows that a suboptimal global update changes together."""
 STRIP_COST = 1.6
 """Processor time of an entry changed in strips over that of one of the whole matrix: 1.0 to 1.6 as
-measured on 250 to 2,000 landmarks (benchmarks/global_update.py)."""
+measured on 250 to 2,000 landmarks."""
 WHOLE = 2048
 """States up to which a global update has all of its product in memory at once."""
 FOLDED = 8

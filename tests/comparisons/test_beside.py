@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import multiprocessing
 import os
 import signal
@@ -14,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -32,7 +31,7 @@ from comparisons.settings import run_config
 from tests.helpers import first_seconds, present, simulated
 
 ROOT = Path(__file__).resolve().parents[2]
-LONG_S = beside.PAYS_S + 1.0
+T = TypeVar("T")
 
 
 @pytest.fixture
@@ -46,20 +45,17 @@ def gone(pid: int, within_s: float = 10.0) -> bool:
     end_s = time.monotonic() + within_s
     while time.monotonic() < end_s:
         try:
-            os.kill(pid, 0)
-        except ProcessLookupError:
-            return True
-        if "State:\tZ" in _status(pid):
+            if "State:\tZ" in Path(f"/proc/{pid}/status").read_text(encoding="ascii"):
+                return True
+        except (OSError, ProcessLookupError):
             return True
         time.sleep(0.02)
     return False
 
 
-def _status(pid: int) -> str:
-    try:
-        return Path(f"/proc/{pid}/status").read_text(encoding="ascii")
-    except OSError:
-        return ""
+def elsewhere(function: Callable[..., T], *arguments: Any) -> Beside[T]:
+    """Start a call that is large enough for a second process."""
+    return Beside(function, *arguments, size=(1, 0, 0), pays_from=1)
 
 
 def refuse(text: str) -> None:
@@ -67,17 +63,27 @@ def refuse(text: str) -> None:
     raise InputError(f"log: {text}")
 
 
-def exhaust() -> int:
-    """Return the process' number where it was asked for, and want memory elsewhere."""
-    if not hasattr(sys, "ps1_of_tests"):
-        raise MemoryError
-    return os.getpid()
+def sleeping(file: str) -> None:
+    """Tell who works, and go on for a minute."""
+    Path(f"{file}.part").write_text(str(os.getpid()), encoding="ascii")
+    Path(f"{file}.part").rename(file)
+    print("a library's print")
+    time.sleep(60.0)
+
+
+def worker(file: Path, within_s: float = 20.0) -> int:
+    """Return the process that `sleeping` is in."""
+    end_s = time.monotonic() + within_s
+    while not file.exists():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+    return int(file.read_text(encoding="ascii"))
 
 
 @pytest.mark.usefixtures("second_core")
 def test_a_call_elsewhere_returns_the_same() -> None:
     x = np.random.default_rng(0).standard_normal((300, 300))
-    with Beside(np.linalg.svd, x, seconds=LONG_S) as work:
+    with elsewhere(np.linalg.svd, x) as work:
         assert work.elsewhere
         found = work.result()
     assert work.cpu_s > 0.0
@@ -87,71 +93,75 @@ def test_a_call_elsewhere_returns_the_same() -> None:
 
 @pytest.mark.usefixtures("second_core")
 def test_what_is_raised_there_is_raised_here() -> None:
-    with Beside(refuse, "no landmark", seconds=LONG_S) as work:
+    with elsewhere(refuse, "no landmark") as work:
         assert work.elsewhere
         with pytest.raises(InputError, match="log: no landmark"):
             work.result()
 
 
 @pytest.mark.usefixtures("second_core")
-def test_a_killed_process_is_done_without() -> None:
-    with Beside(math.sqrt, 4.0, seconds=LONG_S) as work:
-        present(work._process).kill()
-        assert work.result() == 2.0
-    assert work.cpu_s == 0.0
+def test_a_killed_process_is_an_error_in_one_line(tmp_path: Path) -> None:
+    with elsewhere(sleeping, str(tmp_path / "pid")) as work:
+        os.kill(worker(tmp_path / "pid"), signal.SIGKILL)
+        with pytest.raises(InputError, match=r"a second process.* was ended from outside"):
+            work.result()
 
 
 @pytest.mark.usefixtures("second_core")
-def test_what_has_too_little_memory_there_is_done_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "ps1_of_tests", 1, raising=False)
-    with Beside(exhaust, seconds=LONG_S) as work:
+def test_what_cannot_be_sent_is_done_here() -> None:
+    with elsewhere(lambda lock: (lock.locked(), os.getpid()), threading.Lock()) as work:
         assert work.elsewhere
-        assert work.result() == os.getpid()
+        assert work.result() == (False, os.getpid())
 
 
 @pytest.mark.usefixtures("second_core")
-def test_an_interrupt_leaves_no_process() -> None:
+def test_an_interrupt_leaves_no_process(tmp_path: Path) -> None:
     pid = 0
     with (  # noqa: PT012
         pytest.raises(KeyboardInterrupt),
-        Beside(time.sleep, 60.0, seconds=LONG_S) as work,
+        elsewhere(sleeping, str(tmp_path / "pid")),
     ):
-        pid = present(work._process).pid
+        pid = worker(tmp_path / "pid")
         raise KeyboardInterrupt
     assert gone(pid, 1.0)
 
 
-def test_without_the_block_a_process_stays(second_core: None) -> None:
+def test_without_the_block_a_process_stays(second_core: None, tmp_path: Path) -> None:
     """The broken variant: nobody ends it."""
-    work = Beside(time.sleep, 60.0, seconds=LONG_S)
-    assert not gone(present(work._process).pid, 0.5)
+    work = elsewhere(sleeping, str(tmp_path / "pid"))
+    assert not gone(worker(tmp_path / "pid"), 0.5)
     work.__exit__(None, None, None)
 
 
+# Without a guard of `__main__`, as users write it: it is not run once more.
 ORPHAN = """
-import signal, time
+import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the shell ignores it
 from comparisons.pipeline import beside
+from tests.comparisons.test_beside import elsewhere, sleeping
 beside.cores = lambda: 2
-with beside.Beside(time.sleep, 60.0, seconds=1e9) as work:
-    print(work._process.pid, flush=True)
+with elsewhere(sleeping, sys.argv[1]) as work:
+    print("once", flush=True)
     work.result()
 """
 
 
 @pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_it_ends_with_the_process_that_asked(ended_by: signal.Signals) -> None:
+def test_it_ends_with_the_process_that_asked(ended_by: signal.Signals, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(ORPHAN, encoding="ascii")
     with subprocess.Popen(
-        [sys.executable, "-c", ORPHAN],
+        [sys.executable, str(script), str(tmp_path / "pid")],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
         text=True,
     ) as asking:
-        pid = int(present(asking.stdout).readline())
+        pid = worker(tmp_path / "pid")
         assert not gone(pid, 0.5)
         asking.send_signal(ended_by)
-        asking.wait(10.0)
+        assert asking.communicate(timeout=10.0)[0] == "once\n"
         assert gone(pid)
 
 
@@ -173,35 +183,35 @@ def test_where_no_process_is_to_be_had_the_call_is_made_here(
     how: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     how(monkeypatch)
-    with Beside(os.getpid, seconds=LONG_S) as work:
+    with elsewhere(os.getpid) as work:
         assert not work.elsewhere
         assert work.result() == os.getpid()
 
 
 @pytest.mark.usefixtures("second_core")
-def test_no_process_for_little_work_nor_in_a_thread_nor_for_what_cannot_be_sent() -> None:
-    assert not Beside(os.getpid, seconds=beside.PAYS_S).elsewhere
-    assert not Beside(os.getpid, seconds=LONG_S, size=(10**9, 10**9, 10)).elsewhere
-    assert not Beside(lambda: 1, seconds=LONG_S).elsewhere
+def test_no_process_for_little_work_nor_in_a_thread_nor_without_memory() -> None:
+    assert not Beside(os.getpid, size=(4, 5, 1), pays_from=10).elsewhere
+    assert not Beside(os.getpid, size=(10**9, 10**9, 10), pays_from=10).elsewhere
     seen: list[bool] = []
-    thread = threading.Thread(
-        target=lambda: seen.append(Beside(os.getpid, seconds=LONG_S).elsewhere)
-    )
+    thread = threading.Thread(target=lambda: seen.append(elsewhere(os.getpid).elsewhere))
     thread.start()
     thread.join()
     assert seen == [False]
 
 
 def _watched(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
-    """Record where each call was made; all are long enough."""
+    """Record where each call was made; all are large enough."""
     seen: list[bool] = []
-    result = Beside.result
+    init, result = Beside.__init__, Beside.result
+
+    def starting(self: Beside[Any], *arguments: Any, size: Any, pays_from: int) -> None:
+        init(self, *arguments, size=size, pays_from=0)
 
     def watching(self: Beside[Any]) -> Any:
         seen.append(self.elsewhere)
         return result(self)
 
-    monkeypatch.setattr(beside, "PAYS_S", -1.0)
+    monkeypatch.setattr(Beside, "__init__", starting)
     monkeypatch.setattr(Beside, "result", watching)
     return seen
 

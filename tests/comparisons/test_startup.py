@@ -1,4 +1,4 @@
-"""What a command loads. Not times: these are printed by benchmarks/startup.py."""
+"""What a command loads. Not times: `make bench` compares these."""
 
 from __future__ import annotations
 

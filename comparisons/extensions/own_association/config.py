@@ -19,7 +19,7 @@ class OwnAssociationConfig(ExtensionConfig):
     when: When = Field(
         "always",
         description="When to solve. never: not even where a run would do it by default, for a "
-        "log without labels and truth whose second solution costs less than the run",
+        "log without labels and truth of at most 5 million pairs of measurement and landmark",
     )
 
     def build(self, config: Configured) -> OwnAssociation:

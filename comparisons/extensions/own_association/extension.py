@@ -26,10 +26,9 @@ from comparisons.extensions.own_association.check import (
     check_own_association,
 )
 from comparisons.figures import Model, in_sigma
-from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
-from comparisons.pipeline.second_association import own_work, run_work
 from comparisons.report.html.drawing import Drawing
 from comparisons.words import Row
 from ekf_reference.core.measurements import DYNAMIC
@@ -130,8 +129,8 @@ def start_own_association(prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSol
         associator,
         run.pose_landmarks,
         options,
-        seconds=min(own_work(run), run_work(run)),
         size=size,
+        pays_from=ASSOCIATION_PAYS_FROM,
     )
 
 

@@ -1,6 +1,6 @@
-"""The same work by us and by a peer, measured in turns.
+"""Processor time of work, here or in a process of its own; two kinds of it in turns.
 
-`benchmarks/peers.py` prints such pairs beside their goals, `benchmarks/ratios.py` keeps ratios.
+`benchmarks/peers.py` compares us with peers, `benchmarks/bench.py` the tree with a commit.
 """
 
 from __future__ import annotations
@@ -114,12 +114,13 @@ class Ran:
     printed: str
 
 
-def run(words: Sequence[str | Path], fine: Sequence[int] = (0,)) -> Ran:
+def run(words: Sequence[str | Path], fine: Sequence[int] = (0,), code: Path = ROOT) -> Ran:
     """Run a program in a process of its own.
 
     Args:
         words: The program and its arguments.
         fine: Exit codes of success.
+        code: The folder whose code Python imports.
 
     Returns:
         Processor time of user and system, wall time, and both outputs together.
@@ -131,7 +132,8 @@ def run(words: Sequence[str | Path], fine: Sequence[int] = (0,)) -> Ran:
         wall = time.perf_counter()
         process = subprocess.Popen(
             list(map(str, words)),
-            cwd=ROOT,
+            cwd=code,
+            env=os.environ | {"PYTHONPATH": str(code)},
             stdin=subprocess.DEVNULL,
             stdout=printed,
             stderr=subprocess.STDOUT,
@@ -152,8 +154,3 @@ def scratch() -> Path:
     folder = Path(tempfile.mkdtemp(prefix="slamcheck-peers-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
-
-
-def program(*words: str | Path, fine: Sequence[int] = (0,)) -> Side:
-    """Return a side that runs a program."""
-    return lambda: run(words, fine).spent
