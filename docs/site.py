@@ -9,6 +9,7 @@ MathML, so that no script and no network is needed.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import html
 import inspect
 import io
@@ -16,7 +17,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from latex2mathml.converter import convert
 from markdown.extensions.toc import slugify
@@ -31,7 +32,7 @@ from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured
 from comparisons.experiments.montecarlo.models import MonteCarloResult
-from comparisons.experiments.reproduction.models import ReproductionResult
+from comparisons.experiments.reproduction.interface import ReproductionResult
 from comparisons.extensions.dense_maps.result import DenseResult
 from comparisons.extensions.fastslam.result import FastSlamResult
 from comparisons.extensions.high_level.result import HighLevelResult
@@ -57,7 +58,7 @@ _FLAGS = {(flag.option, flag.help): flag for flag in FLAGS}
 _NUMBER = re.compile(r"<td>(?=[-+\d.,e %]+</td>)")
 _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 
-RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
+RESULTS: dict[str, tuple[type, ...]] = {
     "result.json": (Result,),
     "result.json: entries of extensions": (
         OwnAssociationResult,
@@ -78,7 +79,7 @@ RESULTS: dict[str, tuple[type[BaseModel], ...]] = {
     "montecarlo.json": (MonteCarloResult,),
     "claims.json": (ReproductionResult,),
 }
-"""Files of results, and the models of their contents."""
+"""Files of results, and the models or dataclasses of their contents."""
 UNITS = {"_m": "m", "_m2": "m²", "_rad": "rad", "_s": "s", "_sigma": "sigma", "seconds": "s",
          "_per_second": "1/s"}  # fmt: skip
 """Endings of fields' names, and the unit that each stands for."""
@@ -94,7 +95,7 @@ def _result_schema() -> str:
         "and radians. JSON has no NaN and no infinity: such a figure is `null`. "
         "[Formats](formats.md) describes the other files of a folder.",
     ]
-    seen: dict[type[BaseModel], str] = {}
+    seen: dict[type, str] = {}
     for file, roots in RESULTS.items():
         new = [kind for kind in dict.fromkeys(_nested(*roots)) if kind not in seen]
         for kind in new:
@@ -105,29 +106,38 @@ def _result_schema() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _nested(*kinds: Any) -> Iterator[type[BaseModel]]:
+def fields(kind: type) -> dict[str, Any]:
+    """Return the types of the fields of a model or a dataclass, by name; none of other types."""
+    if issubclass(kind, BaseModel):
+        return {name: field.annotation for name, field in kind.model_fields.items()}
+    return get_type_hints(kind) if dataclasses.is_dataclass(kind) else {}
+
+
+def _nested(*kinds: Any) -> Iterator[type]:
     """Models in types and in the fields of these models, outer ones first."""
     for kind in kinds:
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if isinstance(kind, type) and (inside := fields(kind)):
             yield kind
-            yield from _nested(*(field.annotation for field in kind.model_fields.values()))
+            yield from _nested(*inside.values())
         else:
             yield from _nested(*(one for one in get_args(kind) if not isinstance(one, str)))
 
 
-def _model(kind: type[BaseModel], names: dict[type[BaseModel], str]) -> str:
-    text = meanings(kind)
+def _model(kind: type, names: dict[type, str]) -> str:
+    text, written = meanings(kind), dict[str, str]()
+    if issubclass(kind, BaseModel):
+        written = {name: field.alias or name for name, field in kind.model_fields.items()}
     rows = [
-        f"| `{field.alias or name}` | {_cell(text[name])} | {_type(field.annotation, names)} "
+        f"| `{written.get(name, name)}` | {_cell(text[name])} | {_type(one, names)} "
         f"| {_unit(name)} |"
-        for name, field in kind.model_fields.items()
+        for name, one in fields(kind).items()
     ]
     prose = inspect.cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0]
     head = "| field | meaning | type | unit |\n|---|---|---|---|\n"
     return f"### {names[kind]}\n\n{prose}\n\n{head}" + "\n".join(rows)
 
 
-def meanings(kind: type[BaseModel]) -> dict[str, str]:
+def meanings(kind: type) -> dict[str, str]:
     """Return the meaning of each field, from the `Attributes:` of the model and those above it."""
     found: dict[str, str] = {}
     for one in reversed(kind.__mro__):
@@ -136,7 +146,7 @@ def meanings(kind: type[BaseModel]) -> dict[str, str]:
     return found
 
 
-def _type(kind: Any, names: dict[type[BaseModel], str]) -> str:
+def _type(kind: Any, names: dict[type, str]) -> str:
     """A type as JSON has it; models link to their tables."""
     origin, parts = get_origin(kind), get_args(kind)
     if kind in names:

@@ -329,7 +329,7 @@ def unexplained(site: ModuleType, *kinds: type) -> list[str]:
     return [
         f"{kind.__name__}.{name}"
         for kind in site._nested(*kinds)
-        for name in kind.model_fields
+        for name in site.fields(kind)
         if name not in site.meanings(kind)
     ]
 
