@@ -30,7 +30,7 @@ from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured
 from comparisons.experiments.montecarlo.models import MonteCarloResult
-from comparisons.experiments.reproduction.models import ReproductionResult
+from comparisons.experiments.reproduction.interface import ReproductionResult
 from comparisons.extensions.dense_maps.result import DenseResult
 from comparisons.extensions.fastslam.result import FastSlamResult
 from comparisons.extensions.high_level.result import HighLevelResult
@@ -78,7 +78,7 @@ RESULTS: dict[str, tuple[type, ...]] = {
     "montecarlo.json": (MonteCarloResult,),
     "claims.json": (ReproductionResult,),
 }
-"""Files of results, and the models of their contents."""
+"""Files of results, and the models or dataclasses of their contents."""
 UNITS = {"_m": "m", "_m2": "m²", "_rad": "rad", "_s": "s", "_sigma": "sigma", "seconds": "s",
          "_per_second": "1/s"}  # fmt: skip
 """Endings of fields' names, and the unit that each stands for."""

@@ -50,13 +50,10 @@ def reproduce(
         if not figures:
             _list()
             raise SystemExit(AGREE)
-        import time
-
         from comparisons.atomic import check_replaceable
         from comparisons.experiments.montecarlo.workers import one_each_core
         from comparisons.experiments.reproduction.folder import (
             CONTENTS,
-            build_result,
             print_claims,
             write_gallery,
         )
@@ -64,15 +61,13 @@ def reproduce(
         from comparisons.experiments.reproduction.runner import reproduce as run
 
         check_replaceable(out, CONTENTS)
-        start = time.perf_counter()
         with progress_bar() as progress:
             number = one_each_core() if workers is None else workers
             found = run(tuple(figures), Sources(data, drives), number, progress)
-            result = build_result(found, drives, time.perf_counter() - start)
             progress("gallery", 0, 0)
-            write_gallery(found, result, out)
-        print_text(lambda console: print_claims(result, out, console))
-        raise SystemExit(AGREE if result.holds else DISAGREE)
+            write_gallery(found, out)
+        print_text(lambda console: print_claims(found.result, out, console))
+        raise SystemExit(AGREE if found.result.holds else DISAGREE)
 
 
 def _list() -> None:

@@ -8,13 +8,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.plots import colour_of
-from comparisons.experiments.montecarlo.statistics import (
-    DOF,
-    LEVEL,
-    Pair,
-    inside_at_end,
-    per_run,
-)
+from comparisons.experiments.montecarlo.statistics import DOF, LEVEL, Pair, inside_at_end, per_run
 from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import again, document, number, script, sortable, table

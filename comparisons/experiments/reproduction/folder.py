@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 
+from pydantic import TypeAdapter
 from rich.console import Console
 
 from comparisons.atomic import fresh_folder
-from comparisons.experiments.reproduction.gallery import gallery, reported
-from comparisons.experiments.reproduction.interface import Claim, Reproduced, Skipped
-from comparisons.experiments.reproduction.models import (
-    ClaimResult,
-    FigureResult,
-    ReproductionResult,
-    SkippedResult,
-)
+from comparisons.experiments.reproduction.interface import Claim, FigureResult, ReproductionResult
 from comparisons.experiments.reproduction.registry import FIGURES
-from comparisons.figures import finite, package_versions
+from comparisons.experiments.reproduction.runner import Picture, Reproduction
+from comparisons.report.html.shell import document, picture, table
 
 CONTENTS = frozenset(
     {"gallery.html", "claims.json"}
@@ -26,63 +22,29 @@ CONTENTS = frozenset(
 """What the folder holds; a folder with nothing else may be replaced by the next."""
 
 
-def build_result(
-    found: Sequence[Reproduced | Skipped], drives: int, seconds: float
-) -> ReproductionResult:
-    """The figures' numbers. seconds: spent on everything."""
-    done = [_figure(r) for r in found if isinstance(r, Reproduced)]
-    skipped = [
-        SkippedResult(
-            name=r.figure.name, title=r.figure.title, source=r.figure.source, reason=r.reason
-        )
-        for r in found
-        if isinstance(r, Skipped)
-    ]
-    # Figures of one experiment share its time.
-    cpu_s = sum(r.cpu_s / (1 + len(r.shared)) for r in found if isinstance(r, Reproduced))
-    return ReproductionResult(
-        holds=all(figure.holds for figure in done),
-        drives=drives,
-        seconds=round(seconds, 3),
-        cpu_s=round(cpu_s, 3),
-        figures=done,
-        skipped=skipped,
-        versions=package_versions(),
-    )
-
-
-def write_gallery(
-    found: Sequence[Reproduced | Skipped], result: ReproductionResult, folder: Path
-) -> None:
+def write_gallery(found: Reproduction, folder: Path) -> None:
     """Write everything; the folder appears whole or not at all. Raises InputError."""
-    pictures = {r.figure.name: r.png for r in found if isinstance(r, Reproduced)}
+    result, pictures = found
     with fresh_folder(folder, CONTENTS) as work:
-        for r in found:
-            if isinstance(r, Reproduced):
-                (work / f"{r.figure.name}.png").write_bytes(r.png)
-                (work / f"{r.figure.name}.pdf").write_bytes(r.pdf)
-        (work / "gallery.html").write_text(gallery(result, pictures), encoding="utf-8")
-        text = result.model_dump_json(indent=2) + "\n"
-        (work / "claims.json").write_text(text, encoding="utf-8")
+        for name, one in pictures.items():
+            (work / f"{name}.png").write_bytes(one.png)
+            (work / f"{name}.pdf").write_bytes(one.pdf)
+        (work / "gallery.html").write_text(_gallery(result, pictures), encoding="utf-8")
+        text = TypeAdapter(ReproductionResult).dump_json(result, indent=2)
+        (work / "claims.json").write_bytes(text + b"\n")
 
 
 def print_claims(result: ReproductionResult, folder: Path, console: Console) -> None:
     """Print how many claims hold, each figure, every claim that does not hold, and the folder."""
-    claims = [claim for figure in result.figures for claim in figure.claims]
-    met = sum(claim.holds for claim in claims)
-    lines = [
-        f"{met} of {len(claims)} claims hold, {len(result.figures)} figures, "
-        f"{len(result.skipped)} skipped, {result.seconds:.0f} s"
-    ]
+    lines = [_summary(result, ",")]
     for figure in result.figures:
-        met = sum(claim.holds for claim in figure.claims)
         lines.append(
-            f"{figure.name:6} {met} of {len(figure.claims)} claims hold  "
-            f"{figure.seconds:6.1f} s  {figure.title}"
+            f"{figure.name:6} {_met(figure)} claims hold  {figure.seconds:6.1f} s  {figure.title}"
         )
         for claim in figure.claims:
             if not claim.holds:
-                lines.append(f"       does not hold: {claim.text}: {reported(claim)}")
+                reported = f"{_measured(claim)}, expected {_limit(claim)}"
+                lines.append(f"       does not hold: {claim.text}: {reported}")
                 if claim.why:
                     lines.append(f"         {claim.why}")
     lines += [f"{row.name:6} skipped: {row.reason}" for row in result.skipped]
@@ -90,29 +52,63 @@ def print_claims(result: ReproductionResult, folder: Path, console: Console) -> 
     console.print("\n".join(lines), highlight=False, markup=False)
 
 
-def _figure(found: Reproduced) -> FigureResult:
-    figure = found.figure
-    return FigureResult(
-        name=figure.name,
-        title=figure.title,
-        source=figure.source,
-        says=figure.says,
-        log=found.log,
-        seconds=round(found.seconds, 3),
-        cpu_s=round(found.cpu_s, 3),
-        shared=list(found.shared),
-        holds=found.holds,
-        claims=[_claim(claim) for claim in found.claims],
+def _gallery(result: ReproductionResult, pictures: Mapping[str, Picture]) -> str:
+    """The page: every figure with what its document claims and what was measured here."""
+    kind, outcome = ("agree", "all hold") if result.holds else ("disagree", "not all hold")
+    contents = [(figure.name, figure.title, _met(figure)) for figure in result.figures]
+    bad = [number for number, figure in enumerate(result.figures) if not figure.holds]
+    parts = [
+        "<h1>Figures of the source documents, reproduced</h1>",
+        f'<p><span class="verdict {kind}">{outcome}</span> {_summary(result, ";")}</p>',
+        '<p class="note">Claims are in our words. Environments are those of the documents as '
+        "far as these describe them; where things stand in simulated ones is ours.</p>",
+        table(("figure", "", "claims that hold"), contents, bad),
+        *(_figure(figure, pictures[figure.name].png) for figure in result.figures),
+    ]
+    if result.skipped:
+        rows = [(s.name, s.title, s.reason) for s in result.skipped]
+        parts += ["<h2>Skipped</h2>", table(("figure", "", "reason"), rows)]
+    parts += ["<h2>Versions</h2>", table(("package", "version"), list(result.versions.items()))]
+    return document("slamcheck: reproduced figures", parts)
+
+
+def _figure(figure: FigureResult, png: bytes) -> str:
+    shared = f", shared with {', '.join(figure.shared)}" if figure.shared else ""
+    bad = [number for number, claim in enumerate(figure.claims) if not claim.holds]
+    rows = [
+        (
+            claim.text if claim.why is None else f"{claim.text} ({claim.why})",
+            _measured(claim),
+            _limit(claim),
+            "holds" if claim.holds else "does not hold",
+        )
+        for claim in figure.claims
+    ]
+    return (
+        f"<h2>{escape(figure.name)}: {escape(figure.title)}</h2>"
+        f"<p>{escape(figure.says)}</p>"
+        f'<p class="note">{escape(figure.source)}. Log: {escape(figure.log)}. '
+        f"{figure.seconds:.1f} s{escape(shared)}.</p>"
+        f"{picture(figure.title, png)}{table(('claim', 'measured', 'limit', ''), rows, bad)}"
     )
 
 
-def _claim(claim: Claim) -> ClaimResult:
-    return ClaimResult(
-        text=claim.text,
-        measured=finite(claim.measured),
-        relation=claim.relation,
-        limit=claim.limit,
-        unit=claim.unit,
-        holds=claim.holds,
-        why=None if claim.holds else claim.why or None,
+def _summary(result: ReproductionResult, after: str) -> str:
+    """after: what ends the count of claims."""
+    return (
+        f"{_met(*result.figures)} claims hold{after} {len(result.figures)} figures, "
+        f"{len(result.skipped)} skipped, {result.seconds:.0f} s"
     )
+
+
+def _met(*figures: FigureResult) -> str:
+    claims = [claim.holds for figure in figures for claim in figure.claims]
+    return f"{sum(claims)} of {len(claims)}"
+
+
+def _measured(claim: Claim) -> str:
+    return "none" if claim.measured is None else f"{claim.measured:.3g} {claim.unit}".rstrip()
+
+
+def _limit(claim: Claim) -> str:
+    return f"{claim.relation} {claim.limit:.3g} {claim.unit}".rstrip()

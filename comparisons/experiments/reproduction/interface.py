@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, SupportsFloat, TypeVar
 
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.errors import InputError
+from comparisons.figures import finite
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
 
-AT_MOST: Literal["at most"] = "at most"
-AT_LEAST: Literal["at least"] = "at least"
-SHARE_WITHIN_3_SIGMA, THREE_SIGMA_SQUARED = 0.989, 9.0
-"""Of a Gaussian in the plane: the share within 3 sigma, and the squared distance there."""
 DATA_FOLDERS = ("victoria_park", "acfr_car_park", "mrclam")
 """Of --data: public logs that are no part of this project."""
+Relation = Literal["at most", "at least"]
+_DOCUMENTS = {"G": "Guivant et al. 2002", "M": "Misono et al. 2007", "N": "Nieto 2005"}
 
 
 @dataclass(frozen=True)
@@ -49,43 +50,67 @@ class Sources:
         found = None if self.data is None else self.data / name
         return found if found is not None and found.is_dir() else None
 
+    def log(self, name: str) -> Log:
+        """The log of one of DATA_FOLDERS. Raises InputError where it is not given."""
+        folder = self.folder(name)
+        if folder is None:
+            raise InputError(f"needs --data FOLDER with {name}/")
+        return open_log(str(folder))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """One thing that a document says, as a number with a limit.
+    """A claim of a document and what was measured.
 
-    text: what is claimed, and of what the number is. why: where it is not met, what is different
-    here, as far as known.
+    Attributes:
+        text: the claim, and of what the figure is.
+        measured: the figure; null where it is not finite.
+        relation: how the figure must stand to the limit.
+        limit: the limit.
+        unit: unit of figure and limit.
+        holds: whether the claim holds; without a figure it does not.
+        why: what is different here, where the claim does not hold and the reason is known.
     """
 
     text: str
-    measured: float
-    relation: Literal["at most", "at least"]
+    measured: float | None
+    relation: Relation
     limit: float
-    unit: str = ""
-    why: str = ""
-
-    @property
-    def holds(self) -> bool:
-        """A number that is not finite meets no limit."""
-        if not math.isfinite(self.measured):
-            return False
-        if self.relation == AT_MOST:
-            return self.measured <= self.limit
-        return self.measured >= self.limit
+    unit: str
+    holds: bool
+    why: str | None
 
 
-def at_most(text: str, measured: float, limit: float, unit: str = "", why: str = "") -> Claim:
-    """A claim whose number must not be larger than the limit."""
+Claims = Iterator[Claim]
+
+
+def at_most(
+    text: str, measured: SupportsFloat, limit: float, unit: str = "", why: str = ""
+) -> Claim:
+    """A claim whose number must not exceed the limit. why: as far as known, where it does."""
+    return _claim(text, float(measured), "at most", limit, unit, why)
+
+
+def at_least(
+    text: str, measured: SupportsFloat, limit: float, unit: str = "", why: str = ""
+) -> Claim:
+    """A claim whose number must reach the limit. why: as far as known, where it does not."""
+    return _claim(text, float(measured), "at least", limit, unit, why)
+
+
+def _claim(
+    text: str, measured: float, relation: Relation, limit: float, unit: str, why: str
+) -> Claim:
+    holds = math.isfinite(measured)
+    holds = holds and (measured <= limit if relation == "at most" else measured >= limit)
     return Claim(
-        text=text, measured=float(measured), relation=AT_MOST, limit=limit, unit=unit, why=why
-    )
-
-
-def at_least(text: str, measured: float, limit: float, unit: str = "", why: str = "") -> Claim:
-    """A claim whose number must not be smaller than the limit."""
-    return Claim(
-        text=text, measured=float(measured), relation=AT_LEAST, limit=limit, unit=unit, why=why
+        text=text,
+        measured=finite(measured),
+        relation=relation,
+        limit=limit,
+        unit=unit,
+        holds=holds,
+        why=None if holds else why or None,
     )
 
 
@@ -127,19 +152,24 @@ class Figure(Generic[D]):
     """One row of the catalogue.
 
     name: as on the command line, the document's initial and the figure's number. title: what is
-    shown. source: document and place. says: what the document claims by it, in our words.
-    draw: draws on an empty figure of `size` inches and computes nothing. claims: what is claimed,
-    with the numbers of the experiment.
+    shown. says: what the document claims by it, in our words. draw: draws on an empty figure of
+    `size` inches and computes nothing. claims: what is claimed, with the numbers of the
+    experiment. place: of the figure in the document, where that is not its number alone.
     """
 
     name: str
     title: str
-    source: str
     says: str
     experiment: Experiment[D]
     draw: Callable[[Canvas, D], None]
-    claims: Callable[[D], list[Claim]]
+    claims: Callable[[D], Claims]
     size: tuple[float, float] = (9.0, 4.6)
+    place: str = ""
+
+    @property
+    def source(self) -> str:
+        """Document and place."""
+        return f"{_DOCUMENTS[self.name[0]]}, {self.place or f'Fig. {self.name[1:]}'}"
 
     def judged(self, data: D) -> tuple[Claim, ...]:
         """The claims; a number that cannot be had is not finite, and its claim does not hold."""
@@ -151,31 +181,69 @@ AnyFigure = Figure[Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reproduced:
-    """A figure that was drawn. seconds: of the experiment, which `shared` figures have in common.
+class FigureResult:
+    """A figure of a document.
 
-    cpu_s: of the processor, all threads of the process that ran it (time.process_time).
-    png, pdf: the pictures.
+    Attributes:
+        name: name of the figure, as `slamcheck reproduce` takes it.
+        title: its title.
+        source: where the document has it.
+        says: what the document says.
+        log: log on which it was run.
+        seconds: wall time of its experiment, which the figures in `shared` have in common.
+        cpu_s: processor time of it, all threads of its process.
+        shared: figures of the same experiment.
+        holds: whether all its claims hold.
+        claims: its claims.
     """
 
-    figure: AnyFigure
-    claims: tuple[Claim, ...]
+    name: str
+    title: str
+    source: str
+    says: str
     log: str
     seconds: float
-    cpu_s: float
+    cpu_s: float | None = None
     shared: tuple[str, ...]
-    png: bytes
-    pdf: bytes
-
-    @property
-    def holds(self) -> bool:
-        """All claims do."""
-        return all(claim.holds for claim in self.claims)
+    holds: bool
+    claims: tuple[Claim, ...]
 
 
 @dataclass(frozen=True)
-class Skipped:
-    """A figure that was not drawn, and what it would take."""
+class SkippedResult:
+    """A figure that was asked for and not run.
 
-    figure: AnyFigure
+    Attributes:
+        name: name of the figure.
+        title: its title.
+        source: where the document has it.
+        reason: why it was not run.
+    """
+
+    name: str
+    title: str
+    source: str
     reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReproductionResult:
+    """`claims.json`: figures of the documents and their claims.
+
+    Attributes:
+        holds: whether every claim of every figure that was run holds.
+        drives: simulated drives of a claim on averages.
+        seconds: wall time of all.
+        cpu_s: processor time of all experiments, whichever process ran them.
+        figures: figures that were run.
+        skipped: figures that were not run.
+        versions: versions of the packages.
+    """
+
+    holds: bool
+    drives: int
+    seconds: float
+    cpu_s: float | None = None
+    figures: tuple[FigureResult, ...]
+    skipped: tuple[SkippedResult, ...]
+    versions: dict[str, str]

@@ -21,7 +21,7 @@ from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
-    Claim,
+    Claims,
     Experiment,
     Figure,
     Sources,
@@ -158,7 +158,7 @@ def journeys(sources: Sources) -> Journeys:
     )
 
 
-def claims_5(found: Drives) -> list[Claim]:
+def claims_5(found: Drives) -> Claims:
     """Errors of dead reckoning accumulate; those of SLAM are cancelled."""
 
     def median(name: str) -> float:
@@ -168,48 +168,43 @@ def claims_5(found: Drives) -> list[Claim]:
         parts = [np.array_split(one.error_m(name), _PARTS) for one in found.each]
         return float(np.median([p[-1].mean() / p[0].mean() for p in parts]))
 
-    reached = WaypointRun().reached_m
-    return [
-        at_least(
-            "by dead reckoning errors accumulate (last fifth of the run over the first, median)",
-            growth("dead reckoning"),
-            2.0,
-        ),
-        at_most(
-            "SLAM cancels them (its error over dead reckoning's, medians of RMS)",
-            median("misono") / median("dead reckoning"),
-            0.5,
-        ),
-        at_most(
-            "and tells exactly where the robot is (median RMS error; limit: the distance within "
-            "which a waypoint counts as reached)",
-            median("misono"),
-            reached,
-            "m",
-            why=_HEADING.format(*map(median, _BESIDE)),
-        ),
-    ]
+    yield at_least(
+        "by dead reckoning errors accumulate (last fifth of the run over the first, median)",
+        growth("dead reckoning"),
+        2.0,
+    )
+    yield at_most(
+        "SLAM cancels them (its error over dead reckoning's, medians of RMS)",
+        median("misono") / median("dead reckoning"),
+        0.5,
+    )
+    yield at_most(
+        "and tells exactly where the robot is (median RMS error; limit: the distance within "
+        "which a waypoint counts as reached)",
+        median("misono"),
+        WaypointRun().reached_m,
+        "m",
+        why=_HEADING.format(*map(median, _BESIDE)),
+    )
 
 
-def claims_6(found: Journeys) -> list[Claim]:
+def claims_6(found: Journeys) -> Claims:
     """By SLAM the robot comes back to where it began."""
     slam, blind = (found.ends_m(name) for name in ("misono", "dead reckoning"))
-    return [
-        at_least(
-            "by dead reckoning the robot misses its starting point (median distance)",
-            float(np.median(blind)),
-            1.0,
-            "m",
-        ),
-        at_most(
-            "by SLAM it returns to it (worst drive; limit: twice the distance within which a "
-            "waypoint counts as reached)",
-            float(slam.max()),
-            2.0 * WaypointRun().reached_m,
-            "m",
-            why=_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE)),
-        ),
-    ]
+    yield at_least(
+        "by dead reckoning the robot misses its starting point (median distance)",
+        np.median(blind),
+        1.0,
+        "m",
+    )
+    yield at_most(
+        "by SLAM it returns to it (worst drive; limit: twice the distance within which a "
+        "waypoint counts as reached)",
+        slam.max(),
+        2.0 * WaypointRun().reached_m,
+        "m",
+        why=_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE)),
+    )
 
 
 def draw_5(canvas: Canvas, found: Drives) -> None:
@@ -250,26 +245,17 @@ def _course(axis: Axes, title: str) -> None:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        name="M5",
-        title="Waypoints: estimated by SLAM and by dead reckoning",
-        source="Misono et al. 2007, Fig. 5",
+        name="M5", title="Waypoints: estimated by SLAM and by dead reckoning",
         says="Dead reckoning accumulates errors along the waypoints; SLAM cancels them and tells "
         "exactly where the robot is.",
-        experiment=Experiment("Misono's Fig. 5", drives),
-        draw=draw_5,
-        claims=claims_5,
+        experiment=Experiment("Misono's Fig. 5", drives), draw=draw_5, claims=claims_5,
         size=(10.0, 4.8),
     ),
     Figure(
-        name="M6",
-        title="Waypoints: where the robot goes by its estimate",
-        source="Misono et al. 2007, Fig. 6 (there a real robot, here the simulated one)",
+        name="M6", title="Waypoints: where the robot goes by its estimate",
         says="Steered by SLAM the robot returns to its starting point; dead reckoning would not "
-        "bring "
-        "it there.",
-        experiment=Experiment("Misono's Fig. 6", journeys),
-        draw=draw_6,
-        claims=claims_6,
-        size=(6.5, 6.0),
+        "bring it there.",
+        experiment=Experiment("Misono's Fig. 6", journeys), draw=draw_6, claims=claims_6,
+        size=(6.5, 6.0), place="Fig. 6 (there a real robot, here the simulated one)",
     ),
-)
+)  # fmt: skip

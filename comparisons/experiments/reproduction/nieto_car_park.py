@@ -11,6 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure as Canvas
 from scipy.spatial import cKDTree
 
 from comparisons.adapters.motion import motion_between
@@ -19,31 +22,36 @@ from comparisons.checks.accuracy import match_by_distance
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
+from comparisons.experiments.reproduction.drawing import SIGMAS, plan
 from comparisons.experiments.reproduction.interface import (
-    SHARE_WITHIN_3_SIGMA,
-    THREE_SIGMA_SQUARED,
+    AnyFigure,
     Claim,
+    Claims,
     Experiment,
+    Figure,
     Sources,
     at_least,
     at_most,
 )
-from comparisons.extensions.dense_maps.accuracy import OCCUPIED
+from comparisons.experiments.reproduction.measures import (
+    SHARE_WITHIN_3_SIGMA,
+    ellipses_of,
+    occupied,
+    rms,
+    searched_at_end,
+    within_3_sigma,
+)
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.figure import draw_cloud, draw_occupied, draw_regions
 from comparisons.extensions.dense_maps.source import BeforeClosing
-from comparisons.logs.bundled import open_log
+from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR
 from comparisons.logs.log import Log
 from comparisons.pipeline.dense_map import DenseMapping, map_log
-from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
+from comparisons.report.figures.style import draw_landmarks, draw_reference
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
+from ekf_reference.dense.layers.gaussians import Ellipses
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.scan_landmarks.high_level import (
-    Around,
-    Found,
-    Search,
-    SearchOptions,
-    search,
-    to_world,
-)
+from ekf_reference.scan_landmarks.high_level import Found, Search, SearchOptions, search, to_world
 from graphslam.increments import dead_reckoned
 
 FOLDER = "acfr_car_park"
@@ -58,6 +66,7 @@ LEAST = 20
 _WHOLE_MAP_M = 1e3
 _LAST = "returns of the last 15 s are put where the saturated steering leads"
 OTHER_PART = "the log is another part of the drives than the thesis'"
+OTHER_LOG = " Our log of the car park is another part of the drives than the thesis'."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,10 +120,7 @@ class CarPark:
     @property
     def ellipses(self) -> Ellipses:
         """Of the coarse map's Gaussians."""
-        layer = self.coarse.dense.dense.layers["sog"]
-        if not isinstance(layer, Gaussians):
-            raise TypeError(f"{type(layer).__name__} is no sum of Gaussians")
-        return layer.ellipses(self.coarse.placed)
+        return ellipses_of(self.coarse)
 
     @property
     def surface(self) -> Samples:
@@ -133,15 +139,7 @@ class CarPark:
 
 def car_park(sources: Sources) -> CarPark:
     """Drive the log three times: cells of 0.4 m and 0.5 m, and with GPS. Raises InputError."""
-    return of_log(read_car_park(sources))
-
-
-def read_car_park(sources: Sources) -> Log:
-    """Return the log with calibrated sigmas. Raises InputError where it is not given."""
-    folder = sources.folder(FOLDER)
-    if folder is None:
-        raise InputError(f"needs --data FOLDER with {FOLDER}/")
-    return open_log(str(folder))
+    return of_log(sources.log(FOLDER))
 
 
 def of_log(log: Log) -> CarPark:
@@ -196,143 +194,118 @@ def off_gps(log: Log, time_s: Array, pose: Array) -> Array:
 
 
 def _searched(mapping: DenseMapping, cell_m: float) -> Search:
-    layers = mapping.dense.dense.layers
-    gaussians = layers["sog"]
-    if not isinstance(gaussians, Gaussians):
-        raise TypeError(f"{type(gaussians).__name__} is no sum of Gaussians")
-    pose, landmark = mapping.ekf.departed[-1], mapping.dense.landmark
-    around = Around(layers["occupancy"], gaussians, mapping.placed, pose, landmark)
     options = SearchOptions(reach_m=_WHOLE_MAP_M, cell_m=cell_m, pair_m=PAIR_M, least=LEAST)
-    return search(around, np.empty((0, 4, 2)), options)
+    return search(searched_at_end(mapping), np.empty((0, 4, 2)), options)
 
 
-def occupied(samples: Samples) -> Array:
-    """(N, 2) what a layer holds with a probability above 0.8."""
-    point: Array = samples.point[samples.occupancy > OCCUPIED]
-    return point
-
-
-def claims_3_20(found: CarPark) -> list[Claim]:
+def claims_3_20(found: CarPark) -> Claims:
     """The path, the landmarks and their ellipses."""
     known = np.isfinite(found.beacon[:, 0])
     error = (found.landmark - found.beacon)[known]
-    blocks = found.blocks
-    squared = np.einsum(
-        "qi,qi->q", error, np.linalg.solve(blocks[known], error[:, :, None])[:, :, 0]
-    )
-    sigma = np.sqrt(np.trace(blocks, axis1=1, axis2=2))
+    sigma = np.sqrt(np.trace(found.blocks, axis1=1, axis2=2))
     far = np.linalg.norm(found.landmark - found.aided_path[0], axis=1)
     farther = far > np.median(far)
-    return [
-        at_most(
-            "SLAM stays closer to GPS than dead reckoning (RMS distance, over that of the wheels)",
-            _rms(found.path_gps) / _rms(found.wheels_gps),
-            0.5,
-            why="the last 15 s, without a reflector in view, are dead reckoning in both",
-        ),
-        at_most(
-            "where landmarks are in view it is close to GPS (median distance)",
-            float(np.median(found.path_gps)),
-            0.5,
-            "m",
-        ),
-        at_least(
-            "the landmarks' surveyed places are within the 3-sigma ellipses (share)",
-            float(np.mean(squared <= THREE_SIGMA_SQUARED)),
-            SHARE_WITHIN_3_SIGMA,
-        ),
-        at_least(
-            "landmarks far from the start are the most uncertain (mean sigma of the farther half "
-            "over that of the nearer)",
-            float(sigma[farther].mean() / sigma[~farther].mean()),
-            1.0,
-        ),
-    ]
+    yield at_most(
+        "SLAM stays closer to GPS than dead reckoning (RMS distance, over that of the wheels)",
+        rms(found.path_gps) / rms(found.wheels_gps),
+        0.5,
+        why="the last 15 s, without a reflector in view, are dead reckoning in both",
+    )
+    yield at_most(
+        "where landmarks are in view it is close to GPS (median distance)",
+        np.median(found.path_gps),
+        0.5,
+        "m",
+    )
+    yield at_least(
+        "the landmarks' surveyed places are within the 3-sigma ellipses (share)",
+        np.mean(within_3_sigma(error, found.blocks[known])),
+        SHARE_WITHIN_3_SIGMA,
+    )
+    yield at_least(
+        "landmarks far from the start are the most uncertain (mean sigma of the farther half "
+        "over that of the nearer)",
+        sigma[farther].mean() / sigma[~farther].mean(),
+        1.0,
+    )
 
 
-def claims_3_22(found: CarPark) -> list[Claim]:
+def claims_3_22(found: CarPark) -> Claims:
     """The final map beside the laser image."""
     regions = found.fine.dense.dense.regions
     away = found.off(found.fine.layers["points"].point)
-    return [
-        at_most(
-            "the dense map lies on the laser image (median distance of its points)",
-            float(np.median(away)),
-            CELL_M,
-            "m",
-        ),
-        at_most(
-            "all of it does (95 % of the distances)",
-            float(np.percentile(away, 95.0)),
-            CELL_M,
-            "m",
-            why=_LAST,
-        ),
-        at_least(
-            "virtual landmarks were needed (regions with one)",
-            int(np.count_nonzero((regions.base < 0).any(axis=1))),
-            1,
-        ),
-    ]
+    yield at_most(
+        "the dense map lies on the laser image (median distance of its points)",
+        np.median(away),
+        CELL_M,
+        "m",
+    )
+    yield at_most(
+        "all of it does (95 % of the distances)",
+        np.percentile(away, 95.0),
+        CELL_M,
+        "m",
+        why=_LAST,
+    )
+    yield at_least(
+        "virtual landmarks were needed (regions with one)",
+        int(np.count_nonzero((regions.base < 0).any(axis=1))),
+        1,
+    )
 
 
-def claims_3_23(found: CarPark) -> list[Claim]:
+def claims_3_23(found: CarPark) -> Claims:
     """The closing, by points."""
     return _closing_claims(found, "points")
 
 
-def claims_4_14(found: CarPark) -> list[Claim]:
+def claims_4_14(found: CarPark) -> Claims:
     """The closing, by cells; and how they compare with raw points."""
     cells, points = (
         float(np.median(found.off(occupied(found.fine.layers[name]))))
         for name in ("occupancy", "points")
     )
-    return [
-        *_closing_claims(found, "occupancy"),
-        at_most(
-            "the grid is as accurate as the raw observations (median distance to the laser image, "
-            "difference; limit: a cell)",
-            abs(cells - points),
-            CELL_M,
-            "m",
-        ),
-    ]
+    yield from _closing_claims(found, "occupancy")
+    yield at_most(
+        "the grid is as accurate as the raw observations (median distance to the laser image, "
+        "difference; limit: a cell)",
+        abs(cells - points),
+        CELL_M,
+        "m",
+    )
 
 
-def _closing_claims(found: CarPark, layer: str) -> list[Claim]:
+def _closing_claims(found: CarPark, layer: str) -> Claims:
     """Of the map as it was, against the laser image, and of its landmarks, against the survey."""
     b = found.before
     then = found.off(occupied(b.layers[layer]))
     known = np.flatnonzero(np.isfinite(found.beacon[: len(b.landmark), 0]))
     true = found.beacon[known]
-    off = [_rms(np.linalg.norm(x[known] - true, axis=1)) for x in (b.landmark, found.landmark)]
-    return [
-        at_least(
-            "before the loop closes the map is visibly off (95 % of its distances to the laser "
-            "image)",
-            float(np.percentile(then, 95.0)),
-            ERROR_BEFORE_M,
-            "m",
-            why=f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together",
-        ),
-        at_most(
-            "closing the loop corrects the map (RMS distance of its landmarks to the surveyed "
-            "ones, in the end over before)",
-            off[1] / off[0],
-            1.0,
-        ),
-        at_most(
-            "by a large part (the same)",
-            off[1] / off[0],
-            0.5,
-            why=f"from {off[0]:.2f} m to {off[1]:.2f} m",
-        ),
-    ]
+    off = [rms(np.linalg.norm(x[known] - true, axis=1)) for x in (b.landmark, found.landmark)]
+    yield at_least(
+        "before the loop closes the map is visibly off (95 % of its distances to the laser image)",
+        np.percentile(then, 95.0),
+        ERROR_BEFORE_M,
+        "m",
+        why=f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together",
+    )
+    yield at_most(
+        "closing the loop corrects the map (RMS distance of its landmarks to the surveyed "
+        "ones, in the end over before)",
+        off[1] / off[0],
+        1.0,
+    )
+    yield at_most(
+        "by a large part (the same)",
+        off[1] / off[0],
+        0.5,
+        why=f"from {off[0]:.2f} m to {off[1]:.2f} m",
+    )
 
 
-def claims_4_15(found: CarPark) -> list[Claim]:
+def claims_4_15(found: CarPark) -> Claims:
     """The final grid with cells of 0.4 m."""
-    return [_near_image(found, "the grid's occupied cells", "occupancy", found.fine, CELL_M)]
+    yield _near_image(found, "the grid's occupied cells", "occupancy", found.fine, CELL_M)
 
 
 def _near_image(
@@ -351,107 +324,357 @@ def placed_template(one: Found) -> Array:
     return to_world(one.place, one.template.shape.mean)
 
 
-def claims_6_1(found: CarPark) -> list[Claim]:
+def claims_6_1(found: CarPark) -> Claims:
     """Corners of the grid of 0.4 m."""
     return _corner_claims(found.searched_fine.corner, found.fine, CELL_M)
 
 
-def claims_6_17(found: CarPark) -> list[Claim]:
+def claims_6_17(found: CarPark) -> Claims:
     """Corners of the grid of 0.5 m."""
     return _corner_claims(found.searched.corner, found.coarse, COARSE_M)
 
 
-def _corner_claims(corner: Array, mapping: DenseMapping, cell_m: float) -> list[Claim]:
+def _corner_claims(corner: Array, mapping: DenseMapping, cell_m: float) -> Claims:
     held = occupied(mapping.layers["occupancy"])
     away = cKDTree(held).query(corner)[0] if len(corner) else np.array([np.nan])
-    return [
-        at_least("corners are found in the grid that no single scan shows", len(corner), 2),
-        at_most(
-            "they are corners of what stands there (largest distance to an occupied cell; limit: "
-            "two cells)",
-            float(away.max()),
-            2.0 * cell_m,
-            "m",
-        ),
-    ]
+    yield at_least("corners are found in the grid that no single scan shows", len(corner), 2)
+    yield at_most(
+        "they are corners of what stands there (largest distance to an occupied cell; limit: "
+        "two cells)",
+        away.max(),
+        2.0 * cell_m,
+        "m",
+    )
 
 
-def claims_6_11(found: CarPark) -> list[Claim]:
+def claims_6_11(found: CarPark) -> Claims:
     """SLAM with GPS, of which the laser image is made."""
-    return [
-        at_most(
-            "SLAM combined with GPS follows GPS (median distance)",
-            float(np.median(found.aided_gps)),
-            0.1,
-            "m",
-        ),
-    ]
+    yield at_most(
+        "SLAM combined with GPS follows GPS (median distance)",
+        np.median(found.aided_gps),
+        0.1,
+        "m",
+    )
 
 
-def claims_6_12(found: CarPark) -> list[Claim]:
+def claims_6_12(found: CarPark) -> Claims:
     """Raw observations."""
-    return [_near_image(found, "raw observations", "points", found.coarse, COARSE_M)]
+    yield _near_image(found, "raw observations", "points", found.coarse, COARSE_M)
 
 
-def claims_6_13(found: CarPark) -> list[Claim]:
+def claims_6_13(found: CarPark) -> Claims:
     """The grid with cells of 0.5 m."""
-    return [_near_image(found, "the grid's occupied cells", "occupancy", found.coarse, COARSE_M)]
+    yield _near_image(found, "the grid's occupied cells", "occupancy", found.coarse, COARSE_M)
 
 
-def claims_6_14(found: CarPark) -> list[Claim]:
+def claims_6_14(found: CarPark) -> Claims:
     """Gaussians."""
-    return [_near_image(found, "the Gaussians' means", "sog", found.coarse, COARSE_M)]
+    yield _near_image(found, "the Gaussians' means", "sog", found.coarse, COARSE_M)
 
 
-def claims_6_15(found: CarPark) -> list[Claim]:
+def claims_6_15(found: CarPark) -> Claims:
     """The surface of the sum."""
     surface = found.surface
     high = surface.point[surface.occupancy > 0.5]
-    return [
-        at_most(
-            "the sum of Gaussians is high where the laser image is (95 % of the distances of what "
-            "is above half a peak; limit: two cells)",
-            float(np.percentile(found.off(high), 95.0)) if len(high) else np.nan,
-            2.0 * COARSE_M,
-            "m",
-            why=_LAST,
-        )
-    ]
+    yield at_most(
+        "the sum of Gaussians is high where the laser image is (95 % of the distances of what "
+        "is above half a peak; limit: two cells)",
+        np.percentile(found.off(high), 95.0) if len(high) else np.nan,
+        2.0 * COARSE_M,
+        "m",
+        why=_LAST,
+    )
 
 
-def claims_6_16(found: CarPark) -> list[Claim]:
+def claims_6_16(found: CarPark) -> Claims:
     """Three layers of one run."""
     layers = found.coarse.layers
     grid = cKDTree(occupied(layers["occupancy"]))
-    return [
-        at_most(
+    for name, key in (("raw observations", "points"), ("Gaussians", "sog")):
+        yield at_most(
             f"{name} and the grid show the same surfaces (median distance to an occupied cell; "
             "limit: two cells)",
-            float(np.median(grid.query(occupied(layers[key]))[0])),
+            np.median(grid.query(occupied(layers[key]))[0]),
             2.0 * COARSE_M,
             "m",
         )
-        for name, key in (("raw observations", "points"), ("Gaussians", "sog"))
-    ]
 
 
-def claims_6_18(found: CarPark) -> list[Claim]:
+def claims_6_18(found: CarPark) -> Claims:
     """High level landmarks."""
     s = found.searched
-    return [
-        at_least("pairs of corners up to 7 m apart are found", len(s.candidate) + s.known, 1),
-        at_least(
-            f"nine are accepted as high level landmarks (with at least {LEAST} Gaussians each)",
-            len(s.found),
-            HIGH_LEVEL_COUNT,
-            why=f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
-            "landmark must have is not stated",
-        ),
-    ]
-
-
-def _rms(distance: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(distance))))
+    yield at_least("pairs of corners up to 7 m apart are found", len(s.candidate) + s.known, 1)
+    yield at_least(
+        f"nine are accepted as high level landmarks (with at least {LEAST} Gaussians each)",
+        len(s.found),
+        HIGH_LEVEL_COUNT,
+        why=f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
+        "landmark must have is not stated",
+    )
 
 
 CAR_PARK = Experiment("the car park, dense maps", car_park, FOLDER)
+
+
+_MARGIN_M = 6.0
+
+
+def _frame(axis: Axes, found: CarPark, title: str) -> None:
+    """The same part of the park in all figures: where the vehicle and the landmarks are."""
+    shown = np.vstack((found.aided_path, found.landmark))
+    low, high = shown.min(axis=0) - _MARGIN_M, shown.max(axis=0) + _MARGIN_M
+    plan(axis, title)
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def draw_3_20(canvas: Canvas, found: CarPark) -> None:
+    """Dead reckoning and SLAM, both with GPS."""
+    left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
+    for axis in (left, right):
+        axis.plot(*found.gps.T, ".", color=TRUTH_COLOUR, markersize=2, label="GPS")
+    left.plot(*found.wheels.T, "-", color=EKF_COLOUR, linewidth=1.0, label="dead reckoning")
+    path = found.fine.dense.scan_pose[:, :2]
+    right.plot(*path.T, "-", color=EKF_COLOUR, linewidth=1.0, label="SLAM")
+    draw_reference(right, found.beacon, "*", "surveyed reflectors")
+    outline = ellipses(found.landmark, found.blocks, SIGMAS)
+    draw_landmarks(right, found.landmark, outline, SMOOTHER_COLOUR, "o", "landmarks, 3 sigma")
+    for axis, title in ((left, "(a) dead reckoning"), (right, "(b) feature SLAM")):
+        _frame(axis, found, title)
+        axis.legend(fontsize=8, loc="lower left")
+
+
+def draw_3_22(canvas: Canvas, found: CarPark) -> None:
+    """Raw points over the laser image."""
+    axis = canvas.add_subplot()
+    _over_image(axis, found, found.fine.layers["points"], found.fine.placed.triangle)
+    axis.plot(*found.landmark.T, "o", color=SMOOTHER_COLOUR, markersize=4, markerfacecolor="none")
+    _frame(axis, found, "dense map (dark), laser image by SLAM and GPS (light), regions")
+
+
+def _over_image(axis: Axes, found: CarPark, samples: Samples, triangle: Array) -> None:
+    draw_cloud(axis, found.image)
+    draw_regions(axis, triangle)
+    draw_occupied(axis, samples)
+
+
+def _closing(canvas: Canvas, found: CarPark, layer: str) -> None:
+    left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
+    b = found.before
+    _over_image(left, found, b.layers[layer], b.triangle)
+    _over_image(right, found, found.fine.layers[layer], found.fine.placed.triangle)
+    _frame(left, found, f"(a) before the landmarks move by {b.shift_m:.2f} m, {b.time_s:.0f} s")
+    _frame(right, found, "(b) in the end")
+
+
+def draw_3_23(canvas: Canvas, found: CarPark) -> None:
+    """Raw points before and after."""
+    _closing(canvas, found, "points")
+
+
+def draw_4_14(canvas: Canvas, found: CarPark) -> None:
+    """Cells before and after."""
+    _closing(canvas, found, "occupancy")
+
+
+def _grid(canvas: Canvas, found: CarPark, samples: Samples, cell_m: float) -> Axes:
+    """All cells by their occupancy, in one subplot."""
+    axis = canvas.add_subplot()
+    order = np.argsort(samples.occupancy, kind="stable")
+    east, north = samples.point[order].T
+    drawn = axis.scatter(
+        east, north, s=5.0, marker="s", linewidths=0, c=samples.occupancy[order],
+        cmap="viridis", vmin=0.0, vmax=1.0, rasterized=True,
+    )  # fmt: skip
+    canvas.colorbar(drawn, ax=axis, label="occupancy", shrink=0.8)
+    _frame(axis, found, f"occupancy, cells of {cell_m:g} m")
+    return axis
+
+
+def draw_4_15(canvas: Canvas, found: CarPark) -> None:
+    """The grid of 0.4 m."""
+    _grid(canvas, found, found.fine.layers["occupancy"], CELL_M)
+
+
+def draw_6_1(canvas: Canvas, found: CarPark) -> None:
+    """The grid with corners, and a close-up of the upper part, as in the thesis."""
+    left, right = canvas.subplots(1, 2)
+    corner = found.searched_fine.corner
+    for axis in (left, right):
+        draw_occupied(axis, found.fine.layers["occupancy"])
+        axis.plot(*corner.T, "+", color=EKF_COLOUR, markersize=7, label="corners")
+    _frame(left, found, "(a) what the grid holds occupied, and corners")
+    _frame(right, found, "(b) the upper part")
+    north = corner[:, 1].max()
+    right.set_ylim(north - 16.0, north + 3.0)
+    left.legend(fontsize=8)
+
+
+def draw_6_11(canvas: Canvas, found: CarPark) -> None:
+    """GPS and the laser image."""
+    axis = canvas.add_subplot()
+    draw_cloud(axis, found.image)
+    axis.plot(*found.gps.T, "-", color=TRUTH_COLOUR, linewidth=1.2, label="GPS")
+    axis.plot(*found.gps[0], "^", color=EKF_COLOUR, label="start")
+    _frame(axis, found, "laser image by SLAM and GPS")
+    axis.legend(fontsize=8, loc="lower left")
+
+
+def draw_6_12(canvas: Canvas, found: CarPark) -> None:
+    """Raw observations in regions."""
+    axis = canvas.add_subplot()
+    draw_regions(axis, found.coarse.placed.triangle)
+    draw_occupied(axis, found.coarse.layers["points"])
+    _frame(axis, found, "raw observations in local regions")
+
+
+def draw_6_13(canvas: Canvas, found: CarPark) -> None:
+    """The grid of 0.5 m."""
+    _grid(canvas, found, found.coarse.layers["occupancy"], COARSE_M)
+
+
+def draw_6_14(canvas: Canvas, found: CarPark) -> None:
+    """Ellipses of one sigma."""
+    axis = canvas.add_subplot()
+    _gaussians(axis, found)
+    _frame(axis, found, "Gaussians, 1 sigma")
+
+
+def _gaussians(axis: Axes, found: CarPark) -> None:
+    held = found.ellipses
+    outline = ellipses(held.mean, held.covariance, 1.0, 16)
+    axis.add_collection(LineCollection(list(outline), colors=EKF_COLOUR, linewidths=0.6))
+
+
+def draw_6_15(canvas: Canvas, found: CarPark) -> None:
+    """The sum's height."""
+    axis, surface = canvas.add_subplot(), found.surface
+    east, north = (np.unique(column) for column in surface.point.T)
+    height = surface.occupancy.reshape(len(east), len(north)).T
+    drawn = axis.pcolormesh(east, north, height, cmap="viridis", vmax=1.5, rasterized=True)
+    canvas.colorbar(drawn, ax=axis, label="sum of Gaussians of peak 1", shrink=0.8)
+    _frame(axis, found, f"sum of Gaussians on a grid of {COARSE_M:g} m")
+
+
+def draw_6_17(canvas: Canvas, found: CarPark) -> None:
+    """Corners over the grid of 0.5 m."""
+    axis = _grid(canvas, found, found.coarse.layers["occupancy"], COARSE_M)
+    axis.plot(*found.searched.corner.T, "+", color=EKF_COLOUR, markersize=7, label="corners")
+    axis.legend(fontsize=8)
+
+
+def draw_6_16(canvas: Canvas, found: CarPark) -> None:
+    """Raw, Gaussians, grid."""
+    axes = canvas.subplots(1, 3, sharex=True, sharey=True)
+    draw_occupied(axes[0], found.coarse.layers["points"])
+    _gaussians(axes[1], found)
+    draw_occupied(axes[2], found.coarse.layers["occupancy"])
+    for axis, title in zip(axes, ("raw observations", "Gaussians", "occupied cells"), strict=True):
+        draw_regions(axis, found.coarse.placed.triangle)
+        _frame(axis, found, title)
+
+
+def draw_6_18(canvas: Canvas, found: CarPark) -> None:
+    """Rectangles around pairs, and the templates of those accepted."""
+    left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
+    s = found.searched
+    draw_cloud(left, found.image)
+    left.plot(*s.corner.T, "+", color=EKF_COLOUR, markersize=7, label="corners")
+    for style, name, chosen in (
+        ("solid", "high level landmarks", s.gaussians >= LEAST),
+        ("dotted", "too few Gaussians", s.gaussians < LEAST),
+    ):
+        areas = PolyCollection(
+            list(s.candidate[chosen]), facecolors="none", edgecolors=HIGH_LEVEL_COLOUR,
+            linestyles=style, label=name,
+        )  # fmt: skip
+        left.add_collection(areas)
+    for one in s.found:
+        x, y = placed_template(one).T
+        right.plot(x, y, ".", markersize=3)
+    _frame(left, found, "(a) pairs of corners")
+    _frame(right, found, "(b) templates of the high level landmarks")
+    left.legend(fontsize=8, loc="lower left")
+
+
+_TWO = (12.0, 7.0)
+
+FIGURES: tuple[AnyFigure, ...] = (
+    Figure(
+        name="N3.20", title="Car park: dead reckoning and feature SLAM beside GPS",
+        says="Dead reckoning drifts away from GPS; SLAM stays, with the largest uncertainty far "
+        "from the start." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_3_20, claims=claims_3_20, size=_TWO,
+    ),
+    Figure(
+        name="N3.22", title="Car park: final map of DenseSLAM",
+        says="The dense map lies on the laser image that SLAM and GPS make together; virtual "
+        "landmarks were needed to take in the walls." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_3_22, claims=claims_3_22, size=(7.5, 7.0),
+    ),
+    Figure(
+        name="N3.23", title="Car park: raw returns before and after a loop closes",
+        says="The error before the closing is easily observed, and the map is corrected by "
+        "it." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_3_23, claims=claims_3_23, size=_TWO,
+    ),
+    Figure(
+        name="N4.14", title="Car park: an occupancy grid before and after a loop closes",
+        says="Some 3 m of error before the closing are reduced substantially; the accuracy is that "
+        "of the raw observations." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_4_14, claims=claims_4_14, size=_TWO,
+    ),
+    Figure(
+        name="N4.15", title="Car park: final occupancy grid",
+        says="The final grid, with cells of 0.4 m, shows the environment." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_4_15, claims=claims_4_15, size=(7.5, 7.0),
+    ),
+    Figure(
+        name="N6.1", title="Car park: corners of the occupancy grid",
+        says="A corner detector finds in the map what cannot be identified from one vantage "
+        "point." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_1, claims=claims_6_1, size=_TWO,
+    ),
+    Figure(
+        name="N6.11", title="Car park: trajectory and laser image",
+        says="SLAM combined with GPS gives a laser image of the environment." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_11, claims=claims_6_11, size=(7.5, 7.0),
+    ),
+    Figure(
+        name="N6.12", title="Car park: raw observations in local regions",
+        says="Raw observations fused into the regions are a map of the environment." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_12, claims=claims_6_12, size=(7.5, 7.0),
+    ),
+    Figure(
+        name="N6.13", title="Car park: occupancy layer with cells of 0.5 m",
+        says="The occupancy layer is another map of the same environment." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_13, claims=claims_6_13, size=(7.5, 7.0),
+    ),
+    Figure(
+        name="N6.14", title="Car park: sum of Gaussians with d_min of 0.5 m",
+        says="Gaussians, observed ones fused with the map's where nearer than d_min, represent the "
+        "same environment." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_14, claims=claims_6_14, size=(7.5, 7.0),
+    ),
+    Figure(
+        name="N6.15", title="Car park: the sum of Gaussians as a surface",
+        says="Evaluated on a grid of 0.5 m, the sum is high where something stands." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_15, claims=claims_6_15, size=(7.5, 7.0),
+    ),
+    Figure(
+        name="N6.16", title="Car park: three layers of one run",
+        says="Raw observations, Gaussians and a grid of the same data are kept at the same "
+        "time." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_16, claims=claims_6_16, size=(15.0, 6.4),
+    ),
+    Figure(
+        name="N6.17", title="Car park: corners of the occupancy layer",
+        says="The corner detector marks corners of buildings and cars." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_17, claims=claims_6_17, size=(7.5, 7.0),
+    ),
+    Figure(
+        name="N6.18", title="Car park: high level landmarks",
+        says="Pairs of corners up to 7 m apart give rectangles, and the Gaussians in them nine "
+        "high level landmarks." + OTHER_LOG,
+        experiment=CAR_PARK, draw=draw_6_18, claims=claims_6_18, size=_TWO,
+    ),
+)  # fmt: skip

@@ -12,27 +12,35 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure as Canvas
 from scipy.spatial import cKDTree
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.drawing import plan
 from comparisons.experiments.reproduction.interface import (
-    SHARE_WITHIN_3_SIGMA,
+    AnyFigure,
     Claim,
+    Claims,
     Experiment,
+    Figure,
     Sources,
     at_least,
     at_most,
 )
+from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA
 from comparisons.experiments.reproduction.nieto_car_park import (
     FOLDER,
+    OTHER_LOG,
     OTHER_PART,
     off_gps,
-    read_car_park,
 )
-from comparisons.experiments.reproduction.nieto_scan_slam import ScanMap, scan_map
+from comparisons.experiments.reproduction.nieto_scan_slam import ScanMap, axes_at, scan_map
+from comparisons.extensions.dense_maps.figure import draw_cloud
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
@@ -40,6 +48,7 @@ from comparisons.logs.log import Log, Poses
 from comparisons.logs.transforms.published_sigmas import SensorSigmas, with_published_sigmas
 from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from comparisons.settings import configure, run_options
 from graphslam.scan import planar
 
@@ -112,7 +121,7 @@ class CarParkScans:
 
 def car_park_scans(sources: Sources) -> CarParkScans:
     """Drive the log by reflectors, with GPS, and by both forms of Scan-SLAM. Raises InputError."""
-    return of_log(read_car_park(sources))
+    return of_log(sources.log(FOLDER))
 
 
 def of_log(log: Log) -> CarParkScans:
@@ -184,7 +193,7 @@ def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Alig
     return tuple(found)
 
 
-def claims_5_10(found: CarParkScans) -> list[Claim]:
+def claims_5_10(found: CarParkScans) -> Claims:
     """How many landmarks, and how far the paths are from GPS."""
     count = len(found.published.held.landmark_index)
     thesis, ours, feature = (
@@ -194,42 +203,38 @@ def claims_5_10(found: CarParkScans) -> list[Claim]:
     why = (
         f"{OTHER_PART}: from GPS {thesis:.2f} m, joined {ours:.2f} m, feature SLAM {feature:.2f} m"
     )
-    return [
-        at_most(
-            "six landmarks are incorporated (difference from six)",
-            abs(count - LANDMARKS),
-            0,
-            why=f"{OTHER_PART}: {count} landmarks",
-        ),
-        at_least(
-            "the results are not as accurate as those of feature-based SLAM (median distance from "
-            "GPS over that of feature SLAM)",
-            thesis / feature,
-            1.0,
-            why=why,
-        ),
-        at_least(
-            f"so they are not {_JOINED} (the same)",
-            ours / feature,
-            1.0,
-            why=why,
-        ),
-        at_most(
-            "more information in the templates improves them (the same distance, joined segments, "
-            "ours, over the thesis' form)",
-            ours / thesis,
-            1.0,
-            why=why,
-        ),
-    ]
+    yield at_most(
+        "six landmarks are incorporated (difference from six)",
+        abs(count - LANDMARKS),
+        0,
+        why=f"{OTHER_PART}: {count} landmarks",
+    )
+    yield at_least(
+        "the results are not as accurate as those of feature-based SLAM (median distance from "
+        "GPS over that of feature SLAM)",
+        thesis / feature,
+        1.0,
+        why=why,
+    )
+    yield at_least(
+        f"so they are not {_JOINED} (the same)",
+        ours / feature,
+        1.0,
+        why=why,
+    )
+    yield at_most(
+        "more information in the templates improves them (the same distance, joined segments, "
+        "ours, over the thesis' form)",
+        ours / thesis,
+        1.0,
+        why=why,
+    )
 
 
-def claims_5_11(found: CarParkScans) -> list[Claim]:
+def claims_5_11(found: CarParkScans) -> Claims:
     """Whether the landmarks are as well known as the filter says."""
-    return [
-        _consistent("the landmark covariances are consistent with the errors", found.published),
-        _consistent(f"so they are {_JOINED}", found.joined),
-    ]
+    yield _consistent("the landmark covariances are consistent with the errors", found.published)
+    yield _consistent(f"so they are {_JOINED}", found.joined)
 
 
 def _consistent(text: str, run: CarParkRun) -> Claim:
@@ -248,16 +253,14 @@ def _consistent(text: str, run: CarParkRun) -> Claim:
     )
 
 
-def claims_5_12(found: CarParkScans) -> list[Claim]:
+def claims_5_12(found: CarParkScans) -> Claims:
     """Where a template's points come to lie."""
-    return [
-        _on_the_scan("the alignment lays the template on the scan", found.published),
-        _on_the_scan(
-            f"so it does {_JOINED}",
-            found.joined,
-            "; half of a joined template need be in view",
-        ),
-    ]
+    yield _on_the_scan("the alignment lays the template on the scan", found.published)
+    yield _on_the_scan(
+        f"so it does {_JOINED}",
+        found.joined,
+        "; half of a joined template need be in view",
+    )
 
 
 def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
@@ -275,3 +278,86 @@ def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
 
 
 EXPERIMENT = Experiment("the car park, Scan-SLAM", car_park_scans, FOLDER)
+
+
+_MARGIN_M = 15.0
+_SIGMA = 1.0
+_FORMS = ("the thesis' form", "joined segments (ours)")
+
+
+def _both(canvas: Canvas, found: CarParkScans) -> tuple[tuple[Axes, CarParkRun, str], ...]:
+    """Two plans of the same part of the park."""
+    left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
+    low, high = found.reference.min(axis=0) - _MARGIN_M, found.reference.max(axis=0) + _MARGIN_M
+    left.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    runs = (found.published, found.joined)
+    return tuple(zip((left, right), runs, _FORMS, strict=True))
+
+
+def draw_5_10(canvas: Canvas, found: CarParkScans) -> None:
+    """Paths, templates and ellipses over the laser image."""
+    for axis, run, form in _both(canvas, found):
+        draw_cloud(axis, found.image)
+        axis.plot(*found.gps.T, "-", color=TRUTH_COLOUR, linewidth=1.0, label="GPS")
+        axis.plot(*run.path.T, "-", color=EKF_COLOUR, linewidth=1.0, label="Scan-SLAM")
+        _templates(axis, run)
+        outline = LineCollection(
+            list(ellipses(run.held.place[:, :2], run.held.covariance, _SIGMA)),
+            colors=SMOOTHER_COLOUR, linewidths=1.0, label="landmarks, 1 sigma", zorder=4,
+        )  # fmt: skip
+        axis.add_collection(outline)
+        off = np.median(run.path_gps)
+        plan(
+            axis, f"{form}: {len(run.held.landmark_index)} landmarks, {off:.2f} m from GPS (median)"
+        )
+    canvas.axes[0].legend(fontsize=8, loc="lower left")
+
+
+def _templates(axis: Axes, run: CarParkRun) -> None:
+    axis.plot(*run.held.placed.T, ".", color="#111111", markersize=1.5, label="templates", zorder=3)
+
+
+def draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
+    """Templates and their axes."""
+    for axis, run, form in _both(canvas, found):
+        _templates(axis, run)
+        frames = LineCollection(list(axes_at(run.held.place, 3.0)), colors=EKF_COLOUR)
+        frames.set(label="axes", linewidths=1.0, zorder=4)
+        axis.add_collection(frames)
+        plan(axis, f"{form}: {len(run.held.landmark_index)} landmarks")
+    canvas.axes[0].legend(fontsize=8, loc="lower left")
+
+
+def draw_5_12(canvas: Canvas, found: CarParkScans) -> None:
+    """A template on a scan, half of the others being laid better."""
+    left, right = canvas.subplots(1, 2)
+    for axis, run, form in zip((left, right), (found.published, found.joined), _FORMS, strict=True):
+        one = run.shown
+        axis.plot(*one.scan.T, ".", color=SMOOTHER_COLOUR, markersize=4, label="scan")
+        axis.plot(*one.template.T, "o", color=EKF_COLOUR, markersize=4, markerfacecolor="none",
+                  markeredgewidth=0.7, label="template")  # fmt: skip
+        plan(axis, f"{form}: {one.off_m:.2f} m from the nearest returns (median)")
+        axis.set(xlabel="ahead [m]", ylabel="left [m]")
+        axis.legend(fontsize=8, loc="best")
+
+
+FIGURES: tuple[AnyFigure, ...] = (
+    Figure(
+        name="N5.10", title="Car park, Scan-SLAM: path, templates and laser image",
+        says="Six landmarks were incorporated. The results are not as accurate as those of feature "
+        "SLAM, since segments sometimes tell too little; templates with more information would "
+        "improve them." + OTHER_LOG,
+        experiment=EXPERIMENT, draw=draw_5_10, claims=claims_5_10, size=(13.0, 7.0),
+    ),
+    Figure(
+        name="N5.11", title="Car park, Scan-SLAM: map of the landmarks",
+        says="The landmark covariances are consistent with the errors, so uncertainty "
+        "remains." + OTHER_LOG,
+        experiment=EXPERIMENT, draw=draw_5_11, claims=claims_5_11, size=(13.0, 7.0),
+    ),
+    Figure(
+        name="N5.12", title="Car park, Scan-SLAM: alignment of a template with a scan",
+        says="Scan matching lays the landmark's template on the whole new scan." + OTHER_LOG,
+        experiment=EXPERIMENT, draw=draw_5_12, claims=claims_5_12, size=(13.0, 7.0),
+    ),
+)  # fmt: skip

@@ -18,7 +18,7 @@ from comparisons.errors import InputError
 from comparisons.experiments.reproduction.drawing import chart, plan
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
-    Claim,
+    Claims,
     Experiment,
     Figure,
     Sources,
@@ -26,7 +26,6 @@ from comparisons.experiments.reproduction.interface import (
     at_most,
 )
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
-from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
@@ -70,10 +69,7 @@ class Clouds:
 
 def clouds(sources: Sources) -> Clouds:
     """Run FastSLAM 2.0 on the detections."""
-    folder = sources.folder("victoria_park")
-    if folder is None:
-        raise InputError("victoria_park/ is needed")
-    return clouds_of(open_log(str(folder)), PARTICLES)
+    return clouds_of(sources.log("victoria_park"), PARTICLES)
 
 
 def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
@@ -108,29 +104,27 @@ def _run(log: Log, particles: int) -> CloudRun:
     )
 
 
-def claims(found: Clouds) -> list[Claim]:
+def claims(found: Clouds) -> Claims:
     """The trajectory is right, and particles are lost."""
     most = found.runs[-1]
-    return [
-        at_most(
-            f"the mean trajectory of {most.particles} particles follows the vehicle's (median "
-            "distance from GPS after alignment; the figure gives no number)",
-            most.median_m,
-            2.0,
-            "m",
-        ),
-        at_least(
-            "the landmarks' estimates are the park's trees (number that most of the weight has)",
-            len(most.landmark),
-            100,
-        ),
-        at_most(
-            "part of the history is lost with every resampling (share of the particles at a tenth "
-            "of the log that have descendants at its end)",
-            most.left_of_the_first_tenth / most.particles,
-            0.1,
-        ),
-    ]
+    yield at_most(
+        f"the mean trajectory of {most.particles} particles follows the vehicle's (median "
+        "distance from GPS after alignment; the figure gives no number)",
+        most.median_m,
+        2.0,
+        "m",
+    )
+    yield at_least(
+        "the landmarks' estimates are the park's trees (number that most of the weight has)",
+        len(most.landmark),
+        100,
+    )
+    yield at_most(
+        "part of the history is lost with every resampling (share of the particles at a tenth "
+        "of the log that have descendants at its end)",
+        most.left_of_the_first_tenth / most.particles,
+        0.1,
+    )
 
 
 def draw(canvas: Canvas, found: Clouds) -> None:
@@ -159,15 +153,11 @@ def _draw_depletion(axis: Axes, found: Clouds) -> None:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        name="N2.13",
-        title="FastSLAM on Victoria Park",
-        source="Nieto 2005, Fig. 2.13 and section 2.2.1",
+        name="N2.13", title="FastSLAM on Victoria Park",
         says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "
         "landmark the average of the Gaussian means. Resampling loses particles, and with them "
         "part of the map's history.",
-        experiment=Experiment("section 2.10, FastSLAM", clouds, "victoria_park"),
-        draw=draw,
-        claims=claims,
-        size=(12.0, 5.5),
+        experiment=Experiment("section 2.10, FastSLAM", clouds, "victoria_park"), draw=draw,
+        claims=claims, size=(12.0, 5.5), place="Fig. 2.13 and section 2.2.1",
     ),
-)
+)  # fmt: skip

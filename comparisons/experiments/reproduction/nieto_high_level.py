@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import settle
@@ -16,16 +19,22 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
 from comparisons.experiments.reproduction.interface import (
-    Claim,
+    AnyFigure,
+    Claims,
     Experiment,
+    Figure,
     Sources,
     at_least,
     at_most,
 )
+from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces
+from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR, draw_high_level
 from comparisons.extensions.high_level.source import (
     SEARCHED,
     HighLevelOptions,
@@ -38,7 +47,8 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import with_landmarks
 from comparisons.pipeline.dense_map import map_log
-from ekf_reference.dense.layers.gaussians import Gaussians
+from comparisons.report.figures.style import draw_trajectory
+from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world
 
 EVERY_S, LOOPS, MOST_DRIVES = 60.0, 2, 3
@@ -154,11 +164,7 @@ def corner_pairs(sources: Sources) -> Pairs:
     for seed in range(sources.drives):
         log = simulate(np.random.default_rng(seed), _by_a_building())
         mapping = map_log(log, MapConfig(extensions={"dense_maps": _SEARCHED}))
-        layers, gaussians = mapping.dense.dense.layers, mapping.dense.dense.layers["sog"]
-        if not isinstance(gaussians, Gaussians):
-            raise TypeError(f"{type(gaussians).__name__} is no sum of Gaussians")
-        pose, landmark = mapping.ekf.departed[-1], mapping.dense.landmark
-        around = Around(layers["occupancy"], gaussians, mapping.placed, pose, landmark)
+        around = searched_at_end(mapping)
         each.append(Searched.of(log.duration_s, around, search(around, np.empty((0, 4, 2)))))
     reported = f"{len(each)} simulated drives past a building and something small, from seed 0"
     return Pairs(reported, tuple(each), _by_a_building().world.segment)
@@ -207,72 +213,72 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
     )
 
 
-def claims_6_4(found: Pairs) -> list[Claim]:
+def claims_6_4(found: Pairs) -> Claims:
     """Two pairs of corners, of which one has enough Gaussians."""
     corners = [len(one.search.corner) for one in found.each]
     shown = [len(one.search.candidate) for one in found.each]
     right = [n == 2 and one.accepted.sum() == 1 for n, one in zip(shown, found.each, strict=True)]
     rich = [one.search.gaussians[one.accepted] for one in found.each]
     poor = [one.search.gaussians[~one.accepted] for one in found.each]
-    return [
-        at_least("four corners are detected (fewest of the drives)", min(corners), 4),
-        at_least(
-            "two pairs become candidates, and one is accepted (share of drives)",
-            float(np.mean(right)),
-            1.0,
-        ),
-        at_least(
-            f"the accepted one has the {LEAST} Gaussians that are asked for (fewest)",
-            float(min(np.concatenate(rich), default=np.nan)),
-            LEAST,
-        ),
-        at_most(
-            "the other has not enough (most of the drives; limit: one less than asked for)",
-            float(max(np.concatenate(poor), default=np.nan)),
-            LEAST - 1,
-        ),
-    ]
+    yield at_least("four corners are detected (fewest of the drives)", min(corners), 4)
+    yield at_least(
+        "two pairs become candidates, and one is accepted (share of drives)",
+        np.mean(right),
+        1.0,
+    )
+    yield at_least(
+        f"the accepted one has the {LEAST} Gaussians that are asked for (fewest)",
+        min(np.concatenate(rich), default=np.nan),
+        LEAST,
+    )
+    yield at_most(
+        "the other has not enough (most of the drives; limit: one less than asked for)",
+        max(np.concatenate(poor), default=np.nan),
+        LEAST - 1,
+    )
 
 
-def claims_6_5(found: HighLevelDrives) -> list[Claim]:
+def claims_6_5(found: HighLevelDrives) -> Claims:
     """Few at first, more after the loop."""
     first = [d.searches[0] for d in found.each]
     shown = [len(one.search.candidate) for one in first]
     taken = [int(one.accepted.sum()) for one in first]
     later = [len(d.run.landmark_index) - n for d, n in zip(found.each, taken, strict=True)]
     kept = [int(np.count_nonzero(d.run.landmark_index >= 0)) for d in found.each]
-    return [
-        at_least("the first search has three candidates (fewest of the drives)", min(shown),
-                 CANDIDATES, why="ours depends on where objects stand, which is not stated"),
-        at_least("at least one of them is accepted (fewest)", min(taken), FIRST),
-        at_least(
-            "and others are rejected for too few Gaussians (fewest)",
-            min(n - k for n, k in zip(shown, taken, strict=True)),
-            CANDIDATES - FIRST,
-            why="ours are large, and every pair of corners has several hundred Gaussians: "
-            f"{_range([g for one in first for g in one.search.gaussians.tolist()])}",
-        ),
-        at_least(
-            "once the loop is closed four more have been detected (mean of the drives)",
-            float(np.mean(later)),
-            LATER,
-            why="a loop takes 77 s here, so that one search falls into the second",
-        ),
-        at_least(
-            "in the end five are in the state, seen again and used (mean of the drives)",
-            float(np.mean(kept)),
-            FIRST + LATER,
-            why="a search at 120 s comes when half of the last loop is over, and a landmark is "
-            "used from the first measurement that fixes its heading, too",
-        ),
-    ]  # fmt: skip
+    yield at_least(
+        "the first search has three candidates (fewest of the drives)",
+        min(shown),
+        CANDIDATES,
+        why="ours depends on where objects stand, which is not stated",
+    )
+    yield at_least("at least one of them is accepted (fewest)", min(taken), FIRST)
+    yield at_least(
+        "and others are rejected for too few Gaussians (fewest)",
+        min(n - k for n, k in zip(shown, taken, strict=True)),
+        CANDIDATES - FIRST,
+        why="ours are large, and every pair of corners has several hundred Gaussians: "
+        f"{_range([g for one in first for g in one.search.gaussians.tolist()])}",
+    )
+    yield at_least(
+        "once the loop is closed four more have been detected (mean of the drives)",
+        np.mean(later),
+        LATER,
+        why="a loop takes 77 s here, so that one search falls into the second",
+    )
+    yield at_least(
+        "in the end five are in the state, seen again and used (mean of the drives)",
+        np.mean(kept),
+        FIRST + LATER,
+        why="a search at 120 s comes when half of the last loop is over, and a landmark is "
+        "used from the first measurement that fixes its heading, too",
+    )
 
 
 def _range(count: list[int]) -> str:
     return f"{min(count)} to {max(count)}" if count else "none"
 
 
-def claims_6_6(found: HighLevelDrives) -> list[Claim]:
+def claims_6_6(found: HighLevelDrives) -> Claims:
     """Where the templates lie, and what they contribute."""
     off = [
         float(np.median(distance_to_segments(rigid_motion(d.landmark, d.true)(points), d.segment)))
@@ -281,30 +287,134 @@ def claims_6_6(found: HighLevelDrives) -> list[Claim]:
     ]
     ratio = [d.error_m / d.without_m for d in found.each]
     landmarks = len(found.each[0].landmark)
-    return [
-        at_most(
-            "the templates are pieces of the objects (median distance of a template's points "
-            "from the surfaces, once the point landmarks are moved onto the true ones; median of "
-            "all templates)",
-            float(np.median(off)) if off else np.nan,
-            0.5,
-            "m",
-        ),
-        at_most(
-            "the vehicle is no farther from the truth with them (RMS position error after the "
-            "first loop, over that without, mean of the drives)",
-            float(np.mean(ratio)),
-            1.0,
-            why=f"few are seen again, among {landmarks} point landmarks",
-        ),
-        at_most(
-            "localisation is much more robust with them (the same)",
-            float(np.mean(ratio)),
-            0.5,
-            why=f"{landmarks} point landmarks are there as well, and fix the vehicle without them",
-        ),
-    ]
+    yield at_most(
+        "the templates are pieces of the objects (median distance of a template's points "
+        "from the surfaces, once the point landmarks are moved onto the true ones; median of "
+        "all templates)",
+        np.median(off) if off else np.nan,
+        0.5,
+        "m",
+    )
+    yield at_most(
+        "the vehicle is no farther from the truth with them (RMS position error after the "
+        "first loop, over that without, mean of the drives)",
+        np.mean(ratio),
+        1.0,
+        why=f"few are seen again, among {landmarks} point landmarks",
+    )
+    yield at_most(
+        "localisation is much more robust with them (the same)",
+        np.mean(ratio),
+        0.5,
+        why=f"{landmarks} point landmarks are there as well, and fix the vehicle without them",
+    )
 
 
 CORNER_PAIRS = Experiment("section 6.1.3, two pairs of corners", corner_pairs)
 HIGH_LEVEL = Experiment("section 6.1.3", high_level_drives)
+
+
+_BESIDE_M = 3.0
+
+
+def draw_6_4(canvas: Canvas, found: Pairs) -> None:
+    """Both pairs of the first drive."""
+    axis, one = canvas.add_subplot(), found.each[0]
+    draw_surfaces(axis, found.segment)
+    _draw_search(axis, one)
+    both = one.search.candidate.reshape(-1, 2)
+    low, high = both.min(axis=0) - _BESIDE_M, both.max(axis=0) + _BESIDE_M
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    plan(axis, "corners, rectangles around pairs, and the Gaussians in them")
+    axis.legend(fontsize=8, loc="lower center", ncols=2)
+
+
+def draw_6_5(canvas: Canvas, found: HighLevelDrives) -> None:
+    """The first search, and the end."""
+    left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
+    d = found.each[0]
+    first = d.searches[0]
+    draw_surfaces(left, d.segment)
+    _draw_search(left, first)
+    left.plot(*first.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
+    left.plot(*first.pose[:2], ">", color=EKF_COLOUR, markersize=7, label="vehicle")
+    plan(left, f"(a) the first search, {first.time_s:.0f} s")
+    left.legend(fontsize=8, loc="lower right")
+    _draw_end(right, d)
+    right.plot(*d.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
+    places = d.run.place[d.run.landmark_index >= 0][
+        np.argsort(d.run.landmark_index[d.run.landmark_index >= 0]), :2
+    ]
+    outline = LineCollection(list(ellipses(places, d.sigma, 1.0)), colors=EKF_COLOUR)
+    outline.set_label("1 sigma")
+    right.add_collection(outline)
+    plan(right, "(b) after the loop, in the end")
+    right.legend(fontsize=8, loc="lower right")
+
+
+def draw_6_6(canvas: Canvas, found: HighLevelDrives) -> None:
+    """Templates and axes."""
+    axis, d = canvas.add_subplot(), found.each[0]
+    _draw_end(axis, d)
+    for points in d.placed:
+        label = "templates" if points is d.placed[0] else None
+        axis.plot(*points.T, ".", color=DENSE_COLOUR, markersize=2.5, label=label, zorder=4)
+    axis.plot(*d.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
+    plan(axis, "templates of high level landmarks, their axes and rectangles")
+    axis.legend(fontsize=8, loc="lower right")
+
+
+def _draw_search(axis: Axes, one: Searched) -> None:
+    """Gaussians, corners, and rectangles, solid where accepted, with the number of Gaussians."""
+    axis.plot(*one.point.T, ".", color=DENSE_COLOUR, markersize=1.5, label="Gaussians", zorder=3)
+    corner = one.search.corner
+    axis.plot(
+        *corner.T, "o", color=EKF_COLOUR, markersize=8, markerfacecolor="none", label="corners",
+        zorder=4,
+    )  # fmt: skip
+    closed = _closed(one.search.candidate)
+    for style, name, chosen in (
+        ("solid", "accepted", one.accepted),
+        ("dashed", "rejected", ~one.accepted),
+    ):
+        if chosen.any():
+            lines = LineCollection(list(closed[chosen]), linestyles=style, linewidths=1.2)
+            lines.set(color=HIGH_LEVEL_COLOUR, label=name)
+            axis.add_collection(lines)
+    for area, count in zip(one.search.candidate, one.search.gaussians.tolist(), strict=True):
+        top = area[area[:, 1].argmax()]
+        axis.annotate(f"{count}", top, xytext=(0, 3), textcoords="offset points", fontsize=9,
+                      ha="center", color=HIGH_LEVEL_COLOUR)  # fmt: skip
+
+
+def _draw_end(axis: Axes, d: HighLevelDrive) -> None:
+    draw_surfaces(axis, d.segment)
+    draw_trajectory(axis, d.true_path, TRUE_PATH_COLOUR, "true path")
+    draw_trajectory(axis, d.path, EKF_COLOUR, "estimated path", "--")
+    draw_high_level(axis, d.run)
+
+
+def _closed(area: Array) -> Array:
+    return np.concatenate((area, area[:, :1]), axis=1)
+
+
+FIGURES: tuple[AnyFigure, ...] = (
+    Figure(
+        name="N6.4", title="Two pairs of corners, one with too few Gaussians",
+        says="Four corners make two candidates; the first has enough Gaussians under its "
+        "rectangle, the second has not and is no landmark.",
+        experiment=CORNER_PAIRS, draw=draw_6_4, claims=claims_6_4, size=(9.0, 6.0),
+    ),
+    Figure(
+        name="N6.5", title="The first search for high level landmarks, and the map after the loop",
+        says="Of three candidates that the first search finds one is accepted; once the loop is "
+        "closed four more have been found and are in the state.",
+        experiment=HIGH_LEVEL, draw=draw_6_5, claims=claims_6_5, size=(13.0, 6.2),
+    ),
+    Figure(
+        name="N6.6", title="The final map of high level landmarks",
+        says="The templates' dense information is used for navigation beside the point landmarks, "
+        "which makes localisation much more robust.",
+        experiment=HIGH_LEVEL, draw=draw_6_6, claims=claims_6_6, size=(8.0, 7.0),
+    ),
+)  # fmt: skip

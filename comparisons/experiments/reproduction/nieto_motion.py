@@ -14,13 +14,14 @@ from comparisons.experiments.reproduction.drawing import plan
 from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore, score_dynamic
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
-    Claim,
+    Claims,
     Experiment,
     Figure,
     Sources,
     at_least,
     at_most,
 )
+from comparisons.experiments.reproduction.measures import true_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_occupied, draw_regions, draw_surfaces
 from comparisons.extensions.dynamic.config import DynamicConfig
@@ -71,13 +72,12 @@ def _motion(experiment: ScanExperiment, seed: int) -> Motion:
     layer = mapping.dense.dense.dynamic
     if layer is None:
         raise TypeError("the map kept no dynamic layer")
-    surfaces = log.truth.surfaces
     return Motion(
         score=score_dynamic(layer, mapping.placed, experiment.world.movers, log.duration_s),
         dynamic=layer.points(mapping.placed),
         occupied=mapping.layers["occupancy"],
         landmark=mapping.dense.landmark,
-        segment=np.empty((0, 4)) if surfaces is None else surfaces.segment,
+        segment=true_segments(log),
         triangle=mapping.placed.triangle,
     )
 
@@ -100,53 +100,49 @@ def changed_places(sources: Sources) -> Motions:
     return _motions(experiment, dynamic_worlds.changed_places(experiment.world.movers), sources)
 
 
-def claims_6_9(found: Motions) -> list[Claim]:
+def claims_6_9(found: Motions) -> Claims:
     """Both lanes, and hardly anything else."""
     off = [_off(m.score.middle[:, 1:], found.true[:, 1:]) for m in found.each]
-    return [
-        at_most(
-            "dynamic areas lie where the vehicles drive (largest distance of a lane's middle from "
-            "its own area's, in all drives)",
-            max(off),
-            0.5,
-            "m",
-        ),
-        at_most(
-            "and nowhere else: number of areas (most of the drives)",
-            max(len(m.score.middle) for m in found.each),
-            2,
-            why="a few cells at a pole beside a lane, with nothing but shadow behind it",
-        ),
-        at_least(
-            "cells found are driven on (least precision of the drives)",
-            min(m.score.precision for m in found.each),
-            0.9,
-        ),
-        at_least(
-            "cells driven on are found (least recall of the drives)",
-            min(m.score.recall for m in found.each),
-            0.9,
-        ),
-    ]
+    yield at_most(
+        "dynamic areas lie where the vehicles drive (largest distance of a lane's middle from "
+        "its own area's, in all drives)",
+        max(off),
+        0.5,
+        "m",
+    )
+    yield at_most(
+        "and nowhere else: number of areas (most of the drives)",
+        max(len(m.score.middle) for m in found.each),
+        2,
+        why="a few cells at a pole beside a lane, with nothing but shadow behind it",
+    )
+    yield at_least(
+        "cells found are driven on (least precision of the drives)",
+        min(m.score.precision for m in found.each),
+        0.9,
+    )
+    yield at_least(
+        "cells driven on are found (least recall of the drives)",
+        min(m.score.recall for m in found.each),
+        0.9,
+    )
 
 
-def claims_6_10(found: Motions) -> list[Claim]:
+def claims_6_10(found: Motions) -> Claims:
     """The three places, and no other."""
     off = [_off(m.score.middle, found.true) for m in found.each]
-    return [
-        at_most(
-            "areas are found where the objects stood or stand (largest distance of their middles, "
-            "in all drives; only the sides that were seen are found)",
-            max(off),
-            1.3,
-            "m",
-        ),
-        at_most(
-            "and nowhere else: number of areas (most of the drives)",
-            max(len(m.score.middle) for m in found.each),
-            3,
-        ),
-    ]
+    yield at_most(
+        "areas are found where the objects stood or stand (largest distance of their middles, "
+        "in all drives; only the sides that were seen are found)",
+        max(off),
+        1.3,
+        "m",
+    )
+    yield at_most(
+        "and nowhere else: number of areas (most of the drives)",
+        max(len(m.score.middle) for m in found.each),
+        3,
+    )
 
 
 def _off(middle: Array, true: Array) -> float:
@@ -185,27 +181,17 @@ def draw_6_10(canvas: Canvas, found: Motions) -> None:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        name="N6.9",
-        title="Fast motion found by differencing occupancy",
-        source="Nieto 2005, Fig. 6.9",
-        says="Maps a second apart, differenced, low-passed and thresholded, leave two areas, "
-        "where the "
-        "two objects move; the contours of what stands are filtered away.",
-        experiment=Experiment("section 6.3.3, fast motion", lanes),
-        draw=draw_6_9,
-        claims=claims_6_9,
-        size=(8.0, 7.0),
+        name="N6.9", title="Fast motion found by differencing occupancy",
+        says="Maps a second apart, differenced, low-passed and thresholded, leave two areas, where "
+        "the two objects move; the contours of what stands are filtered away.",
+        experiment=Experiment("section 6.3.3, fast motion", lanes), draw=draw_6_9,
+        claims=claims_6_9, size=(8.0, 7.0),
     ),
     Figure(
-        name="N6.10",
-        title="Slow motion found between two visits",
-        source="Nieto 2005, Fig. 6.10",
+        name="N6.10", title="Slow motion found between two visits",
         says="Between two visits one object is taken away and two are brought; three areas are "
-        "found, "
-        "and these are the places.",
-        experiment=Experiment("section 6.3.3, slow motion", changed_places),
-        draw=draw_6_10,
-        claims=claims_6_10,
-        size=(8.0, 7.0),
+        "found, and these are the places.",
+        experiment=Experiment("section 6.3.3, slow motion", changed_places), draw=draw_6_10,
+        claims=claims_6_10, size=(8.0, 7.0),
     ),
-)
+)  # fmt: skip

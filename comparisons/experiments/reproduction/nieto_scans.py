@@ -12,7 +12,7 @@ from matplotlib.figure import Figure as Canvas
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
-    Claim,
+    Claims,
     Experiment,
     Figure,
     Sources,
@@ -149,23 +149,21 @@ def _trial(rng: np.random.Generator, first: Array, second: Array, truth: Array) 
     return Trial(before, sog, other, found.covariance, usable and seen.converged)
 
 
-def claims_5_5(found: Scans) -> list[Claim]:
+def claims_5_5(found: Scans) -> Claims:
     """Both lie on each other, and the covariance says how well."""
     taken = [t for t in found.each if t.usable]
     nees = [float(t.sog @ np.linalg.solve(t.covariance, t.sog)) for t in taken]
     band = mean_band(len(nees), 3)
-    return [
-        *_good("the correlation", found, np.array([t.sog for t in found.each])),
-        at_most(
-            "the alignment is consistent (mean NEES where neither ambiguous nor apart; limit: "
-            "upper end of its 95 % band)",
-            float(np.mean(nees)) if nees else np.nan,
-            band.high,
-        ),
-    ]
+    yield from _good("the correlation", found, np.array([t.sog for t in found.each]))
+    yield at_most(
+        "the alignment is consistent (mean NEES where neither ambiguous nor apart; limit: "
+        "upper end of its 95 % band)",
+        np.mean(nees) if nees else np.nan,
+        band.high,
+    )
 
 
-def claims_5_6(found: Scans) -> list[Claim]:
+def claims_5_6(found: Scans) -> Claims:
     """So they do with iterated closest points."""
     why = (
         "points are paired with points, a few centimetres apart on these walls: so much it stays "
@@ -174,26 +172,23 @@ def claims_5_6(found: Scans) -> list[Claim]:
     return _good(f"ICP, {ROUNDS} iterations,", found, np.array([t.icp for t in found.each]), why)
 
 
-def _good(name: str, found: Scans, error: Array, why: str = "") -> list[Claim]:
+def _good(name: str, found: Scans, error: Array, why: str = "") -> Claims:
     before = np.array([t.before for t in found.each])
     left = np.hypot(*error[:, :2].T) / np.hypot(*before[:, :2].T)
     turned = np.abs(error[:, 2] / before[:, 2])
     near = (np.hypot(*error[:, :2].T) < WITHIN_M) & (np.abs(error[:, 2]) < WITHIN_RAD)
-    return [
-        at_most(
-            f"{name} brings the scans together (distance from the truth, after over before, "
-            "median)",
-            float(np.median(left)),
-            0.1,
-        ),
-        at_most(f"{name} turns them alike (the same of headings)", float(np.median(turned)), 0.1),
-        at_least(
-            f"{name} ends in a good alignment (share within 5 cm and 0.5 degrees of the truth)",
-            float(np.mean(near)),
-            0.9,
-            why=why,
-        ),
-    ]
+    yield at_most(
+        f"{name} brings the scans together (distance from the truth, after over before, median)",
+        np.median(left),
+        0.1,
+    )
+    yield at_most(f"{name} turns them alike (the same of headings)", float(np.median(turned)), 0.1)
+    yield at_least(
+        f"{name} ends in a good alignment (share within 5 cm and 0.5 degrees of the truth)",
+        np.mean(near),
+        0.9,
+        why=why,
+    )
 
 
 def _draw(axis: Axes, found: Scans, error: Array, title: str) -> None:
@@ -227,25 +222,15 @@ EXPERIMENT = Experiment("section 5.3.1, two scans", scans, library="open3d")
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        name="N5.5",
-        title="Two scans aligned as sums of Gaussians",
-        source="Nieto 2005, Fig. 5.5",
+        name="N5.5", title="Two scans aligned as sums of Gaussians",
         says="Two scans of an office, displaced, are laid onto each other by the maximum of their "
         "correlation; under certain conditions the estimate is consistent.",
-        experiment=EXPERIMENT,
-        draw=draw_5_5,
-        claims=claims_5_5,
-        size=(12.0, 5.6),
+        experiment=EXPERIMENT, draw=draw_5_5, claims=claims_5_5, size=(12.0, 5.6),
     ),
     Figure(
-        name="N5.6",
-        title="The same by iterated closest points",
-        source="Nieto 2005, Fig. 5.6",
+        name="N5.6", title="The same by iterated closest points",
         says=f"ICP of {ROUNDS} iterations appears to align the same scans as well as the "
-        f"correlation.",
-        experiment=EXPERIMENT,
-        draw=draw_5_6,
-        claims=claims_5_6,
-        size=(7.0, 5.6),
+        "correlation.",
+        experiment=EXPERIMENT, draw=draw_5_6, claims=claims_5_6, size=(7.0, 5.6),
     ),
-)
+)  # fmt: skip

@@ -4,36 +4,36 @@ from __future__ import annotations
 
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction import (
-    guivant_figures,
+    guivant,
     misono,
-    nieto_car_park_figures,
-    nieto_car_park_scans_figures,
-    nieto_dense_figures,
+    nieto_car_park,
+    nieto_car_park_scans,
+    nieto_dense,
     nieto_fastslam,
-    nieto_high_level_figures,
+    nieto_high_level,
     nieto_motion,
     nieto_regions,
-    nieto_scan_maps_figures,
-    nieto_scan_slam_figures,
+    nieto_scan_maps,
+    nieto_scan_slam,
     nieto_scans,
-    nieto_slam_figures,
+    nieto_slam,
 )
 from comparisons.experiments.reproduction.interface import AnyFigure
 
 FIGURES: tuple[AnyFigure, ...] = (
-    *guivant_figures.FIGURES,
+    *guivant.FIGURES,
     *misono.FIGURES,
-    *nieto_slam_figures.FIGURES,
+    *nieto_slam.FIGURES,
     *nieto_fastslam.FIGURES,
     *nieto_regions.FIGURES,
-    *nieto_dense_figures.FIGURES,
+    *nieto_dense.FIGURES,
     *nieto_scans.FIGURES,
-    *nieto_scan_slam_figures.FIGURES,
-    *nieto_car_park_scans_figures.FIGURES,
-    *nieto_high_level_figures.FIGURES,
-    *nieto_scan_maps_figures.FIGURES,
+    *nieto_scan_slam.FIGURES,
+    *nieto_car_park_scans.FIGURES,
+    *nieto_high_level.FIGURES,
+    *nieto_scan_maps.FIGURES,
     *nieto_motion.FIGURES,
-    *nieto_car_park_figures.FIGURES,
+    *nieto_car_park.FIGURES,
 )
 
 

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.workers import check_workers, spread
-from comparisons.experiments.reproduction.interface import AnyFigure, Reproduced, Skipped, Sources
+from comparisons.experiments.reproduction.interface import (
+    AnyFigure,
+    FigureResult,
+    ReproductionResult,
+    SkippedResult,
+    Sources,
+)
 from comparisons.experiments.reproduction.registry import chosen
+from comparisons.figures import package_versions
 from comparisons.report.picture import blank, encoded
 from ekf_reference.core.state import FilterDivergedError
 from graphslam.scan.libraries import MissingLibraryError, require
@@ -17,36 +24,70 @@ from graphslam.scan.libraries import MissingLibraryError, require
 Progress = Callable[[str, int, int], None]
 
 
+class Picture(NamedTuple):
+    """A figure as it was drawn, in both formats."""
+
+    png: bytes
+    pdf: bytes
+
+
+class Reproduction(NamedTuple):
+    """All figures that were asked for. pictures: by name, of those that were run."""
+
+    result: ReproductionResult
+    pictures: Mapping[str, Picture]
+
+
+class _Experiment(NamedTuple):
+    """What one experiment left; its time is of all its figures."""
+
+    figures: list[FigureResult]
+    pictures: dict[str, Picture]
+    cpu_s: float
+
+
 def reproduce(
     names: tuple[str, ...],
     sources: Sources,
     workers: int = 1,
     progress: Progress = lambda stage, done, total: None,
-) -> list[Reproduced | Skipped]:
+) -> Reproduction:
     """The figures of these names in the catalogue's order; the same with any number of workers.
 
     Raises InputError for unknown names, unreadable data, or where nothing can be run.
     """
     check_workers(workers)
-    figures = chosen(names)
-    results: dict[str, Reproduced | Skipped] = {}
+    start, figures = time.perf_counter(), chosen(names)
+    lacking = {figure.name: _lacking(figure, sources) for figure in figures}
     groups: dict[str, list[str]] = {}
     for figure in figures:
-        if reason := _lacking(figure, sources):
-            results[figure.name] = Skipped(figure, reason)
-        else:
+        if not lacking[figure.name]:
             groups.setdefault(figure.experiment.name, []).append(figure.name)
     if not groups:
-        reasons = [
-            f"{r.figure.name} {r.reason}" for r in results.values() if isinstance(r, Skipped)
-        ]
+        reasons = [f"{name} {reason}" for name, reason in lacking.items()]
         raise InputError(f"nothing to run: {', '.join(reasons)}")
     tasks = [(tuple(group), sources) for group in groups.values()]
     progress("figures", 0, len(tasks))
-    for done, (place, found) in enumerate(spread(_experiment, tasks, workers), start=1):
-        results |= {r.figure.name: r for r in found}
-        progress(f"figures ({', '.join(tasks[place][0])} done)", done, len(tasks))
-    return [results[figure.name] for figure in figures]
+    each = list[_Experiment]()
+    for place, found in spread(_experiment, tasks, workers):
+        each.append(found)
+        progress(f"figures ({', '.join(tasks[place][0])} done)", len(each), len(tasks))
+    done = {figure.name: figure for found in each for figure in found.figures}
+    pictures = {name: one for found in each for name, one in found.pictures.items()}
+    result = ReproductionResult(
+        holds=all(figure.holds for figure in done.values()),
+        drives=sources.drives,
+        seconds=round(time.perf_counter() - start, 3),
+        cpu_s=round(sum(found.cpu_s for found in each), 3),
+        figures=tuple(done[figure.name] for figure in figures if figure.name in done),
+        skipped=tuple(
+            SkippedResult(figure.name, figure.title, figure.source, reason)
+            for figure in figures
+            if (reason := lacking[figure.name])
+        ),
+        versions=package_versions(),
+    )
+    return Reproduction(result, pictures)
 
 
 def _lacking(figure: AnyFigure, sources: Sources) -> str:
@@ -61,7 +102,7 @@ def _lacking(figure: AnyFigure, sources: Sources) -> str:
     return ""
 
 
-def _experiment(names: tuple[str, ...], sources: Sources) -> list[Reproduced]:
+def _experiment(names: tuple[str, ...], sources: Sources) -> _Experiment:
     """One experiment and its figures; by name, which is how processes tell each other."""
     figures = chosen(names)
     start, cpu = time.perf_counter(), time.process_time()
@@ -69,24 +110,24 @@ def _experiment(names: tuple[str, ...], sources: Sources) -> list[Reproduced]:
         data = figures[0].experiment.run(sources)
     except (InputError, FilterDivergedError) as error:
         raise InputError(f"{', '.join(names)}: {error}") from None
-    spent = time.perf_counter() - start, time.process_time() - cpu
-    return [_drawn(figure, data, spent, names) for figure in figures]
-
-
-def _drawn(
-    figure: AnyFigure, data: Any, spent: tuple[float, float], group: Sequence[str]
-) -> Reproduced:
-    canvas = blank(*figure.size)
-    figure.draw(canvas, data)
-    png, pdf = encoded(canvas)
-    others = tuple(name for name in group if name != figure.name)
-    return Reproduced(
-        figure=figure,
-        claims=figure.judged(data),
-        log=data.log,
-        seconds=spent[0],
-        cpu_s=spent[1],
-        shared=others,
-        png=png,
-        pdf=pdf,
-    )
+    seconds, cpu_s = time.perf_counter() - start, time.process_time() - cpu
+    results, pictures = list[FigureResult](), dict[str, Picture]()
+    for figure in figures:
+        canvas = blank(*figure.size)
+        figure.draw(canvas, data)
+        pictures[figure.name] = Picture(*encoded(canvas))
+        claims = figure.judged(data)
+        one = FigureResult(
+            name=figure.name,
+            title=figure.title,
+            source=figure.source,
+            says=figure.says,
+            log=data.log,
+            seconds=round(seconds, 3),
+            cpu_s=round(cpu_s, 3),
+            shared=tuple(name for name in names if name != figure.name),
+            holds=all(claim.holds for claim in claims),
+            claims=claims,
+        )
+        results.append(one)
+    return _Experiment(results, pictures, cpu_s)

@@ -187,7 +187,7 @@ def car_park_scans() -> nieto_car_park_scans.CarParkScans:
     """The first seconds of the drive."""
     if not SHARED.is_dir():
         pytest.skip("the real logs (../shared/data) are not on this machine")
-    log = nieto_car_park.read_car_park(Sources(SHARED))
+    log = Sources(SHARED).log(nieto_car_park.FOLDER)
     return nieto_car_park_scans.of_log(first_seconds(log, 25.0))
 
 

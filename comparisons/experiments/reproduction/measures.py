@@ -1,0 +1,66 @@
+"""What several experiments measure alike."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.arrays import Array
+from comparisons.extensions.dense_maps.accuracy import OCCUPIED
+from comparisons.logs.log import Log
+from comparisons.pipeline.dense_map import DenseMapping
+from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
+from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.scan_landmarks.high_level import Around
+
+SHARE_WITHIN_3_SIGMA, THREE_SIGMA_SQUARED = 0.989, 9.0
+"""Of a Gaussian in the plane: the share within 3 sigma, and the squared distance there."""
+
+
+def rms(*values: Array) -> float:
+    """Root mean square of all numbers of several arrays."""
+    every = np.concatenate([np.ravel(value) for value in values])
+    return float(np.sqrt(np.mean(np.square(every))))
+
+
+def within_3_sigma(error: Array, covariance: Array) -> NDArray[np.bool_]:
+    """(N,) which errors (N, 2) their covariances (N, 2, 2) explain."""
+    solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
+    inside: NDArray[np.bool_] = np.einsum("qi,qi->q", error, solved) <= THREE_SIGMA_SQUARED
+    return inside
+
+
+def occupied(samples: Samples) -> Array:
+    """(N, 2) what a layer holds with a probability above 0.8."""
+    point: Array = samples.point[samples.occupancy > OCCUPIED]
+    return point
+
+
+def true_segments(log: Log) -> Array:
+    """(S, 4) true surfaces [m], none where the log knows none."""
+    surfaces = log.truth.surfaces
+    return np.empty((0, 4)) if surfaces is None else surfaces.segment
+
+
+def gaussians_of(mapping: DenseMapping) -> Gaussians:
+    """The layer `sog` of a map that keeps one."""
+    layer = mapping.dense.dense.layers["sog"]
+    if not isinstance(layer, Gaussians):
+        raise TypeError(f"{type(layer).__name__} is no sum of Gaussians")
+    return layer
+
+
+def ellipses_of(mapping: DenseMapping) -> Ellipses:
+    """The Gaussians of that layer, as the landmarks lie in the end."""
+    return gaussians_of(mapping).ellipses(mapping.placed)
+
+
+def searched_at_end(mapping: DenseMapping) -> Around:
+    """What a search for high level landmarks reads, when the drive is over."""
+    return Around(
+        mapping.dense.dense.layers["occupancy"],
+        gaussians_of(mapping),
+        mapping.placed,
+        mapping.ekf.departed[-1],
+        mapping.dense.landmark,
+    )
