@@ -1,13 +1,13 @@
 """Which planted defects are caught and named, and how often a sound filter is flagged.
 
-    python benchmarks/defects.py [--seed 4] [--seeds 200] [--noise-scale 1] [--only WORD]
-                                [--table]
+    python -m benchmarks.defects [--seed 4] [--seeds 200] [--noise-scale 1] [--only WORD]
+                                 [--table]
 
-Every defect of adapters.defects runs on a log that shows it; `named` says whether the first
-cause is the right one. Then the sound filter drives simulated loops, one per seed, with so much of
-the document's noise, true and stated; a verdict of `disagree` is a false alarm, and each band's
-share outside stands beside what is expected. The interval is Clopper and Pearson's, 95 %. --table
-prints the defects as Markdown.
+Every fault of comparisons.faults that has a name runs on a log that shows it; `named` says whether
+the first cause is the right one. Then the sound filter drives simulated loops, one per seed, with
+so much of the document's noise, true and stated; a verdict of `disagree` is a false alarm, and each
+band's share outside stands beside what is expected. The interval is Clopper and Pearson's, 95 %.
+--table prints the faults as Markdown.
 """
 
 from __future__ import annotations
@@ -22,12 +22,131 @@ from collections import Counter
 import numpy as np
 from scipy.stats import beta
 
-from comparisons.adapters.defects.registry import REGISTRY
+from benchmarks.coverage import figures_of
+from benchmarks.fault_logs import open_case
 from comparisons.checks.causes import FITTED
-from comparisons.experiments.bands.coverage import figures_of
-from comparisons.experiments.defects.trial import named_first, run_defect
+from comparisons.checks.verdict import Verdict
+from comparisons.config import RunConfig
+from comparisons.faults.catalogue import NAMED
+from comparisons.faults.fault import Fault
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.compare import compare
+from comparisons.pipeline.check import ExternalCheck
+from comparisons.pipeline.compare import REQUIRED, Comparison, Modified, compare, compare_prepared
+from comparisons.pipeline.prepare import prepare
+
+CAUSES: dict[str, tuple[str, ...]] = {
+    "cross-covariance dropped at augmentation": (
+        "algebra",
+        "augmentation",
+        "with blocks other than pose was left zero",
+    ),
+    "vehicle dropped at augmentation": (
+        "algebra",
+        "augmentation",
+        "was not correlated with the others",
+    ),
+    "cross-covariance dropped at prediction": (
+        "algebra",
+        "prediction",
+        "F was not applied to the covariance with other blocks",
+    ),
+    "F transposed": ("algebra", "prediction", "F was applied transposed"),
+    "asymmetric covariance": ("algebra", "prediction", "on one side of the diagonal alone"),
+    "gain not transposed": ("algebra", "update", "with I - K H in place of its transpose"),
+    "cross-covariance dropped at update": (
+        "algebra",
+        "update",
+        "covariances of block pose with all others were not updated",
+    ),
+    "landmarks kept independent": (
+        "algebra",
+        "update",
+        "all blocks but pose were made independent of each other",
+    ),
+    "only seen landmarks updated": (
+        "algebra",
+        "update",
+        "does not correct the estimate of landmark",
+    ),
+    "innovation subtracted": (
+        "algebra",
+        "update",
+        "corrects the estimate of all blocks with the wrong sign",
+    ),
+    "R left out of S": ("algebra", "update", "the covariance was updated with no R"),
+    "bearing Jacobian as printed": ("model", "bearing row", "opposite sign"),
+    "no heading column": ("model", "the Jacobian with respect to heading is missing"),
+    "range only": ("model", "bearing row", "zero"),
+    "innovation not wrapped": ("model", "the innovation", "not wrapped"),
+    "bearing clockwise": ("model", "the innovation", "clockwise"),
+    "stale Jacobian": ("model", "the Jacobian", "the previous scan"),
+    "R not rotated by G_z": ("model", "G_z is the identity"),
+    "no heading at augmentation": (
+        "model",
+        "landmark initialisations",
+        "the Jacobian with respect to heading is missing",
+    ),
+    "landmark from the old pose": ("model", "landmark initialisations", "pose before the update"),
+    "wrong quadrant": ("model", "landmark initialisations", "quadrant"),
+    "steering sign": ("model", "the predicted pose", "steering angle has the opposite sign"),
+    "wheelbase wrong": ("model", "the predicted pose", "wheelbase"),
+    "sensor's place left out": ("model", "the predicted pose", "sensor's position"),
+    "F the identity": ("model", "the Jacobian with respect to heading", "F is the identity"),
+    "B without dt": ("model", "the noise covariance", "not multiplied by the interval"),
+    "heading drift": ("model", "the predicted pose", "yaw rate has a bias"),
+    "F's position terms' sign": ("model", "the Jacobian with respect to heading", "opposite sign"),
+    "lever arm left out": ("model", "position updates", "lever arm"),
+    "sigma squared twice": ("model", "the noise covariance", "square of the variances"),
+    "sigma for variance in R": ("model", "the noise covariance", "R contains sigma"),
+    "twice the variance in R": ("model", "the noise covariance", "R is 2 times"),
+    "degrees for radians in R": ("model", "the noise covariance", "degrees"),
+    "sigma for variance in Q": ("model", "the noise covariance", "Q contains sigma"),
+    "twice the variance in Q": ("model", "the noise covariance", "Q is 2 times"),
+    "previous interval": ("model", "the predicted pose", "the interval of the previous one"),
+    "interval ignored": ("model", "the predicted pose", "interval is always 0.025 s"),
+    "control applied twice": ("model", "the predicted pose", "the control is applied twice"),
+    "control applied half": ("model", "the predicted pose", "0.5 times its interval"),
+    "measurement one scan late": ("data", "measurements", "late"),
+    "measurement one step late": ("data", "measurements", "late"),
+    "position fused twice": ("data", "positions", "more than once"),
+    "measurement fused twice": ("data", "measurements", "more than once"),
+    "landmark initialised again": ("data", "labels", "several landmarks"),
+    "labels exchanged": ("data", "labels", "one landmark"),
+    "gate of sigmas": ("data", "rejected", "gate"),
+}
+"""By a fault's name: the gap that the first cause must be of, and words it must hold."""
+LOG = {
+    "previous interval": "uneven",
+    "interval ignored": "uneven",
+    "position fused twice": "positions",
+    "lever arm left out": "positions",
+    "landmark initialised again": "closing",
+}
+"""Which log of `fault_logs` shows a fault, where it is not the loop."""
+
+
+def shows(fault: Fault) -> str:
+    """Return the name of the log that shows a fault."""
+    return LOG.get(fault.name, "loop")
+
+
+def run_defect(fault: Fault, seed: int = 4) -> Comparison:
+    """Return the comparison of a filter with the fault, on a log that shows it."""
+    log, ekf = open_case(shows(fault), seed)
+    if fault.plant is None:
+        raise ValueError(f"{fault.name} is not planted in a filter")
+    planted = [Modified(fault.plant)]
+    return compare_prepared(prepare(log, RunConfig(ekf=ekf), required=REQUIRED, also=planted))
+
+
+def named_first(fault: Fault, verdict: Verdict | ExternalCheck) -> bool:
+    """Return whether the first cause is the fault: the right gap, and all of its words."""
+    if not verdict.causes:
+        return False
+    first = verdict.causes[0]
+    gap, *words = CAUSES[fault.name]
+    text = f"{first.evidence}; {first.hint}"
+    return first.gap == gap and all(word in text for word in words)
 
 
 def interval(count: int, total: int) -> tuple[float, float]:
@@ -52,7 +171,7 @@ def defects(seed: int, only: str, *, table: bool) -> None:
         print("| defect | shows in | what the report says |\n|---|---|---|")
     else:
         print(f"{'defect':<42} {'verdict':<9} {'first':<8} named  evidence")
-    chosen = [defect for defect in REGISTRY if only in defect.name]
+    chosen = [defect for defect in NAMED if only in defect.name]
     for defect in chosen:
         verdict = run_defect(defect, seed).verdict
         reported = named_first(defect, verdict)

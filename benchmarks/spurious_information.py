@@ -1,6 +1,6 @@
 """What variants of the EKF learn of a heading that nothing measures, beside their consistency.
 
-    python benchmarks/spurious_information.py [--runs 20] [--steps 2500] [--plot FILE]
+    python -m benchmarks.spurious_information [--runs 20] [--steps 2500] [--plot FILE]
 
 Every variant goes through the same simulated runs of a scenario of `slamcheck montecarlo`. The
 spurious information is that of comparisons.audit.spurious, by the events that the filter itself
@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.recorded_batch import record
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.experiments.montecarlo.plots import colour_of
@@ -24,7 +25,6 @@ from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.scenarios.scenario import read_scenario
 from comparisons.experiments.scenarios.world import World, build_world, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf, InvariantEkf
-from comparisons.experiments.variants.recorded_state import record
 from comparisons.report.picture import blank, save
 from comparisons.trace.events import Directions, Event, Prior
 from ekf_reference.core.geometry import wrap_angle

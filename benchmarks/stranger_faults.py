@@ -8,7 +8,8 @@ from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from strangers import Array, Ekf, Log, rotation  # type: ignore[import-not-found]
+
+from benchmarks.strangers import Array, Ekf, Log, rotation
 
 Plant = Callable[[type[Ekf]], type[Ekf]]
 Naming = Literal["named", "general", "false", "none"]
@@ -71,7 +72,7 @@ def body_noise(own: Callable[..., Any], ekf: Ekf, b: Array, noise: Array, dt: fl
     """Q as if the vehicle headed east."""
     b = b.copy()
     b[:2] = rotation(-ekf.x[ekf.v[2]]) @ b[:2]
-    return own(b, noise, dt)
+    return np.asarray(own(b, noise, dt))
 
 
 def uncorrelated(own: Callable[..., None], ekf: Ekf, k: int) -> None:

@@ -1,6 +1,6 @@
 """What the verdict promises, and what was measured of it, as one table.
 
-    python benchmarks/trust.py [--quick]
+    python -m benchmarks.trust [--quick]
 
 The parts can be run alone: trust_optimum.py, trust_association.py, trust_check.py, trust_hints.py,
 trust_bands.py. --quick takes a few of each, some minutes; in full it is an hour or more on one
@@ -15,12 +15,8 @@ from collections.abc import Iterator
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import trust_association  # type: ignore[import-not-found]
-import trust_bands  # type: ignore[import-not-found]
-import trust_check  # type: ignore[import-not-found]
-import trust_hints  # type: ignore[import-not-found]
-import trust_optimum  # type: ignore[import-not-found]
-from trust_row import Row, print_table  # type: ignore[import-not-found]
+from benchmarks import trust_association, trust_bands, trust_check, trust_hints, trust_optimum
+from benchmarks.trust_row import Row, print_table
 
 
 def rows(quick: bool) -> Iterator[Row]:

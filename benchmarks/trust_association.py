@@ -1,6 +1,6 @@
 """Is an association that is called verified right, and does a shared mistake show in the verdict?
 
-    python benchmarks/trust_association.py [--quick] [--data FOLDER] [--choose SEEDS]
+    python -m benchmarks.trust_association [--quick] [--data FOLDER] [--choose SEEDS]
 
 Own associations of simulated sensors (seeds not used for choosing the constants), of pieces of the
 MR.CLAM runs with other beginnings and with added noise, and of the car park. An association is
@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from association_logs import piece, simulated_sensor  # type: ignore[import-not-found]
-from trust_row import Row, print_table  # type: ignore[import-not-found]
 
+from benchmarks.association_logs import piece, simulated_sensor
+from benchmarks.trust_row import Row, print_table
 from comparisons.checks import association_variants
 from comparisons.checks.qualifiers import TRUTH_GAP, UNCHECKED
 from comparisons.config import SmootherConfig, SolveConfig

@@ -1,6 +1,6 @@
 """False alarms: whether bands cover what they say, and logs without stabilisation noise.
 
-    python benchmarks/trust_bands.py [--quick] [--table]
+    python -m benchmarks.trust_bands [--quick] [--table]
 
 400 short drives (40 with --quick) of a sound filter, with noise so small that all is linear; each
 band of the consistency check must hold as often as it says, within binomial limits (a family of
@@ -21,13 +21,13 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from trust_row import Row, print_table  # type: ignore[import-not-found]
 
+from benchmarks.coverage import Coverage, coverage, figures_of, wrong
+from benchmarks.sound_drives import sound_run
+from benchmarks.trust_row import Row, print_table
 from comparisons.choices import Filter
 from comparisons.config import EkfConfig, RunConfig, SolveConfig
 from comparisons.errors import InputError
-from comparisons.experiments.bands.coverage import Coverage, coverage, figures_of, wrong
-from comparisons.experiments.bands.sound_drives import sound_run
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate

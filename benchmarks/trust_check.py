@@ -1,10 +1,10 @@
 """How `slamcheck check` grades external estimates that leave no trace, right and wrong ones.
 
-    python benchmarks/trust_check.py [--quick] [--log simulated-loop] [--noise-scale 0.3]
+    python -m benchmarks.trust_check [--quick] [--log simulated-loop] [--noise-scale 0.3]
                                      [--seed 0] [--only WORD] [--every N] [--table]
 
 Faults: exports of a sound filter's estimate, sound filters that were fed something else, and the
-planted defects of adapters.defects, but those that show on other logs only; a filter that breaks
+named ones of comparisons.faults, but those that show on other logs only; a filter that breaks
 down hands in what it has until then. Sound: the EKF in other implementations, orders, precisions
 and formats, other filters, and smoothers. --log takes the folder of a real log as well. --table
 prints every grade with its first reason. --quick takes a drive of 30 s and every fourth estimate.
@@ -26,11 +26,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from trust_row import Row, print_table  # type: ignore[import-not-found]
 
+from benchmarks.defects import shows
+from benchmarks.exports import EXPORTS, FEEDS, with_joint
+from benchmarks.trust_row import Row, print_table
 from comparisons.adapters import filter_variants
-from comparisons.adapters.defects.defect import with_state
-from comparisons.adapters.defects.registry import REGISTRY
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -42,7 +42,8 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
-from comparisons.experiments.defects.exports import EXPORTS, FEEDS, with_joint
+from comparisons.faults.catalogue import NAMED
+from comparisons.faults.fault import with_state
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -181,10 +182,9 @@ class Cases:
             yield Case(f"export: {name}", False, partial(export, right))
         for name, feed in FEEDS.items():
             yield Case(f"fed: {name}", False, partial(self._fed, feed))
-        for defect in REGISTRY:
-            if defect.log in self.shown:
-                plant = defect.plant
-                yield Case(f"defect: {defect.name}", False, partial(self._filtered, plant))
+        for defect in NAMED:
+            if shows(defect) in self.shown and defect.plant is not None:
+                yield Case(f"defect: {defect.name}", False, partial(self._filtered, defect.plant))
         yield from self._filters()
         yield from self._exports()
         yield from self._smoothers()

@@ -1,6 +1,6 @@
 """Are hints right, and is single precision taken for what it is?
 
-    python benchmarks/trust_hints.py [--quick] [--log FOLDER] [--list] [--only WORD]
+    python -m benchmarks.trust_hints [--quick] [--log FOLDER] [--list] [--only WORD]
                                      [--held-out]
 
 A foreign filter (comparisons.experiments.foreign) is given one fault at a time, its trace is
@@ -23,16 +23,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from trust_row import Row, print_table  # type: ignore[import-not-found]
 
+from benchmarks.fault_logs import open_case
+from benchmarks.foreign_faults import FAULTS, HELD_OUT, Fault
+from benchmarks.foreign_filter import Foreign, in_single
+from benchmarks.trust_row import Row, print_table
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.arrays import Array
 from comparisons.checks.causes import ALGEBRA_HINT, FITTED, MODEL_HINT
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import read_external
-from comparisons.experiments.defects.logs import open_case
-from comparisons.experiments.foreign.faults import FAULTS, HELD_OUT, Fault
-from comparisons.experiments.foreign.filter import Foreign, in_single
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.external_trace import TraceCheck, check_trace

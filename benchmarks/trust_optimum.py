@@ -1,6 +1,6 @@
 """No wrong minimum is called verified, and nearly every right one is: 200 many-basin logs.
 
-    python benchmarks/trust_optimum.py [--each 34] [--quick]
+    python -m benchmarks.trust_optimum [--each 34] [--quick]
 
 The lowest error of a log is the least of ours, of the optimum begun at the truth, and of a long
 search: 40 random starts optimised to the end and initialised again from where landmarks of the best
@@ -22,9 +22,9 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from many_basins import CLASSES, World  # type: ignore[import-not-found]
-from trust_row import Row, print_table  # type: ignore[import-not-found]
 
+from benchmarks.many_basins import CLASSES, World
+from benchmarks.trust_row import Row, print_table
 from graphslam.ambiguity import landmark_modes
 from graphslam.graph_builder import build_graph, from_values, to_values
 from graphslam.initialisation import track

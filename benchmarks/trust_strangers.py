@@ -1,6 +1,6 @@
 """How `slamcheck check` grades filters and logs of a stranger, sound ones and faulty ones.
 
-    python benchmarks/trust_strangers.py [time] [sound] [faults] [--quick] [--seed 0]
+    python -m benchmarks.trust_strangers [time] [sound] [faults] [--quick] [--seed 0]
                                          [--log FOLDER] [--only WORD] [--list] [--self-test]
 
 time: the textbook's EKF on logs with stamps of all kinds; sound: filters of other forms; faults:
@@ -25,8 +25,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from stranger_faults import FAULTS, naming  # type: ignore[import-not-found]
-from strangers import (  # type: ignore[import-not-found]
+
+import slamcheck
+from benchmarks.stranger_faults import FAULTS, naming
+from benchmarks.strangers import (
     SAME,
     SOUND,
     Arc,
@@ -38,8 +40,6 @@ from strangers import (  # type: ignore[import-not-found]
     simulate,
     wrapped,
 )
-
-import slamcheck
 
 COURSES = (
     Course("easy-10"),

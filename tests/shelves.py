@@ -188,7 +188,7 @@ SHELVES = {
             "audit/test_audit.py::test_sound_filters_are_rarely_called_faulty",
         ),
         (
-            "comparisons/adapters/defects/",
+            "comparisons/faults/",
             "comparisons/fingerprints/",
             "comparisons/checks/diagnosis/",
             "slamcheck/pytest_plugin.py",

@@ -77,10 +77,10 @@ def test_nothing_in_the_house_imports_the_public_interface() -> None:
             assert "slamcheck" not in imported(path.read_text()), path
 
 
-def modules() -> dict[str, Path]:
-    """Every module of the house by its dotted name."""
+def modules(*packages: str) -> dict[str, Path]:
+    """Every module of packages, or of the house, by its dotted name."""
     found = {}
-    for package in HOUSE:
+    for package in packages or HOUSE:
         for path in (ROOT / package).rglob("*.py"):
             name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
             found[name.removesuffix(".__init__")] = path
@@ -246,12 +246,57 @@ def test_nothing_stands_on_experiments() -> None:
             assert "comparisons.experiments" not in path.read_text(), f"{name} names experiments"
 
 
+APART = (
+    "comparisons.documented.page",  # makes docs/settings.md
+    "comparisons.logs.readers.",  # found by the name of a format
+    "ekf_reference.scan_matching.grid_correlation",  # of the documents, for researchers
+)
+"""Modules, or beginnings of them, that are in the wheel though nothing in it imports them."""
+
+
+def reached(edges: dict[str, set[str]], starts: Iterable[str]) -> set[str]:
+    """Return what can be got to."""
+    found, todo = set[str](), list(starts)
+    while todo:
+        name = todo.pop()
+        if name not in found:
+            found.add(name)
+            todo += edges[name]
+    return found
+
+
+def mentions(source: str) -> Iterator[str]:
+    """Modules that a module imports anywhere, names as a string, or is a part of."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield from loads([node])
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value.partition(":")[0]
+
+
+def test_the_wheel_holds_nothing_that_only_tests_and_benchmarks_use() -> None:
+    known = modules(*HOUSE, "slamcheck")
+    edges = {name: set(mentions(path.read_text())) & set(known) for name, path in known.items()}
+    starts = [name for name in known if name.startswith(("slamcheck", "comparisons.cli"))]
+    folders = {name for name in known if known[name].name == "__init__.py"}
+    assert "comparisons.pipeline.compare" in reached(edges, starts)
+    unused = set(known) - folders - reached(edges, starts)
+    assert [name for name in sorted(unused) if not name.startswith(APART)] == []
+
+
+def test_a_module_that_nothing_reaches_is_found() -> None:
+    edges: dict[str, set[str]] = {"cli": {"jobs"}, "jobs": {"cli"}, "strangers": {"jobs"}}
+    assert set(edges) - reached(edges, ["cli"]) == {"strangers"}
+    assert list(mentions("def f():\n    from a import b\nC = 'd:e'\n")) == ["a", "a.b", "d"]
+
+
 LAYERS = {
     "arrays": 0, "errors": 0, "choices": 0, "atomic": 0, "archive": 0, "words": 0, "statistics": 0,
     "figures": 0, "trace": 0, "innovations": 0,
     "logs": 1, "options": 1,
     "config": 2, "estimates": 2,
     "documented": 3, "settings": 3, "adapters": 3, "logs.transforms": 3, "audit": 3,
+    "faults": 3,
     "checks": 4,
     "pipeline": 5, "fingerprints": 5,
     "extensions": 6, "report": 6,

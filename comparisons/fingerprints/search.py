@@ -17,7 +17,8 @@ from comparisons.checks.grade import Likeness, Reference, likeness
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.fingerprints.catalogue import Family, Fault, catalogue, families, own_start
+from comparisons.faults.catalogue import catalogue, families, own_start
+from comparisons.faults.fault import Family, Fault
 from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses, own_integration

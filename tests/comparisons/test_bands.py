@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from benchmarks.coverage import Coverage, Figure, coverage, figures_of, wrong
+from benchmarks.sound_drives import sound_log, sound_run
 from comparisons import innovations, statistics
 from comparisons.checks.consistency import consistency
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
@@ -18,8 +20,6 @@ from comparisons.checks.consistency.filter_smoother import (
     filter_against_smoother,
 )
 from comparisons.checks.consistency.finding import ConsistencyFinding
-from comparisons.experiments.bands.coverage import Coverage, Figure, coverage, figures_of, wrong
-from comparisons.experiments.bands.sound_drives import sound_log, sound_run
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import Comparison
 from comparisons.statistics import Band, Whiteness, mean_band, whiteness

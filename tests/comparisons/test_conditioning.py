@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.adapters.defects.defect import with_state
 from comparisons.checks.agreement import EXACT
 from comparisons.errors import InputError
+from comparisons.faults.fault import with_state
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, RelativePoses
 from comparisons.pipeline.compare import Modified

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.defects.defect import with_state
 from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -23,6 +22,7 @@ from comparisons.checks.consistency.finding import (
     nees_rows,
 )
 from comparisons.config import EkfConfig
+from comparisons.faults.fault import with_state
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.compare import Comparison, Modified

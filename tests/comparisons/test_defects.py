@@ -8,28 +8,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.adapters.defects.defect import Defect, Plant, with_observation, with_steps
-from comparisons.adapters.defects.registry import REGISTRY
+from benchmarks.defects import CAUSES, named_first, run_defect, shows
+from benchmarks.fault_logs import LOGS, open_case
 from comparisons.errors import InputError
-from comparisons.experiments.defects.logs import LOGS, open_case
-from comparisons.experiments.defects.trial import named_first, run_defect
+from comparisons.faults.catalogue import NAMED
+from comparisons.faults.fault import Fault, Method, Plant, observing, stepping
+from comparisons.faults.models import h_times
 from comparisons.pipeline.compare import Modified
 from comparisons.statistics import ROUNDING
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import PredictedMeasurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.position import PositionModel
-from ekf_reference.models.range_bearing import RangeBearing
 from tests.helpers import Array, assert_followed, compared, simulated
 
 SEEDS = 12
 
 
 def test_the_catalogue_is_broad_and_without_copies() -> None:
-    assert len(REGISTRY) >= 20
-    assert len({defect.name for defect in REGISTRY}) == len(REGISTRY)
-    assert {defect.log for defect in REGISTRY} == set(LOGS)
-    assert {*ALGEBRA, *MODEL} < {defect.name for defect in REGISTRY}
+    names = [fault.name for fault in NAMED]
+    assert sorted(set(names)) == sorted(names) == sorted(CAUSES)
+    assert {shows(fault) for fault in NAMED} == set(LOGS)
+    assert {*ALGEBRA, *MODEL} < set(names)
 
 
 ALGEBRA = (
@@ -48,14 +48,14 @@ MODEL = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("defect", REGISTRY, ids=lambda defect: defect.name)
-def test_a_defect_is_caught_and_named_first(defect: Defect) -> None:
+@pytest.mark.parametrize("defect", NAMED, ids=lambda defect: defect.name)
+def test_a_defect_is_caught_and_named_first(defect: Fault) -> None:
     found = run_defect(defect)
     verdict, gaps = found.verdict, found.agreement
     assert verdict.outcome == "disagree"
     assert named_first(defect, verdict), f"{verdict.causes[0]}"
     if defect.name in (*ALGEBRA, *MODEL):
-        gap = defect.expected_cause[0]
+        gap = CAUSES[defect.name][0]
         assert gap == ("algebra" if defect.name in ALGEBRA else "model")
         red, green = (gaps.algebra, gaps.model) if gap == "algebra" else (gaps.model, gaps.algebra)
         assert max(red.sigma, red.covariance) > 1e3 * ROUNDING
@@ -81,29 +81,22 @@ def test_a_sound_filter_is_not_flagged(seed: int) -> None:
     assert verdict.outcome == "agree", f"{verdict.causes}"
 
 
-class PredictsTwice(Ekf):
-    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
-        super().predict(control, covariance, duration_s)
-        super().predict(control, covariance, duration_s)
-
-
-class FixesTwice(Ekf):
-    def fix_position(self, z: Array, covariance: Array) -> bool:
-        super().fix_position(z, covariance)
-        return super().fix_position(z, covariance)
+def twice(own: Method, *args: object) -> object:
+    own(*args)
+    return own(*args)
 
 
 @pytest.mark.parametrize(
-    ("kind", "reported"),
+    ("method", "reported"),
     [
-        (PredictsTwice, "4800 predictions, expected 2400"),
-        (FixesTwice, "120 positions, expected 60"),
+        ("predict", "4800 predictions, expected 2400"),
+        ("fix_position", "120 positions, expected 60"),
     ],
 )
-def test_a_filter_that_miscounts_its_data_is_refused(kind: type[Ekf], reported: str) -> None:
+def test_a_filter_that_miscounts_its_data_is_refused(method: str, reported: str) -> None:
     log, ekf = open_case("positions", seed=4)
     with pytest.raises(InputError, match=reported):
-        compared(log, Modified(with_steps(kind)), ekf=ekf)
+        compared(log, Modified(stepping(**{method: twice})), ekf=ekf)
 
 
 def start_elsewhere(ekf: Ekf) -> None:
@@ -114,22 +107,11 @@ def other_lever(ekf: Ekf) -> None:
     ekf.fixes = replace(ekf.fixes, model=PositionModel((-0.6, 0.3)))
 
 
-class SlantedRange(RangeBearing):
-    """A mistake of one block of H."""
-
-    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        z, by_pose, by_landmark = super().predict(pose, landmarks)
-        by_landmark[:, 0] *= 1.1
-        return PredictedMeasurements(z, by_pose, by_landmark)
-
-
-class CurvedRange(RangeBearing):
+def curved(own: Method, *args: Array) -> PredictedMeasurements:
     """A mistake that the explanations do not know."""
-
-    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        z, by_pose, by_landmark = super().predict(pose, landmarks)
-        by_landmark[:, 0] *= np.exp(0.01 * z[:, :1])
-        return PredictedMeasurements(z, by_pose, by_landmark)
+    found: PredictedMeasurements = own(*args)
+    found.jacobian_landmark[:, 0] *= np.exp(0.01 * found.z[:, :1])
+    return found
 
 
 @pytest.mark.parametrize(
@@ -138,10 +120,10 @@ class CurvedRange(RangeBearing):
         (start_elsewhere, "check the prior: the estimate of pose is off by"),
         (other_lever, r"antenna is \(-0.600, 0.300\) m, in the log \(0.600, -0.300\) m"),
         (
-            with_observation(SlantedRange),
+            h_times(1.1, landmark=np.s_[:, 0]),
             "the landmark part of the range row of H is 1.1 times .* 1312 of",
         ),
-        (with_observation(CurvedRange), "the range row of H is wrong, the other row is right"),
+        (observing(predict=curved), "the range row of H is wrong, the other row is right"),
     ],
 )
 def test_what_is_not_in_the_catalogue_is_told_as_far_as_it_goes(

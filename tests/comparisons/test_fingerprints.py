@@ -18,7 +18,8 @@ from comparisons.checks.grade import Reference, likeness
 from comparisons.checks.spread import within_spread
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.fingerprints.catalogue import Fault, catalogue, families, own_start
+from comparisons.faults.catalogue import catalogue, families, own_start
+from comparisons.faults.fault import Fault
 from comparisons.fingerprints.search import fingerprints
 from comparisons.pipeline.check import check
 from comparisons.pipeline.prepare import no_progress

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.fault_logs import open_case
+from benchmarks.foreign_faults import FAULTS, Fault
+from benchmarks.foreign_filter import Foreign, in_single
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.checks.causes import ALGEBRA_HINT, FITTED
 from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
 from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import read_external
 from comparisons.estimates.stored_precision import SINGLE, restored, stored_rounding
-from comparisons.experiments.defects.logs import open_case
-from comparisons.experiments.foreign.faults import FAULTS, Fault
-from comparisons.experiments.foreign.filter import Foreign, in_single
 from comparisons.pipeline.external_trace import TraceCheck, check_trace
 from comparisons.pipeline.prepare import Prepared, prepare
 from graphslam.smoother import SmootherOptions

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.exports import EXPORTS, FEEDS
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.filter_variants import (
     BackwardEkf,
@@ -31,7 +32,6 @@ from comparisons.choices import RequiredGrade
 from comparisons.config import EkfConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.experiments.defects.exports import EXPORTS, FEEDS
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.check import (

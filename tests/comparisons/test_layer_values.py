@@ -11,7 +11,6 @@ from scipy.stats import chi2
 
 from benchmarks.layer_values import COLOURS, SIGMA_COLOUR, coloured_poles
 from comparisons.adapters.attributes import AROUND_M, BRIGHTNESS, measured_attributes
-from comparisons.adapters.defects.defect import with_state
 from comparisons.adapters.ekf_factory import build_association, settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -20,6 +19,7 @@ from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.faults.fault import with_state
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Modified
 from comparisons.report.result import build_result

@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from comparisons.adapters.defects.defect import with_state
 from comparisons.adapters.ekf_factory import (
     build_association,
     build_ekf,
@@ -16,6 +15,7 @@ from comparisons.adapters.ekf_factory import (
     longest_sample_m,
 )
 from comparisons.config import EkfConfig
+from comparisons.faults.fault import with_state
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate

@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from comparisons.adapters.defects.defect import with_state
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -30,6 +29,7 @@ from comparisons.checks.diagnosis.linearisation_growth import linearisation_grow
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.extensions.own_association.extension import OwnAssociationFinding
+from comparisons.faults.fault import with_state
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Index

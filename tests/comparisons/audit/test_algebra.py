@@ -8,12 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.defects.algebra import (
-    NoCrossAtPrediction,
-    NoCrossAtUpdate,
-    TransposedAtPrediction,
-)
-from comparisons.adapters.defects.defect import with_state
 from comparisons.audit.algebra import faults_of
 from comparisons.audit.audit import Audit, audit
 from comparisons.audit.own_filter import run_events
@@ -22,14 +16,20 @@ from comparisons.config import CheckConfig
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE
+from comparisons.faults.catalogue import NAMED
 from comparisons.pipeline.check import ExternalCheck, check_external
 from comparisons.pipeline.compare import Comparison, Modified, repeat_filter
 from comparisons.pipeline.solve import solve
 from comparisons.trace.events import Event, Snapshot, Update
 from comparisons.trace.recorder import Recorder
-from ekf_reference.core.state import KalmanState
 from tests.comparisons.audit.test_own_filter import CASES, same
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
+
+
+def planted(name: str) -> Modified:
+    """The reference EKF with a fault of the catalogue."""
+    (fault,) = (one for one in NAMED if one.name == name)
+    return Modified(present(fault.plant))
 
 
 def repeated(c: Comparison) -> list[Event]:
@@ -81,17 +81,23 @@ def handed_in(c: Comparison, folder: Path) -> ExternalCheck:
 
 
 @pytest.mark.parametrize(
-    ("state", "what"),
+    ("name", "what"),
     [
-        (TransposedAtPrediction, "F was applied transposed"),
-        (NoCrossAtPrediction, "F was not applied to the covariance with other blocks"),
-        (NoCrossAtUpdate, "the covariances of block pose with all others were not updated"),
+        ("F transposed", "F was applied transposed"),
+        (
+            "cross-covariance dropped at prediction",
+            "F was not applied to the covariance with other blocks",
+        ),
+        (
+            "cross-covariance dropped at update",
+            "the covariances of block pose with all others were not updated",
+        ),
     ],
 )
 def test_run_check_and_audit_name_the_same_event_and_fault(
-    state: type[KalmanState], what: str, tmp_path: Path
+    name: str, what: str, tmp_path: Path
 ) -> None:
-    c = compared(simulated(seed=3, loop_s=10.0), Modified(with_state(state)))
+    c = compared(simulated(seed=3, loop_s=10.0), planted(name))
     events = repeated(c)
     write_estimate(c.ekf.estimate, tmp_path)
     write(events, tmp_path / TRACE)
@@ -131,7 +137,7 @@ def test_run_check_and_audit_have_the_same_gap(name: str, choices: str, tmp_path
 
 
 def test_a_trace_without_snapshots_says_what_is_lacking(tmp_path: Path) -> None:
-    c = compared(simulated(seed=3, loop_s=10.0), Modified(with_state(TransposedAtPrediction)))
+    c = compared(simulated(seed=3, loop_s=10.0), planted("F transposed"))
     write_estimate(c.ekf.estimate, tmp_path)
     write_run(c.ekf, tmp_path / TRACE)
     check = handed_in(c, tmp_path)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from benchmarks.recorded_batch import record
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Layout
 from comparisons.audit.spurious import (
@@ -24,7 +25,6 @@ from comparisons.experiments.scenarios.world import World, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, InvariantEkf
 from comparisons.experiments.variants.batch_state import BatchState
 from comparisons.experiments.variants.linearisation import AtFirstEstimate, MeasuredPoints
-from comparisons.experiments.variants.recorded_state import record
 from comparisons.trace.events import (
     Augment,
     Clone,

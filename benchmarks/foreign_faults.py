@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import foreign_filter as own
+from benchmarks.foreign_filter import Foreign
 from comparisons.arrays import Array
-from comparisons.experiments.foreign import filter as own
-from comparisons.experiments.foreign.filter import Foreign
 from comparisons.logs.odometry import SteeringOdometry
 
 Plant = Callable[[Foreign], Foreign]

@@ -1,1 +1,0 @@
-"""How often the bands of the consistency check hold for a filter that is sound."""

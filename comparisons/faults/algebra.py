@@ -1,0 +1,167 @@
+"""Faults of mean and covariance: recorded matrices are right, what is done with them is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.arrays import Array
+from comparisons.faults.fault import Done, Fault, Plant, after, derived, with_state
+from ekf_reference.core.geometry import Index
+from ekf_reference.core.landmark_types import LandmarkKind, NewLandmarks
+from ekf_reference.core.layout import Layout
+from ekf_reference.core.state import Correction, KalmanState
+
+
+def _without_map(done: Done, *_: Any) -> None:
+    n = len(done.before)
+    done.p[3:n, n:] = done.p[n:, 3:n] = 0.0
+
+
+def _without_vehicle(done: Done, *_: Any) -> None:
+    n = len(done.before)
+    done.p[:3, n:] = done.p[n:, :3] = 0.0
+
+
+def _cross_as_before(done: Done, *_: Any) -> None:
+    done.p[:3, 3:] = done.before[:3, 3:]
+    done.p[3:, :3] = done.before[:3, 3:].T
+
+
+def _lower_as_before(done: Done, *_: Any) -> None:
+    done.p[3:, :3] = done.before[3:, :3]
+
+
+def _between_landmarks(layout: Layout) -> NDArray[np.bool_]:
+    """(n, n) where entries of one landmark meet those of another."""
+    owner = np.zeros(layout.size, dtype=np.intp)
+    for kind, first in layout.first.items():
+        for at in first[first >= 0].tolist():
+            owner[at : at + kind.width] = at
+    found: NDArray[np.bool_] = (owner[:, None] != owner) & (owner[:, None] > 0) & (owner > 0)
+    return found
+
+
+def _independent_landmarks(done: Done, *_: Any) -> None:
+    done.p[_between_landmarks(done.layout)] = 0.0
+
+
+def new_landmarks_apart(variance: float | None = None) -> Plant:
+    """New landmarks know neither the vehicle nor the map nor each other.
+
+    variance: [m^2] that they have instead of their own.
+    """
+
+    def forget(done: Done, new: NewLandmarks, noise: Array, kind: LandmarkKind) -> None:
+        p, n = done.p, len(done.before)
+        if variance is not None:
+            p[n:, n:] = variance * np.eye(len(p) - n)
+        p[n:, n:][_between_landmarks(done.layout)[n:, n:]] = 0.0
+        p[:n, n:] = p[n:, :n] = 0.0
+
+    return after("augment", forget)
+
+
+def _updating(update: Callable[..., Correction]) -> Plant:
+    return with_state(derived(KalmanState, update=update))
+
+
+def _gain(p: Array, columns: Index, jacobian: Array, noise: Array) -> tuple[Array, Array]:
+    """W (n, m), and I - W H (n, n)."""
+    h = np.zeros((len(jacobian), len(p)))
+    np.add.at(h.T, columns, jacobian.T)
+    w = p @ h.T @ np.linalg.inv(h @ p @ h.T + noise)
+    return w, np.eye(len(p)) - w @ h
+
+
+def _not_transposed(
+    done: Done, columns: Index, jacobian: Array, innovation: Array, noise: Array
+) -> None:
+    w, keep = _gain(done.before, columns, jacobian, noise)
+    broken = keep @ done.before @ keep + w @ noise @ w.T
+    done.p[:] = 0.5 * (broken + broken.T)
+
+
+def other_gain(factor: float) -> Plant:
+    """W with another R, the covariance by Joseph's form."""
+
+    def update(own: Any, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> Any:
+        state: KalmanState = own.__self__
+        p, wide = state.covariance.copy(), factor * noise
+        done = own(columns, jacobian, innovation, wide)
+        w, keep = _gain(p, columns, jacobian, wide)
+        state._covariance[: len(p), : len(p)] = keep @ p @ keep.T + w @ noise @ w.T
+        return done
+
+    return _updating(update)
+
+
+def _only_seen(own: Any, columns: Index, *args: Array) -> Correction:
+    state: KalmanState = own.__self__
+    before = state.mean.copy()
+    done: Correction = own(columns, *args)
+    unseen = np.setdiff1d(np.arange(len(before)), columns)
+    state._mean[unseen] = before[unseen]
+    return done
+
+
+FAULTS = (
+    Fault(
+        "P between a new landmark and the map is left zero",
+        after("augment", _without_map),
+        name="cross-covariance dropped at augmentation",
+    ),
+    Fault(
+        "P between a new landmark and the vehicle is left zero",
+        after("augment", _without_vehicle),
+        name="vehicle dropped at augmentation",
+    ),
+    Fault(
+        "the cross-covariance of vehicle and map is not multiplied by F",
+        after("predict", _cross_as_before),
+        name="cross-covariance dropped at prediction",
+    ),
+    Fault(
+        "F^T P F in the prediction",
+        with_state(derived(KalmanState, predict=lambda own, x, f, q: own(x, f.T, q))),
+        name="F transposed",
+    ),
+    Fault(
+        "the prediction writes the upper cross-covariance only",
+        after("predict", _lower_as_before),
+        name="asymmetric covariance",
+    ),
+    Fault(
+        "Joseph's form with (I - W H) on both sides",
+        after("update", _not_transposed),
+        name="gain not transposed",
+    ),
+    Fault(
+        "the update leaves P between vehicle and map as it was",
+        after("update", _cross_as_before),
+        name="cross-covariance dropped at update",
+    ),
+    Fault(
+        "P between landmarks is set to zero after every update",
+        after("update", _independent_landmarks),
+        name="landmarks kept independent",
+    ),
+    Fault(
+        "the gain is applied to the vehicle and the landmarks in view",
+        _updating(_only_seen),
+        name="only seen landmarks updated",
+    ),
+    Fault(
+        "x - W nu in the update",
+        _updating(lambda own, columns, h, nu, r: own(columns, h, -nu, r)),
+        name="innovation subtracted",
+    ),
+    Fault(
+        "S = H P H^T in the gain",
+        _updating(lambda own, columns, h, nu, r: own(columns, h, nu, 1e-6 * r)),
+        name="R left out of S",
+    ),
+)

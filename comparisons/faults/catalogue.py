@@ -1,0 +1,250 @@
+"""Known faults of EKF-SLAM filters: planted in the filter, or made by feeding it another log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from comparisons.arrays import Array
+from comparisons.faults import algebra, data, models, noise
+from comparisons.faults.fault import Family, Fault, Feed, moving, observing, remembering
+from comparisons.logs.log import LandmarkMeasurements, Log
+from comparisons.logs.odometry import (
+    OdometryNoise,
+    RelativePoses,
+    SteeringOdometry,
+    VelocityOdometry,
+)
+from comparisons.logs.transforms.calibration import controlled, driven, sensed
+
+NAMED = (*algebra.FAULTS, *models.FAULTS, *noise.FAULTS, *data.FAULTS)
+"""Faults with a short name each, planted in the filter."""
+_STEERING = {"steering sign", "wheelbase wrong", "sensor's place left out"}
+_POSITIONS = {"lever arm left out", "position fused twice"}
+_RATES = ("variance_rate_position", "variance_rate_heading")
+_VARIANCES = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
+_SIMULATED = {"interval ignored"}
+"""Of one interval only, that of the logs that it is planted in."""
+
+
+Change = Callable[[LandmarkMeasurements], LandmarkMeasurements]
+
+_COLUMNS: dict[str, Callable[[float, float, float], models.Column]] = {
+    "cosine and sine are exchanged": lambda e, n, t: (-e, n),
+    "the x row has the opposite sign": lambda e, n, t: (n, e),
+    "the y row has the opposite sign": lambda e, n, t: (-n, -e),
+    "the turn stands for the way in the x row": lambda e, n, t: (-n * t, e),
+    "the turn stands for the way in the y row": lambda e, n, t: (-n, e * t),
+    "the turn stands for the way": lambda e, n, t: (-n * t, e * t),
+}
+"""Errors in the heading's column of F."""
+_SIGNS: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("position", "range", {"pose": np.s_[:, 0, :2]}),
+    ("position", "bearing", {"pose": np.s_[:, 1, :2]}),
+    ("heading", "bearing", {"pose": np.s_[:, 1, 2:]}),
+    ("landmark", "range", {"landmark": np.s_[:, 0]}),
+    ("landmark", "bearing", {"landmark": np.s_[:, 1]}),
+)
+"""Terms of H, by a row and what they are by."""
+
+
+def catalogue(log: Log) -> Iterator[Fault]:
+    """Yield the faults without a number that a filter of this log may have."""
+    skipped = set(_SIMULATED)
+    if not isinstance(log.odometry, SteeringOdometry):
+        skipped |= _STEERING
+    if log.positions is None:
+        skipped |= _POSITIONS
+    yield from (one for one in NAMED if one.name not in skipped)
+    yield Fault("Q is not rotated into the map's axes", moving(models.noise_in_body_axes))
+    for of, row, entries in _SIGNS:
+        yield Fault(f"the {of}'s terms in the {row} row of H have the opposite sign",
+                    models.h_times(-1.0, **entries))  # fmt: skip
+    yield Fault("the heading's column of G_x has the opposite sign", models.gx_times(-1.0))
+    yield Fault("the innovation is not wrapped, but the expected bearing is",
+                observing(innovation=models.expected_wrapped))  # fmt: skip
+    yield Fault("a landmark is initialised without any cross-covariance",
+                algebra.new_landmarks_apart())  # fmt: skip
+    for value in _VARIANCES:
+        yield Fault(f"a landmark is initialised with the covariance {value:g} m^2 I, whatever is "
+                    "known, and without any cross-covariance",
+                    algebra.new_landmarks_apart(value))  # fmt: skip
+    yield Fault("steps lead along the heading of plain dead reckoning, not the filter's",
+                remembering(models.dead_reckoned_heading))  # fmt: skip
+    for what, column in _COLUMNS.items():
+        yield Fault(f"{what} in the heading's column of F", models.heading_column(column))
+    yield Fault("measurements of landmarks in the map are used twice in one update",
+                noise.new_landmarks(0.5, 1.0))  # fmt: skip
+    yield from (Fault(what, feed=_seen(change)) for what, change in _MEASUREMENTS.items())
+    yield Fault("the prior's covariance contains sigmas, not their squares", feed=_prior_of_sigmas)
+    if not isinstance(log.odometry, RelativePoses):
+        yield from (Fault(what, feed=_noise(change)) for what, change in _WHEELS.items())
+        yield from _shifted_odometry()
+        yield Fault("the turn counts to the right", feed=lambda log: driven(log, turn=(-1.0, 0.0)))
+
+
+def own_start(log: Log, covariance: Array) -> Fault:
+    """The fault of a filter whose first pose has a covariance (3, 3) of its own."""
+    prior = log.prior.covariance
+    ratio = np.diag(covariance) / np.diag(prior)
+    named = ", ".join(f"{one:.3g}" for one in ratio)
+    if np.ptp(ratio) <= 1e-6 * ratio.max():
+        named = f"{ratio[0]:.3g}"
+    what = f"the prior's covariance is {named} times the log's"
+    return Fault(what, feed=lambda log: _with_prior(log, covariance))
+
+
+def families(log: Log) -> Iterator[Family]:
+    """Yield the faults with a number."""
+    for what, in_range, in_bearing in (
+        ("R", True, True), ("R of the range", True, False), ("R of the bearing", False, True)
+    ):  # fmt: skip
+        yield Family(f"{what} is {{}} times the log's", _wider_noise(in_range, in_bearing))
+    yield Family(
+        "R of new landmarks is {} times the log's", plant=lambda k: noise.new_landmarks(1.0, k)
+    )
+    yield Family("R of updates, or of the gain alone, but not of new landmarks, is {} times the "
+                 "log's", plant=lambda k: noise.new_landmarks(k, 1.0))  # fmt: skip
+    yield Family("the gain is computed with {} R, the covariance by Joseph's form with R",
+                 plant=algebra.other_gain)  # fmt: skip
+    yield Family("the prior's covariance is {} times the log's", _wider_prior)
+    yield Family("the ranges are {} times the log's", lambda log, k: sensed(log, range_=(k, 0.0)))
+    yield Family("the ranges have a bias of {} m", lambda log, b: sensed(log, range_=(1.0, b)),
+                 0.0, factor=False)  # fmt: skip
+    yield Family("the bearings have a bias of {} rad", lambda log, b: sensed(log, bearing=(1.0, b)),
+                 0.0, factor=False)  # fmt: skip
+    if isinstance(log.odometry, RelativePoses):
+        return
+    for what, parts in (
+        ("Q", ("sigma_speed_mps", "sigma_turn", *_RATES)),
+        ("the controls' part of Q", ("sigma_speed_mps", "sigma_turn")),
+        ("the speed's part of Q", ("sigma_speed_mps",)),
+        ("the turn's part of Q", ("sigma_turn",)),
+        ("the stabilisation noise", _RATES),
+    ):
+        yield Family(f"{what} is {{}} times the log's", _wider_control(parts))
+    yield Family("the speed is {} times the log's", lambda log, k: driven(log, speed=(k, 0.0)))
+    yield Family("the turn is {} times the log's", lambda log, k: driven(log, turn=(k, 0.0)))
+    yield Family("the turn has a bias of {} (rad or rad/s)",
+                 lambda log, b: driven(log, turn=(1.0, b)), 0.0, factor=False)  # fmt: skip
+
+
+def _kept(first: int) -> Change:
+    return lambda s: s.chosen(np.arange(len(s.time_s)) % 2 == first)
+
+
+def _every_second_scan(seen: LandmarkMeasurements) -> LandmarkMeasurements:
+    return seen.chosen(np.unique(seen.time_s, return_inverse=True)[1] % 2 == 0)
+
+
+_MEASUREMENTS: dict[str, Change] = {
+    "R of the range contains sigma, not its square": lambda s: replace(
+        s, sigma_range_m=np.sqrt(s.sigma_range_m)
+    ),
+    "R of the bearing contains sigma, not its square": lambda s: replace(
+        s, sigma_bearing_rad=np.sqrt(s.sigma_bearing_rad)
+    ),
+    "the sigmas of range and bearing are exchanged": lambda s: replace(
+        s, sigma_range_m=s.sigma_bearing_rad, sigma_bearing_rad=s.sigma_range_m
+    ),
+    "every second measurement is left out, the second first": _kept(0),
+    "every second measurement is left out, the first first": _kept(1),
+    "every second scan is left out": _every_second_scan,
+}
+_WHEELS: dict[str, Callable[[OdometryNoise], OdometryNoise]] = {
+    "Q of the speed contains sigma, not its square": lambda n: replace(
+        n, sigma_speed_mps=np.sqrt(n.sigma_speed_mps)
+    ),
+    "Q of the turn contains sigma, not its square": lambda n: replace(
+        n, sigma_turn=np.sqrt(n.sigma_turn)
+    ),
+    "the stabilisation noise is left out": lambda n: replace(
+        n, variance_rate_position=0.0, variance_rate_heading=0.0
+    ),
+}
+
+
+def _shifted_odometry() -> Iterator[Fault]:
+    for lag, side in ((1, "late"), (2, "late"), (-1, "early")):
+        what = f"the odometry is used {abs(lag)} sample{'s' * (abs(lag) > 1)} {side}"
+        yield Fault(what, feed=_shifted(lag))
+        if lag > 0:
+            yield Fault(f"{what}, the first twice", feed=_shifted(lag, held=True))
+            waiting = remembering(data.waiting_for_control)
+            yield Fault(f"{what}, none before the first", waiting, _shifted(lag))
+
+
+def _shifted(lag: int, *, held: bool = False) -> Feed:
+    """Each control is that of so many samples before. held: the first acts before it, too."""
+
+    def late(values: Array) -> Array:
+        found = np.full(len(values), values[0] if held else 0.0)
+        if lag > 0:
+            found[lag:] = values[:-lag]
+        else:
+            found[:lag], found[lag:] = values[-lag:], values[-1]
+        return found
+
+    return lambda log: controlled(log, late, late)
+
+
+def _wider_noise(in_range: bool, in_bearing: bool) -> Callable[[Log, float], Log]:
+    def feed(log: Log, factor: float) -> Log:
+        seen, root = log.measurements, np.sqrt(factor)
+        wider = replace(
+            seen,
+            sigma_range_m=(root if in_range else 1.0) * seen.sigma_range_m,
+            sigma_bearing_rad=(root if in_bearing else 1.0) * seen.sigma_bearing_rad,
+        )
+        return replace(log, measurements=wider)
+
+    return feed
+
+
+def _wider_control(parts: tuple[str, ...]) -> Callable[[Log, float], Log]:
+    """parts: fields of the odometry's noise; rates are variances, the others sigmas."""
+
+    def feed(log: Log, factor: float) -> Log:
+        def wider(noise: OdometryNoise) -> OdometryNoise:
+            changed = {
+                part: (factor if part in _RATES else float(np.sqrt(factor))) * getattr(noise, part)
+                for part in parts
+            }
+            return replace(noise, **changed)
+
+        return _noise(wider)(log)
+
+    return feed
+
+
+def _with_prior(log: Log, covariance: Array) -> Log:
+    return replace(log, prior=replace(log.prior, covariance=covariance))
+
+
+def _wider_prior(log: Log, factor: float) -> Log:
+    return _with_prior(log, factor * log.prior.covariance)
+
+
+def _prior_of_sigmas(log: Log) -> Log:
+    return _with_prior(log, np.diag(np.sqrt(np.diag(log.prior.covariance))))
+
+
+def _noise(change: Callable[[OdometryNoise], OdometryNoise]) -> Feed:
+    def feed(log: Log) -> Log:
+        odometry = _wheels(log)
+        return replace(log, odometry=replace(odometry, noise=change(odometry.noise)))
+
+    return feed
+
+
+def _seen(change: Change) -> Feed:
+    return lambda log: replace(log, measurements=change(log.measurements))
+
+
+def _wheels(log: Log) -> SteeringOdometry | VelocityOdometry:
+    if isinstance(log.odometry, RelativePoses):
+        raise TypeError("no wheels")
+    return log.odometry

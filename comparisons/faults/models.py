@@ -1,0 +1,255 @@
+"""Faults of the models: predictions, expected measurements, their Jacobians, new landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from comparisons.arrays import Array
+from comparisons.faults.fault import Fault, Plant, moving, observing, remembering, with_motion
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.landmark_types import NewLandmarks, PredictedMeasurements
+from ekf_reference.models.motion import AckermannModel, IntegratedModel, MotionModel, MotionStep
+from ekf_reference.models.position import PositionModel
+
+_DRIFT_RADPS = 0.01
+_BEARING_ROW, _HEADING_COLUMN = np.s_[:, 1], np.s_[:, :, 2]
+Column = tuple[float, float]
+
+
+def h_times(factor: float, *, pose: Any = None, landmark: Any = None) -> Plant:
+    """Some entries of H times a factor, by the pose (m, 2, 3) and by the landmark (m, 2, 2)."""
+
+    def predict(own: Any, *args: Array) -> PredictedMeasurements:
+        found: PredictedMeasurements = own(*args)
+        if pose is not None:
+            found.jacobian_pose[pose] *= factor
+        if landmark is not None:
+            found.jacobian_landmark[landmark] *= factor
+        return found
+
+    return observing(predict=predict)
+
+
+def gx_times(factor: float) -> Plant:
+    """The heading's column of G_x times a factor."""
+
+    def invert(own: Any, *args: Array) -> NewLandmarks:
+        found: NewLandmarks = own(*args)
+        found.jacobian_pose[_HEADING_COLUMN] *= factor
+        return found
+
+    return observing(invert=invert)
+
+
+def _unrotated(own: Any, *args: Array) -> NewLandmarks:
+    new: NewLandmarks = own(*args)
+    return new._replace(jacobian_z=np.broadcast_to(np.eye(2), new.jacobian_z.shape))
+
+
+def _clockwise(own: Any, z: Array, sigma: Array) -> tuple[Array, Array]:
+    z, noise = own(z, sigma)
+    return z * (1.0, -1.0), noise
+
+
+def expected_wrapped(own: Any, z: Array, predicted: Array) -> Array:
+    """Off by a turn where expected and measured bearing lie on either side of the cut."""
+    wrapped = predicted.copy()
+    wrapped[..., 1] = np.angle(np.exp(1j * predicted[..., 1]))
+    return z - wrapped
+
+
+def _wrong_quadrant(own: Any, pose: Array, z: Array) -> NewLandmarks:
+    turned = np.arctan(np.tan(pose[2] + z[:, 1])) - pose[2]
+    new: NewLandmarks = own(pose, np.column_stack((z[:, 0], turned)))
+    return new
+
+
+def _stale_jacobian() -> Plant:
+    last: list[Array] = []
+
+    def predict(own: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
+        now, then = own(pose, landmarks), own(last[0] if last else pose, landmarks)
+        last[:] = [np.array(pose)]
+        return PredictedMeasurements(now.z, then.jacobian_pose, then.jacobian_landmark)
+
+    return observing(predict=predict)
+
+
+def _from_old_pose() -> Plant:
+    last: list[Array] = []
+
+    def predict(own: Any, pose: Array, landmarks: Array) -> PredictedMeasurements:
+        last[:] = [np.array(pose)]
+        found: PredictedMeasurements = own(pose, landmarks)
+        return found
+
+    def invert(own: Any, pose: Array, z: Array) -> NewLandmarks:
+        new: NewLandmarks = own(last[0] if last else pose, z)
+        return new
+
+    return observing(predict=predict, invert=invert)
+
+
+def _steering_sign(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    step: MotionStep = own(pose, control * (1.0, -1.0), duration_s)
+    return step._replace(jacobian_control=step.jacobian_control * (1.0, -1.0))
+
+
+def _identity(own: Any, *args: Any) -> MotionStep:
+    step: MotionStep = own(*args)
+    return step._replace(jacobian_pose=np.eye(3))
+
+
+def _without_interval(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    step: MotionStep = own(pose, control, duration_s)
+    return step._replace(jacobian_control=step.jacobian_control / duration_s)
+
+
+def _drift(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    step: MotionStep = own(pose, control, duration_s)
+    step.pose[2] += _DRIFT_RADPS * duration_s
+    return step
+
+
+def noise_in_body_axes(own: Any, pose: Array, *args: Any) -> MotionStep:
+    """B by the axes of the vehicle, added as if these were the map's."""
+    step: MotionStep = own(pose, *args)
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    jacobian = step.jacobian_control.copy()
+    jacobian[:2] = np.array([[cos, sin], [-sin, cos]]) @ jacobian[:2]
+    return step._replace(jacobian_control=jacobian)
+
+
+def dead_reckoned_heading() -> Plant:
+    """Steps lead along the heading of plain dead reckoning; the Jacobians are right."""
+    heading_rad: list[float] = []
+
+    def step(own: Any, pose: Array, *args: Any) -> MotionStep:
+        moved: MotionStep = own(pose, *args)
+        there = own(np.append(pose[:2], heading_rad or pose[2:]), *args).pose
+        heading_rad[:] = [float(there[2])]
+        return moved._replace(pose=np.append(there[:2], moved.pose[2]))
+
+    return moving(step)
+
+
+def heading_column(change: Callable[[float, float, float], Column]) -> Plant:
+    """F with another column by the heading. change: of a step's east, north [m] and turn per metre.
+
+    Sound is (-north, east).
+    """
+
+    def step(own: Any, pose: Array, *args: Any) -> MotionStep:
+        moved: MotionStep = own(pose, *args)
+        east, north, turn = (moved.pose - pose).tolist()
+        way = float(np.hypot(east, north))
+        jacobian = moved.jacobian_pose.copy()
+        jacobian[:2, 2] = change(east, north, turn / way if way else 0.0)
+        return moved._replace(jacobian_pose=jacobian)
+
+    return moving(step)
+
+
+def _opposite_column(own: Any, *args: Any) -> MotionStep:
+    step: MotionStep = own(*args)
+    step.jacobian_pose[:2, 2] *= -1.0
+    return step
+
+
+def _vehicle(change: Callable[[AckermannModel], AckermannModel], lacks: str) -> Plant:
+    """Another car. lacks: what a vehicle that is none does not have."""
+
+    def other(motion: MotionModel) -> MotionModel:
+        if isinstance(motion, IntegratedModel):
+            return replace(motion, model=other(motion.model))
+        if not isinstance(motion, AckermannModel):
+            raise TypeError(f"{type(motion).__name__} has no {lacks}")
+        return change(motion)
+
+    return with_motion(other)
+
+
+def _no_lever(ekf: Ekf) -> None:
+    ekf.fixes = replace(ekf.fixes, model=PositionModel())
+
+
+FAULTS = (
+    Fault(
+        "Nieto's eq. 2.42 with the bearing row's position terms as printed",
+        h_times(-1.0, pose=np.s_[:, 1, :2], landmark=_BEARING_ROW),
+        name="bearing Jacobian as printed",
+    ),
+    Fault(
+        "the measurement's Jacobian has zeros where the heading belongs",
+        h_times(0.0, pose=_HEADING_COLUMN),
+        name="no heading column",
+    ),
+    Fault(
+        "the bearing's row of the Jacobian is zero",
+        h_times(0.0, pose=_BEARING_ROW, landmark=_BEARING_ROW),
+        name="range only",
+    ),
+    Fault(
+        "the innovation z - h(x) is not wrapped at the cut of the bearing",
+        observing(innovation=lambda own, z, predicted: z - predicted),
+        name="innovation not wrapped",
+    ),
+    Fault(
+        "the bearings are counted clockwise, positive to the right",
+        observing(measured=_clockwise),
+        name="bearing clockwise",
+    ),
+    Fault(
+        "H is linearised at the scan before", remembering(_stale_jacobian), name="stale Jacobian"
+    ),
+    Fault(
+        "a new landmark gets R of range and bearing as its own, without G_z",
+        observing(invert=_unrotated),
+        name="R not rotated by G_z",
+    ),
+    Fault(
+        "G_x has zeros where the heading belongs", gx_times(0.0), name="no heading at augmentation"
+    ),
+    Fault(
+        "a landmark is initialised at the pose before the update",
+        remembering(_from_old_pose),
+        name="landmark from the old pose",
+    ),
+    Fault(
+        "a new landmark's direction by atan where atan2 belongs",
+        observing(invert=_wrong_quadrant),
+        name="wrong quadrant",
+    ),
+    Fault("steering counted positive to the right", moving(_steering_sign), name="steering sign"),
+    Fault(
+        "a wheelbase longer by a tenth",
+        _vehicle(lambda car: replace(car, wheelbase_m=1.1 * car.wheelbase_m), "wheelbase"),
+        name="wheelbase wrong",
+    ),
+    Fault(
+        "the sensor is taken to be at the middle of the rear axle",
+        _vehicle(lambda car: replace(car, sensor_forward_m=0.0, sensor_left_m=0.0), "sensor"),
+        name="sensor's place left out",
+    ),
+    Fault("P is predicted without the motion's Jacobian", moving(_identity), name="F the identity"),
+    Fault(
+        "the Jacobian by the control is not multiplied by the interval",
+        moving(_without_interval),
+        name="B without dt",
+    ),
+    Fault(f"every step turns {_DRIFT_RADPS} rad/s too far", moving(_drift), name="heading drift"),
+    Fault(
+        "the motion's Jacobian by heading has the opposite sign",
+        moving(_opposite_column),
+        name="F's position terms' sign",
+    ),
+    Fault(
+        "positions are taken for those of the vehicle, not of its antenna",
+        _no_lever,
+        name="lever arm left out",
+    ),
+)

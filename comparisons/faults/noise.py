@@ -1,0 +1,56 @@
+"""Faults of what the filter takes the noise to be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from comparisons.arrays import Array
+from comparisons.faults.fault import Fault, Plant, observing, stepping
+from ekf_reference.core.landmark_types import NewLandmarks
+
+
+def _sigma(change: Callable[[Array], Array]) -> Plant:
+    """R by other sigmas (m, 2)."""
+    return observing(measured=lambda own, z, sigma: own(z, change(sigma)))
+
+
+def _twice(own: Any, z: Array, sigma: Array) -> tuple[Array, Array]:
+    return z, 2.0 * own(z, sigma)[1]
+
+
+def _control(change: Callable[[Array], Array]) -> Plant:
+    """Q by another covariance of the control."""
+    return stepping(predict=lambda own, u, covariance, dt: own(u, change(covariance), dt))
+
+
+def new_landmarks(updates: float, new: float) -> Plant:
+    """R times a factor in updates, and times another for new landmarks."""
+
+    def invert(own: Any, *args: Array) -> NewLandmarks:
+        found: NewLandmarks = own(*args)
+        return found._replace(jacobian_z=np.sqrt(new / updates) * found.jacobian_z)
+
+    return observing(measured=lambda own, z, sigma: own(z, np.sqrt(updates) * sigma), invert=invert)
+
+
+FAULTS = (
+    Fault("R holds sigma^4", _sigma(lambda sigma: sigma**2), name="sigma squared twice"),
+    Fault("R holds sigma", _sigma(np.sqrt), name="sigma for variance in R"),
+    Fault("R holds 2 sigma^2", observing(measured=_twice), name="twice the variance in R"),
+    Fault(
+        "the bearing's sigma is in degrees",
+        _sigma(lambda sigma: sigma * (1.0, np.degrees(1.0))),
+        name="degrees for radians in R",
+    ),
+    Fault(
+        "the control's covariance holds sigma", _control(np.sqrt), name="sigma for variance in Q"
+    ),
+    Fault(
+        "the control's covariance is doubled",
+        _control(lambda covariance: 2.0 * covariance),
+        name="twice the variance in Q",
+    ),
+)
