@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -89,6 +89,15 @@ def modules(*packages: str) -> dict[str, Path]:
 
 def loads(nodes: list[ast.stmt]) -> Iterator[str]:
     """Names that are imported when a module is, those for type checkers left out."""
+    yield from _imports(nodes, into=())
+
+
+def reaches(nodes: list[ast.stmt]) -> Iterator[str]:
+    """Names that are imported when a module is, or when something in it runs."""
+    yield from _imports(nodes, into=(ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.With))
+
+
+def _imports(nodes: list[ast.stmt], into: tuple[type[ast.AST], ...]) -> Iterator[str]:
     for node in nodes:
         if isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
@@ -96,16 +105,18 @@ def loads(nodes: list[ast.stmt]) -> Iterator[str]:
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.If) and "TYPE_CHECKING" not in ast.dump(node.test):
-            yield from loads(node.body + node.orelse)
-        elif isinstance(node, ast.Try):
-            yield from loads(node.body)
+            yield from _imports(node.body + node.orelse, into)
+        elif isinstance(node, (ast.Try, *into)):
+            yield from _imports(node.body, into)
 
 
-def graph() -> dict[str, set[str]]:
-    """Which modules of the house each one loads."""
+def graph(
+    found: Callable[[list[ast.stmt]], Iterator[str]] = loads,
+) -> dict[str, set[str]]:
+    """Which modules of the house each one loads, or reaches."""
     known = modules()
     return {
-        name: {one for one in loads(ast.parse(path.read_text()).body) if one in known} - {name}
+        name: {one for one in found(ast.parse(path.read_text()).body) if one in known} - {name}
         for name, path in known.items()
     }
 
@@ -292,10 +303,10 @@ def test_a_module_that_nothing_reaches_is_found() -> None:
 
 LAYERS = {
     "arrays": 0, "errors": 0, "choices": 0, "atomic": 0, "archive": 0, "words": 0, "statistics": 0,
-    "figures": 0, "trace": 0, "innovations": 0,
+    "figures": 0, "shown": 0, "trace": 0, "innovations": 0,
     "logs": 1, "options": 1,
-    "config": 2, "estimates": 2,
-    "documented": 3, "settings": 3, "adapters": 3, "logs.transforms": 3, "audit": 3,
+    "config": 2, "documented": 2, "estimates": 2,
+    "settings": 3, "adapters": 3, "logs.transforms": 3, "audit": 3,
     "faults": 3,
     "checks": 4,
     "pipeline": 5, "fingerprints": 5,
@@ -332,11 +343,58 @@ def upward(edges: dict[str, set[str]]) -> list[str]:
 def test_data_flows_one_way() -> None:
     edges = {
         name: {one for one in to if not name.startswith(f"{one}.")}
-        for name, to in graph().items()
+        for name, to in graph(reaches).items()
         if name.startswith("comparisons.")
     }
     assert all(level(name) >= 0 for name in edges), "a part of comparisons without a level"
     assert upward(edges) == []
+
+
+def circles(edges: dict[str, set[str]]) -> list[set[str]]:
+    """Return the sets of several modules each of which reaches all others of its set."""
+    reached: dict[str, set[str]] = {}
+    for name in edges:
+        found, wanted = set[str](), [name]
+        while wanted:
+            new = edges.get(wanted.pop(), set()) - found
+            found |= new
+            wanted += new
+        reached[name] = found
+    sets = [frozenset(o for o in reached[n] if n in reached[o]) for n in edges if n in reached[n]]
+    return [set(one) for one in dict.fromkeys(sets)]
+
+
+@pytest.mark.slow
+def test_a_circle_stays_in_one_room() -> None:
+    """By imports inside functions, too: a feature's modules, or settings and their documents."""
+    found = circles(
+        {
+            name: {one for one in to if not name.startswith(f"{one}.")}
+            for name, to in graph(reaches).items()
+        }
+    )
+    assert max(map(len, found)) < 10
+    for circle in found:
+        rooms = {name.rpartition(".")[0] for name in circle}
+        settings = {"comparisons", "comparisons.documented"}
+        readers = {"comparisons.logs", "comparisons.logs.readers"}
+        assert len(rooms) == 1 or rooms in (settings, readers), sorted(circle)
+
+
+def test_a_circle_is_found() -> None:
+    edges = {"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a", "d"}}
+    assert circles(edges) == [{"b", "c"}, {"d"}]
+
+
+def test_an_import_inside_a_function_is_one() -> None:
+    hidden = (
+        "def f():\n    if x:\n        with y:\n            from comparisons.report import rows\n"
+    )
+    assert list(reaches(ast.parse(hidden).body)) == [
+        "comparisons.report",
+        "comparisons.report.rows",
+    ]
+    assert list(loads(ast.parse(hidden).body)) == []
 
 
 def test_an_import_upward_is_found() -> None:

@@ -140,7 +140,7 @@ class CheckTruthGap(Check):
         )
         labelled = prepared.log.measurements.labelled and not prepared.labelled
         if labelled and not (gap and gap.settled):
-            from comparisons.pipeline.second_association import labels_gap, with_labels
+            from comparisons.checks.truth_by_labels import labels_gap, with_labels
 
             gap = labels_gap(known, association) if gap is None else with_labels(known, gap)
         if gap is None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
+from comparisons.shown import Shown, render
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.layout import Layout
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
+class Estimate(Shown):
     """Hold what one estimator found on one log: a trajectory, a map, and how certain it is of both.
 
     All covariances are of the additive global error (x, y, heading). Only the last pose and the map
@@ -54,11 +55,6 @@ class Estimate:
         count = len(self.landmark) + len(self.pose_landmarks)
         return f"<Estimate: {len(self.time_s):,} {self.information} poses, {count:,} landmarks>"
 
-    def _repr_html_(self) -> str:
-        from comparisons.report.notebook import estimate_html
-
-        return estimate_html(self)
-
     def to_pandas(self, table: Literal["poses", "landmarks"] = "poses") -> DataFrame:
         """Return a table as a pandas data frame.
 
@@ -73,9 +69,8 @@ class Estimate:
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        from comparisons.report.tables import data_frame, estimate_tables
-
-        return data_frame(estimate_tables(self), table)
+        found: DataFrame = render("frame", self, table)
+        return found
 
     @property
     def joint_mean(self) -> Array:

@@ -24,6 +24,8 @@ class Extension(Check):
 
     brings_landmarks = False
     """The estimators need no measurements of the log's."""
+    asked = True
+    """Whether it does anything."""
     brings_motion = False
     """The estimators need no odometry of the log's."""
 

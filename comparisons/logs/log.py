@@ -29,6 +29,7 @@ from comparisons.logs.validation import (
     standard_deviation,
     within,
 )
+from comparisons.shown import Shown, render
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -252,7 +253,7 @@ class Prior:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Log:
+class Log(Shown):
     """Hold one drive: its streams, its prior, and where they come from.
 
     Arrays are read-only. Times are in seconds, angles in radians, headings counter-clockwise from
@@ -374,11 +375,6 @@ class Log:
         counts = ", ".join(f"{count:,} {name}" for name, count in self.records.items())
         return f"<Log {self.name}: {counts}; {self.duration_s:.1f} s>"
 
-    def _repr_html_(self) -> str:
-        from comparisons.report.notebook import log_html
-
-        return log_html(self)
-
     def to_pandas(
         self,
         table: Literal[
@@ -399,9 +395,8 @@ class Log:
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        from comparisons.report.tables import data_frame, log_tables
-
-        return data_frame(log_tables(self), table)
+        found: DataFrame = render("frame", self, table)
+        return found
 
     def _check_loop_closures(self) -> None:
         """They are between poses of the odometry, and there where it lacks motions."""

@@ -62,6 +62,7 @@ from comparisons.pipeline.references import (
     variants,
 )
 from comparisons.pipeline.solve import Solution, solve
+from comparisons.shown import Shown, render
 from comparisons.statistics import ROUNDING
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Graded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExternalCheck:
+class ExternalCheck(Shown):
     """Hold what the check of an external estimate found.
 
     Attributes:
@@ -140,11 +141,6 @@ class ExternalCheck:
         """Whether it is equal to a reference, and its trace to the models."""
         return self.grade.value == "equal" and not (self.trace and self.trace.verdict.causes)
 
-    def _repr_html_(self) -> str:
-        from comparisons.report.notebook import check_html
-
-        return check_html(self)
-
     def to_pandas(
         self, table: Literal["causes", "gaps", "poses", "landmarks", "nees", "settings"] = "causes"
     ) -> DataFrame:
@@ -162,9 +158,8 @@ class ExternalCheck:
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        from comparisons.report.tables import check_tables, data_frame
-
-        return data_frame(check_tables(self), table)
+        found: DataFrame = render("frame", self, table)
+        return found
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ from comparisons.pipeline.prepare import (
     no_progress,
     prepare,
 )
+from comparisons.shown import Shown, render
 from ekf_reference.core.ekf import Ekf
 from graphslam.smoother import SmootherOptions, SmootherResult
 
@@ -57,7 +58,7 @@ REQUIRED = Required(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class Comparison(Shown):
     """Hold everything that one run of both estimators found.
 
     Attributes:
@@ -82,11 +83,6 @@ class Comparison:
         """Return log and verdict in one line."""
         return f"<Comparison of {self.log.name}: {self.verdict.summary}>"
 
-    def _repr_html_(self) -> str:
-        from comparisons.report.notebook import comparison_html
-
-        return comparison_html(self)
-
     def to_pandas(
         self, table: Literal["gaps", "landmarks", "nees", "nis", "causes", "settings"] = "gaps"
     ) -> DataFrame:
@@ -105,9 +101,8 @@ class Comparison:
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        from comparisons.report.tables import comparison_tables, data_frame
-
-        return data_frame(comparison_tables(self), table)
+        found: DataFrame = render("frame", self, table)
+        return found
 
     @property
     def log(self) -> Log:

@@ -1,35 +1,15 @@
-"""Checks of an association that both estimators share: another one, or the log's labels.
+"""The smoother's own association, which a run asks for by itself where nothing else could tell.
 
-The other one is the smoother's own. A run asks for it by itself where nothing else could tell, and
-where its work is bounded: by a count, so that a run repeats on every machine.
+It is asked where its work is bounded: by a count, so that a run repeats on every machine.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-from numpy.typing import NDArray
-
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.adapters.smoother_input import assemble, position_rows
-from comparisons.arrays import Array
-from comparisons.checks.accuracy import assess_trajectory, match_landmarks
-from comparisons.checks.association import AssociationScore
-from comparisons.checks.association_variants import poses_apart
-from comparisons.checks.consistency.limits import limit
-from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
 from comparisons.config import RunConfig
 from comparisons.extensions.interface import Extension
-from comparisons.logs.transforms.known_landmarks import indices_by_label
-from comparisons.pipeline.gaps import Known
+from comparisons.extensions.registry import config_class
 from comparisons.pipeline.prepare import Prepared
-from graphslam.graph_builder import build_graph, from_values
-from graphslam.initialisation import track
-from graphslam.optimisers import optimise
-from graphslam.optimum import ChiSquareTest, chi_square_test
-from graphslam.problem import SlamProblem
-from graphslam.smoother import smooth
 
 NAME = "own_association"
 MOST_PAIRS = 5_000_000
@@ -42,9 +22,7 @@ def own_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extensi
     Neither where the configuration asks for it.
     """
     if NAME in prepared.config.extensions:
-        from comparisons.extensions.own_association.extension import OwnAssociation
-
-        if any(one.asked for one in prepared.extensions if isinstance(one, OwnAssociation)):
+        if any(one.asked for one in prepared.extensions if one.name == NAME):
             return None, ""
         return None, "the association is unchecked, as --smoother-association ekf asks"
     pairs = len(run.landmark_index) * len(run.estimate.landmark)
@@ -54,78 +32,4 @@ def own_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extensi
             f"landmark, more than {MOST_PAIRS / 1e6:.0f} million, are many for the smoother's own; "
             "ask for it with --smoother-association own"
         )
-    from comparisons.extensions.own_association.extension import OwnAssociation
-
-    return OwnAssociation(), ""
-
-
-def with_labels(compared: Known, gap: TruthGap) -> TruthGap:
-    """Return a gap with the errors that the smoother has with the log's labels beside S's.
-
-    A robust kernel keeps misread labels from spoiling it; where it has no solution, the gap stays.
-    """
-    problem, ids = _labelled(compared)
-    found = _tracked_optimum(problem, "cauchy")
-    if found is None:
-        return gap
-    poses, places, _ = found
-    judged, table = compared.prepared.judged, compared.prepared.log.truth.landmarks
-    reached = assess_trajectory(compared.ekf.timeline.epoch_time_s, poses, judged)
-    errors = {"poses": None if reached is None else reached.ate_m}
-    if table is not None:
-        true = (table.id, table.position_m)
-        ours, theirs = match_landmarks((ids, places), true, labelled=True)
-        apart = places[ours] - table.position_m[theirs]
-        if len(apart):
-            errors["landmarks"] = float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
-    distances = tuple(replace(d, labels_m=errors.get(d.what)) for d in gap.distances)
-    return replace(gap, distances=distances)
-
-
-def labels_gap(compared: Known, association: AssociationScore | None) -> TruthGap | None:
-    """Return how far S is from the smoother with the log's labels, which stand for the truth.
-
-    None where that smoother is not verified, or its chi-square says that the labels do not fit.
-    association: the filter's, by these labels.
-    """
-    gaps, (problem, _) = compared.gaps, _labelled(compared)
-    if gaps.result.options.robust == "none":  # else chi-square is of what the kernel leaves
-        found = _tracked_optimum(problem, "none")
-        if found is None or found[2].reading == "too high":
-            return None  # before a search for the lowest minimum of what does not fit
-    labelled = smooth(problem, {}, options=gaps.result.options)
-    test = labelled.optimality.chi_square
-    if not labelled.optimality.verified or test.reading == "too high":
-        return None
-    sigma, metres = poses_apart(gaps.smoothed.pose, labelled.poses, labelled.pose_covariances())
-    return TruthGap(
-        distances=(Distance("poses", sigma, limit(3), metres),),
-        measurement_m=measurement_scale(compared.prepared.log.measurements, np.zeros((0, 2, 2))),
-        association=association,
-        reference="the smoother with the log's labels",
-    )
-
-
-def _labelled(compared: Known) -> tuple[SlamProblem, NDArray[np.int64]]:
-    """Return the filter's observations with the log's labels, and the landmarks' ids (L,)."""
-    log, run = compared.prepared.log, compared.ekf
-    landmark_index, ids = indices_by_label(log)
-    rows = position_rows(run.timeline, run.positions)
-    problem = assemble(log, run.timeline, landmark_index[: len(run.landmark_index)], len(ids), rows)
-    return replace(problem, pose_landmarks=run.pose_landmarks), ids
-
-
-def _tracked_optimum(
-    problem: SlamProblem, kernel: str
-) -> tuple[Array, Array, ChiSquareTest] | None:
-    """Return poses, landmarks and chi-square where tracking leads, no other minimum searched.
-
-    Chi-square is not tested with a kernel. None where the problem has no solution.
-    """
-    graph = build_graph(problem, kernel)
-    try:
-        values = optimise(graph, track(problem, graph)[0])[0]
-    except RuntimeError:  # gtsam's indeterminate linear system
-        return None
-    dof = problem.residual_dimension - problem.state_dimension
-    return *from_values(values, problem), chi_square_test(float(graph.error(values)), dof)
+    return config_class(NAME).of().build(prepared.config), ""

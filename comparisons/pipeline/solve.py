@@ -34,6 +34,7 @@ from comparisons.pipeline.prepare import (
     no_progress,
     prepare,
 )
+from comparisons.shown import Shown, render
 from graphslam.association_variants import variants
 from graphslam.increments import dead_reckoned
 from graphslam.misread_edges import EdgeReading, misread_edges
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solution:
+class Solution(Shown):
     """Hold what the smoother found on its own.
 
     Attributes:
@@ -78,11 +79,6 @@ class Solution:
         word = "verified" if self.verified else "not verified"
         return f"<Solution of {self.log.name}: error {self.result.error:.2f}, {word}>"
 
-    def _repr_html_(self) -> str:
-        from comparisons.report.notebook import solution_html
-
-        return solution_html(self)
-
     def to_pandas(self, table: Literal["poses", "landmarks", "settings"] = "poses") -> DataFrame:
         """Return a table as a pandas data frame.
 
@@ -96,9 +92,8 @@ class Solution:
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        from comparisons.report.tables import data_frame, solution_tables
-
-        return data_frame(solution_tables(self), table)
+        found: DataFrame = render("frame", self, table)
+        return found
 
     @property
     def verified(self) -> bool:

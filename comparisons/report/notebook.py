@@ -7,6 +7,7 @@ one notebook. Texts of a log or a user are escaped.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import singledispatch
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -56,6 +57,13 @@ _STYLE = (
 )
 
 
+@singledispatch
+def html(result: object) -> str:
+    """Return what a notebook shows of a result."""
+    raise TypeError(f"a {type(result).__name__} is shown by nobody")
+
+
+@html.register
 def comparison_html(c: Comparison) -> str:
     """Return verdict, causes, gaps and map of a run."""
     count = len(c.agreement.landmarks)
@@ -72,6 +80,7 @@ def comparison_html(c: Comparison) -> str:
     )
 
 
+@html.register
 def check_html(c: ExternalCheck) -> str:
     """Return grade, causes, gaps and map of an external estimate's check."""
     by = c.grade.by
@@ -89,6 +98,7 @@ def check_html(c: ExternalCheck) -> str:
     )
 
 
+@html.register
 def solution_html(s: Solution) -> str:
     """Return the smoother's evidence and map."""
     word = "verified" if s.verified else "unverified"
@@ -106,6 +116,7 @@ def solution_html(s: Solution) -> str:
     return view(s.log.name, word, f"{word}{lacks}", table(("", ""), rows), drawn)
 
 
+@html.register
 def log_html(log: Log) -> str:
     """Return a log's streams, and where it went as far as the log itself says."""
     rows = [(name, f"{count:,}") for name, count in log.records.items()]
@@ -114,6 +125,7 @@ def log_html(log: Log) -> str:
     return view(log.name, "", reported, table(("stream", "records"), rows), drawn)
 
 
+@html.register
 def estimate_html(estimate: Estimate) -> str:
     """Return an estimate's counts and map."""
     count = len(estimate.landmark) + len(estimate.pose_landmarks)

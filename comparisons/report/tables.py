@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import singledispatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +46,17 @@ def data_frame(tables: Tables, table: str) -> DataFrame:
     return DataFrame(tables[table]())
 
 
+@singledispatch
+def tables(result: object) -> Tables:
+    """Return what `to_pandas` of a result offers."""
+    raise TypeError(f"a {type(result).__name__} has no tables")
+
+
+def frame(result: object, table: str) -> DataFrame:
+    """Return one of a result's tables as a data frame. Raises InputError."""
+    return data_frame(tables(result), table)
+
+
 def pose_columns(time_s: Array, pose: Array, covariance: Array | None = None) -> dict[str, Any]:
     """Return columns of poses (K, 3), with standard deviations of covariances (K, 3, 3)."""
     found: dict[str, Any] = {"time_s": time_s}
@@ -72,6 +84,7 @@ def _sigmas(covariance: Array) -> Array:
     return result
 
 
+@tables.register
 def estimate_tables(e: Estimate) -> Tables:
     """Return what `Estimate.to_pandas` offers."""
 
@@ -93,6 +106,7 @@ def estimate_tables(e: Estimate) -> Tables:
     }
 
 
+@tables.register
 def log_tables(log: Log) -> Tables:
     """Return what `Log.to_pandas` offers."""
 
@@ -124,6 +138,7 @@ def _columns(stream: object) -> dict[str, Any]:
     return found
 
 
+@tables.register
 def comparison_tables(c: Comparison) -> Tables:
     """Return what `Comparison.to_pandas` offers."""
 
@@ -142,6 +157,7 @@ def comparison_tables(c: Comparison) -> Tables:
     }
 
 
+@tables.register
 def check_tables(c: ExternalCheck) -> Tables:
     """Return what `ExternalCheck.to_pandas` offers."""
     given, found = c.given, c.agreement
@@ -164,6 +180,7 @@ def check_tables(c: ExternalCheck) -> Tables:
     }
 
 
+@tables.register
 def solution_tables(s: Solution) -> Tables:
     """Return what `Solution.to_pandas` offers."""
     return {

@@ -44,12 +44,7 @@ class OwnAssociation(Extension):
 
     def __init__(self, when: When = "always") -> None:
         """when: never, to do nothing."""
-        self._when = when
-
-    @property
-    def asked(self) -> bool:
-        """Whether it does anything."""
-        return self._when != "never"
+        self.asked = when != "never"
 
     def start(self, prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution] | None:
         """Associate and solve beside the smoother; neither needs the other's result."""
