@@ -1,12 +1,10 @@
 """DenseSLAM between scan landmarks (Nieto 2005, section 6.2.1): layers before and after the loop.
 
     python benchmarks/scan_maps.py [--log scan-slam-maps] [--first 0] [--seeds 3]
-                                   [--matching template map-aided]
 
-Per drive and kind of template: the filter's error at all times and at the end, the largest sigma of
-its position, regions, alignments that began where the surroundings fit, median distances of what
-the layers hold to the true surfaces before the update that moved the map the most and in the end,
-and processor time.
+Per drive: the filter's error at all times and at the end, the largest sigma of its position,
+regions, median distances of what the layers hold to the true surfaces before the update that moved
+the map the most and in the end, and processor time.
 """
 
 from __future__ import annotations
@@ -22,24 +20,21 @@ import numpy as np
 
 from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import surface_error
-from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.pipeline.dense_map import map_log
 
 LAYERS = ("occupancy", "sog")
 
 
-def measured(name: str, seed: int, matching: str) -> str:
+def measured(name: str, seed: int) -> str:
     """One drive, as a row."""
     log = open_log(name, choices=SimulationChoices(seed))
     start = time.process_time()
-    between = {"landmarks": "scans", "map_aided_matching": matching == "map-aided"}
-    extensions = {"scan_landmarks": between, "dense_maps": {"layers": LAYERS}}
+    extensions = {"scan_landmarks": {"landmarks": "scans"}, "dense_maps": {"layers": LAYERS}}
     m = map_log(log, MapConfig.of(extensions=extensions))
     cpu_s = time.process_time() - start
     truth, surfaces, before = log.truth.poses, log.truth.surfaces, m.dense.before
-    source = m.setup.find(ScanSlamSource)
-    if truth is None or surfaces is None or source is None:
+    if truth is None or surfaces is None:
         raise ValueError(f"{name}: no true poses, or no true surfaces")
     e = m.ekf.estimate
     off = np.hypot(*(e.pose - truth.at(e.time_s))[:, :2].T)
@@ -49,7 +44,6 @@ def measured(name: str, seed: int, matching: str) -> str:
         float(off[-1]),
         float(sigma),
         len(m.placed.triangle),
-        source.enriched,
     ]
     for layer in LAYERS:
         first = float("nan")
@@ -65,16 +59,13 @@ def main() -> None:
     parser.add_argument("--log", default="scan-slam-maps")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--matching", nargs="+", default=["template", "map-aided"])
     choices = parser.parse_args()
-    names = ["ate", "end", "sigma", "regions", "enriched"]
+    names = ["ate", "end", "sigma", "regions"]
     names += [f"{layer} {when}" for layer in ("og", "sog") for when in ("bef.", "aft.")]
     names.append("cpu_s")
-    print("seed matching ", " ".join(f"{name:>8}" for name in names))
+    print("seed", " ".join(f"{name:>8}" for name in names))
     for seed in range(choices.first, choices.first + choices.seeds):
-        for matching in choices.matching:
-            row = measured(choices.log, seed, matching)
-            print(f"{seed:4} {matching:9}", row, flush=True)
+        print(f"{seed:4}", measured(choices.log, seed), flush=True)
 
 
 if __name__ == "__main__":

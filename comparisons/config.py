@@ -156,8 +156,7 @@ class EkfConfig(Section):
     attributes: Attributes = Field(
         default="off",
         description="Landmark attributes in association, for nn and jcbb. on: diameter and "
-        "intensity of the measurements; layer: intensities of the surrounding scans, from a dense "
-        "map",
+        "intensity of the measurements",
     )
     gps: Gps = Field(
         default="off",
@@ -221,10 +220,6 @@ class EkfConfig(Section):
     def own_axes(self) -> bool:
         """The filter measures landmarks as points in the vehicle's axes (Misono 2007)."""
         return self.filter.startswith("misono")
-
-    def needs(self) -> Needs:
-        """Attributes of a layer come from the dense map that keeps it."""
-        return {"dense_maps": {"attribute_values": True}} if self.attributes == "layer" else {}
 
 
 class SmootherConfig(Section):

@@ -130,11 +130,6 @@ RENAMED = (
         values={"joined": "whole-scan", "single": "per-segment"},
     ),
     Renamed(
-        field=f"{_SCAN_LANDMARKS}.map_aided_matching", was_field=f"{_SCAN_LANDMARKS}.templates",
-        option="--map-aided-matching", was_option="--templates",
-        values={"bare": False, "enriched": True},
-    ),
-    Renamed(
         field=f"{_SCAN_LANDMARKS}.merge_landmarks", was_field=f"{_SCAN_LANDMARKS}.fuse",
         option="--merge-landmarks", was_option="--fuse-landmarks",
     ),
@@ -144,6 +139,13 @@ RENAMED = (
     ),
 )
 """Every earlier spelling, of the command line, of `config.toml` and of Python."""
+
+UNUSED = {
+    "extensions.dense_maps.attribute_values": False,
+    f"{_SCAN_LANDMARKS}.map_aided_matching": False,
+    f"{_SCAN_LANDMARKS}.templates": "bare",
+}
+"""Settings that there were, with the value of one that was not used, as earlier files have it."""
 
 PRESET = Flag(option="--preset", field="preset", choices=choices.Preset)
 LOG = (
@@ -247,10 +249,6 @@ SCAN_LANDMARKS = (
         option="--template-extraction", field=f"{_SCAN_LANDMARKS}.template_extraction",
         choices=choices.TemplateExtraction, within=_LANDMARKS,
     ),
-    Flag(
-        option="--map-aided-matching", field=f"{_SCAN_LANDMARKS}.map_aided_matching",
-        kind=bool, off=True, within=_LANDMARKS, neutral=False,
-    ),
 )
 RESOLUTION = Flag(
     option="--resolution", panel=SCANS, field="extensions.dense_maps.resolution_m",
@@ -288,8 +286,8 @@ RUN_EXTENSIONS = (
     Flag(
         option="--dense", field="extensions.dense_maps.layers", choices=choices.Layer, many=True,
         panel=SCANS,
-        help="Dense map layer (repeatable): points, occupancy, particles, sog (sum of Gaussians) "
-        "or values (intensities).",
+        help="Dense map layer (repeatable): points, occupancy, particles or sog (sum of "
+        "Gaussians).",
     ),
     RESOLUTION,
     DYNAMIC,
@@ -366,8 +364,8 @@ MAP = (
     Flag(
         option="--layer", field="extensions.dense_maps.layers", choices=choices.Layer, many=True,
         panel=SCANS,
-        help="Map layer (repeatable): points, occupancy, particles, sog (sum of Gaussians) or "
-        "values (intensities). [occupancy]",
+        help="Map layer (repeatable): points, occupancy, particles or sog (sum of Gaussians). "
+        "[occupancy]",
     ),
     RESOLUTION,
     DYNAMIC,
@@ -384,7 +382,7 @@ FLAGS = (*RUN, SOLVER_ASSOCIATION, GPS, *ESTIMATE, TRACE, *FRONT_END, *MAP)
 def renamed_settings(config: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """Return nested mappings with earlier keys and values as they are now, and notes of it.
 
-    A key that stands beside its earlier spelling is kept.
+    A key that stands beside its earlier spelling is kept, one that is gone and was not used is not.
     """
     found, notes = dict(config), list[str]()
     for one in RENAMED:
@@ -402,6 +400,10 @@ def renamed_settings(config: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
         into.setdefault(key, new)
         place = section.removeprefix("extensions.")
         notes.append(f"{place}.{was} = {_toml(value)} is now {place}.{key} = {_toml(new)}")
+    for path, unused in UNUSED.items():
+        section, _, key = path.rpartition(".")
+        if _below(found, path) == unused:
+            del _copied(found, section)[key]
     return found, notes
 
 
@@ -422,9 +424,7 @@ def renamed_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
             given.append(value if equals else rest.pop(0))
         now = [f"--no-{one.option[2:]}" if option.startswith("--no-") else one.option]
         if len(given) > 1:
-            new = one.values.get(given[1], given[1])
-            now = [f"--no-{one.option[2:]}"] if new is False else now
-            now += [] if isinstance(new, bool) else [new]
+            now.append(one.values.get(given[1], given[1]))
         if now != given:
             notes.append(f"{' '.join(given)} is now {' '.join(now)}")
         found += now

@@ -92,11 +92,11 @@ def everything() -> list[JobConfig]:
         run_config(),
         run_config(filter="compressed", association="jcbb", gps="half", seed=7, robust="gnc"),
         run_config(motion="both", smoother_association="own", dense=["points"], dynamic=True),
-        run_config(landmarks="both", template_extraction="per-segment", attributes="layer",
+        run_config(landmarks="both", template_extraction="per-segment", attributes="on",
                    smoother_matcher="generalised-icp", association="nn"),
         RunConfig.of(extensions={"high_level": {"cell_m": 0.4}},
                      report={"figures": ["pdf"], "trace": True}),
-        MapConfig.of(extensions={"dense_maps": {"layers": ["values"], "known_m": 0.5}}),
+        MapConfig.of(extensions={"dense_maps": {"layers": ["points"], "known_m": 0.5}}),
         SolveConfig.of(association="own", smoother={"method": "isam2"}),
         CheckConfig.of(estimate="mine"),
     ]  # fmt: skip
@@ -163,7 +163,7 @@ def test_another_log_than_the_files_drops_its_hash(tmp_path: Path) -> None:
 WRONG_SETTINGS = {
     "ekf.filter=ukf": "ekf.filter is 'ukf': input should be 'full', 'compressed'",
     "ekf.filtre=full": "ekf.filtre: is unknown, expected one of filter, association",
-    "ekf.attributes=yes": "ekf.attributes is 'yes': input should be 'off', 'on' or 'layer'",
+    "ekf.attributes=yes": "ekf.attributes is 'yes': input should be 'off' or 'on'",
     "kalman.filter=full": "kalman is unknown, expected one of preset, log, ekf, smoother",
     "preset=mine": "preset is 'mine': input should be 'recommended' or 'as-published'",
     "log.features=corners": "log.features is 'corners': input should be 'log' or 'trees'",
@@ -219,7 +219,6 @@ DRAWN: dict[str, object] = {"posterior": "samples"}
             {"template_extraction": "per-segment"},
             "--template-extraction per-segment goes with --landmarks scans or both",
         ),
-        ({"map_aided_matching": True}, "--map-aided-matching goes with --landmarks scans or both"),
         ({"merge_landmarks": True}, "--merge-landmarks goes with --landmarks scans or both"),
         ({"landmarks": "walls"}, "--landmarks is 'walls', expected points or scans or both"),
         (SCANS | {"smoother_matcher": "kiss"}, "is 'kiss', expected ekf or generalised-icp"),
@@ -230,17 +229,12 @@ DRAWN: dict[str, object] = {"posterior": "samples"}
             "--smoother-association own compares landmarks that are points.* use --landmarks both",
         ),
         (SCANS | {"attributes": "on"}, "--attributes on tells points apart"),
-        (
-            SCANS | {"attributes": "layer", "association": "nn"},
-            "--attributes layer tells points apart",
-        ),
         (BOTH | {"high_level": True}, "--high-level goes with --landmarks points only"),
         (
             MERGED | {"dense": ["sog"]},
-            "goes without --dense, .*anchored to scan landmarks for good",
+            "goes without --dense and .*anchored to scan landmarks for good",
         ),
-        (MERGED | {"dynamic": True}, "regions of a map anchored to scan landmarks for good"),
-        (MERGED | {"map_aided_matching": True}, "and --map-aided-matching"),
+        (MERGED | {"dynamic": True}, "regions of a map are anchored to scan landmarks for good"),
         (BOTH | {"trace": True}, "--trace is for"),
         ({"filter": "misono", "trace": True}, "--trace is for"),
         (DRAWN | SCANS, "goes with landmarks that are points"),
@@ -267,7 +261,7 @@ def test_what_does_not_go_together_is_refused(options: dict[str, object], words:
         {"landmarks": "both", "motion": "both", "smoother_association": "own"},
         {"lag": 100},
         {"smoother": "fixed-lag", "lag": 5},
-        {"map_aided_matching": False, "merge_landmarks": False},
+        {"merge_landmarks": False},
         {"dynamic": True, "resolution": 0.4},
     ],
 )
@@ -295,9 +289,6 @@ def test_an_extension_brings_what_it_needs() -> None:
     assert (alone["layers"], alone["detect_motion"]) == ((), True)
     beside = run_config(dynamic=True, dense=["sog"]).model_dump()["extensions"]["dense_maps"]
     assert (beside["layers"], beside["detect_motion"]) == (("sog",), True)
-    assert run_config(attributes="layer").extensions["dense_maps"] == config_class("dense_maps")(
-        attribute_values=True
-    )  # type: ignore[call-arg]
 
 
 def test_a_settled_filter_keeps_its_settings() -> None:

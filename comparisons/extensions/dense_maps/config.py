@@ -35,7 +35,7 @@ AMONG_SCANS = Bounds(1.5, 60.0, 50.0, 64, 20_000)
 5 m apart: regions are larger, and it takes longer until there are three landmarks."""
 
 
-BARE: Mapping[str, Any] = {"detect_motion": False, "attribute_values": False, "coarsening": None}
+BARE: Mapping[str, Any] = {"detect_motion": False, "coarsening": None}
 """Of a map that another extension keeps for itself."""
 
 
@@ -43,14 +43,13 @@ class DenseMapsConfig(ExtensionConfig):
     """Dense map in triangles of the filter's landmarks (DenseSLAM, Nieto 2005, chapter 3).
 
     Lengths in metres. The map is compared with the smoother's where layers are asked for; it may
-    also serve others: detect_motion looks for what moves, attribute_values keeps the values that
-    association goes by.
+    also look for what moves: detect_motion.
     """
 
     layers: tuple[Layer, ...] = Field(
         (),
         description="Layers to build and to compare with those of the smoother. sog: sum of "
-        "Gaussians; values: intensities",
+        "Gaussians",
     )
     resolution_m: _Cell = Field(0.2, description="Cell size in metres")
     d_min_m: _Cell = Field(
@@ -115,20 +114,11 @@ class DenseMapsConfig(ExtensionConfig):
         "20000",
     )
     detect_motion: bool = Field(False, description="Detect moving objects (set by --dynamic)")
-    attribute_values: bool = Field(
-        False, description="Keep intensities for association (set by --attributes layer)"
-    )
 
     @field_validator("layers")
     @classmethod
     def _once(cls, layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
         return tuple(dict.fromkeys(layers))
-
-    @property
-    def kept_layers(self) -> tuple[str, ...]:
-        """All that the map holds, for whomever."""
-        values = ("values",) if self.attribute_values else ()
-        return tuple(dict.fromkeys((*self.layers, *values)))
 
     @property
     def first_condition(self) -> str:
@@ -149,10 +139,10 @@ class DenseMapsConfig(ExtensionConfig):
 
     def check_with(self, config: Configured) -> None:
         """A map that keeps nothing is a mistake."""
-        if not (self.layers or self.detect_motion or self.attribute_values):
+        if not (self.layers or self.detect_motion):
             raise ValueError(
-                "dense_maps.layers: empty, expected some of points, occupancy, particles, sog, "
-                "values (--dense); --resolution alone asks for no map"
+                "dense_maps.layers: empty, expected some of points, occupancy, particles, sog "
+                "(--dense); --resolution alone asks for no map"
             )
 
     def settled(self, *, points: bool = True) -> DenseMapsConfig:

@@ -69,7 +69,7 @@ class HighLevelOptions:
 
     def served_by(self, options: DenseMapsConfig) -> bool:
         """Whether a map with these options has the cells that are searched."""
-        layers = {"layers": SEARCHED, "detect_motion": False, "attribute_values": False}
+        layers = {"layers": SEARCHED, "detect_motion": False}
         return options.settled().model_copy(update=layers) == self.kept
 
 

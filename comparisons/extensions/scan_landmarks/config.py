@@ -27,11 +27,6 @@ class ScanLandmarksConfig(ExtensionConfig):
         "per-segment: each segment makes its own. Default: whole-scan, but per-segment where a "
         "dense map is anchored to the landmarks",
     )
-    map_aided_matching: bool = Field(
-        False,
-        description="Match a template together with the dense map around it (Nieto 2005, section "
-        "6.2)",
-    )
     merge_landmarks: bool = Field(
         False, description="Merge scan landmarks that turn out to be the same"
     )
@@ -107,23 +102,18 @@ class ScanLandmarksConfig(ExtensionConfig):
                 raise ValueError(f"{option} compares landmarks that are points; "
                                  "use --landmarks both")  # fmt: skip
         if self.landmarks == "scans" and config.ekf.attributes != "off":
-            raise ValueError(
-                f"--attributes {config.ekf.attributes} tells points apart; use --landmarks points "
-                "or both"
-            )
+            raise ValueError("--attributes on tells points apart; use --landmarks points or both")
         if "high_level" in config.extensions:
             raise ValueError("--high-level goes with --landmarks points only")
-        if self.merge_landmarks and (_MAPPED in config.extensions or self.map_aided_matching):
+        if self.merge_landmarks and _MAPPED in config.extensions:
             # Regions anchored to a landmark that was merged would stay behind.
             raise ValueError(
-                "--merge-landmarks goes without --dense, --dynamic, --attributes layer and "
-                "--map-aided-matching: regions of a map anchored to scan landmarks for good"
+                "--merge-landmarks goes without --dense and --dynamic: regions of a map are "
+                "anchored to scan landmarks for good"
             )
 
     def build(self, config: Configured) -> ScanLandmarksExtension:
         """Return the extension."""
-        from comparisons.extensions.dense_maps.config import DenseMapsConfig
         from comparisons.extensions.scan_landmarks.extension import ScanLandmarksExtension
 
-        dense = DenseMapsConfig.of(**config.settings_of(_MAPPED).model_dump())
-        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions, dense=dense)
+        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions)
