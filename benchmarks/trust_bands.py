@@ -23,8 +23,7 @@ from functools import cache
 import numpy as np
 from trust_row import Row, print_table  # type: ignore[import-not-found]
 
-from comparisons.choices import Filter
-from comparisons.config import EkfConfig, RunConfig, SolveConfig
+from comparisons.config import EkfConfig, Filter, RunConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.experiments.bands.coverage import Coverage, coverage, figures_of, wrong
 from comparisons.experiments.bands.sound_drives import sound_run

@@ -247,7 +247,7 @@ def test_nothing_stands_on_experiments() -> None:
 
 
 LAYERS = {
-    "arrays": 0, "errors": 0, "choices": 0, "atomic": 0, "archive": 0, "words": 0, "statistics": 0,
+    "arrays": 0, "errors": 0, "atomic": 0, "archive": 0, "words": 0, "statistics": 0,
     "trace": 0, "innovations": 0,
     "logs": 1, "options": 1,
     "config": 2, "estimates": 2,
@@ -257,6 +257,7 @@ LAYERS = {
     "extensions": 6, "report": 6,
     "baseline": 8,
     "cli": 9, "experiments": 9,
+    "options.source": 3,
     # Jobs that are made of an extension stand on it.
     "pipeline.dense_map": 7, "report.dense_map": 7, "report.figures.dense_map": 7,
     "pipeline.odometry": 7, "report.odometry": 7, "report.figures.odometry": 7,

@@ -19,7 +19,7 @@ from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.verdict import Verdict, rounded
-from comparisons.choices import FailOn
+from comparisons.config import FailOn
 from comparisons.logs.log import LandmarkMeasurements
 from comparisons.statistics import chi2_quantile
 

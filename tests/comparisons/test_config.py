@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
-from comparisons import choices
 from comparisons.config import (
     JOBS,
     CheckConfig,
@@ -20,70 +18,28 @@ from comparisons.config import (
     OdometryConfig,
     RunConfig,
     SolveConfig,
-    choices_of,
     json_schema,
 )
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
-from comparisons.options import (
-    ESTIMATE,
-    FEATURES,
-    FRONT_END,
-    GPS,
-    LOG,
-    MAP,
-    RUN,
-    SMOOTHER,
-    SOLVER_ASSOCIATION,
-    Flag,
-)
+from comparisons.options import source, table
+from comparisons.options.lookup import of_job
 from comparisons.settings import configure, run_config
 from tests.commands import slamcheck
 
-
-def fields(job: type[JobConfig]) -> dict[str, object]:
-    """Every field of a configuration by its path, extensions' included, with its annotation."""
-    found: dict[str, object] = {}
-
-    def walk(kind: type, path: str) -> None:
-        for name, field in kind.model_fields.items():  # type: ignore[attr-defined]
-            if name == "extensions":
-                for one in EXTENSIONS:
-                    found[f"extensions.{one}"] = config_class(one)
-                    walk(config_class(one), f"extensions.{one}.")
-            elif hasattr(field.annotation, "model_fields"):
-                walk(field.annotation, f"{path}{name}.")
-            else:
-                found[path + name] = field.annotation
-
-    walk(job, "")
-    return found
+RUN, MAP = of_job("run"), of_job("map")
 
 
-TABLES: dict[str, tuple[Flag, ...]] = {
-    "run": RUN,
-    "map": (*MAP, *LOG),
-    "solve": (SOLVER_ASSOCIATION, FEATURES, GPS, *SMOOTHER),
-    "check": ESTIMATE,
-    "odometry": FRONT_END,
-}
-
-
-@pytest.mark.parametrize("job", sorted(TABLES))
-def test_every_flag_sets_a_field_that_is_there(job: str) -> None:
-    """And offers the words that the field takes."""
-    known = fields(JOBS[job])
-    for flag in TABLES[job]:
-        assert flag.field in known, flag.option
-        if flag.words and flag.settings is None:
-            assert flag.words == choices_of(known[flag.field]), flag.option
+def test_the_table_of_options_is_generated_from_the_settings() -> None:
+    assert Path(table.__file__).read_text() == source.source(), "options are old: make settings"
 
 
 def test_the_switches_of_extensions_offer_what_their_settings_take() -> None:
-    motion = config_class("scan_motion").model_fields["motion"].annotation
-    assert set(choices_of(motion)) < set(get_args(choices.Motion))
-    landmarks = config_class("scan_landmarks").model_fields["landmarks"].annotation
-    assert set(choices_of(landmarks)) < set(get_args(choices.Landmarks))
+    for name in EXTENSIONS:
+        kind = config_class(name)
+        words = kind.switch.settings if kind.switch else None
+        for given in (words or {}).values():
+            assert given is None or kind.of(**given)
 
 
 def everything() -> list[JobConfig]:

@@ -16,13 +16,12 @@ from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import Beside, run_filter_loop
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.choices import Layer, Preset
-from comparisons.config import MapConfig
+from comparisons.config import MapConfig, Preset
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.interface import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
-from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.config import DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.source import (
     BeforeClosing,
     DenseWatcher,

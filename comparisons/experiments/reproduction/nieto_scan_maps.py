@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.choices import Layer
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.basin import ConvergenceBasin, Seen, basin
 from comparisons.experiments.reproduction.interface import Experiment, Sources
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, near_share, surface_error
-from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.config import DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.figure import template_points

@@ -15,7 +15,6 @@ from comparisons.arrays import Index
 from comparisons.checks.accuracy import assess
 from comparisons.checks.agreement import block_agrees
 from comparisons.checks.association import score_association
-from comparisons.choices import When
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension, Finding
@@ -24,6 +23,7 @@ from comparisons.extensions.own_association.check import (
     association_cause,
     check_own_association,
 )
+from comparisons.extensions.own_association.config import When
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
