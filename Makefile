@@ -77,6 +77,7 @@ types: $(VENV)/installed-dev
 # The documents' constants beside those that runs use.
 settings: $(VENV)/installed
 	$(BIN)/python -m comparisons.documented.page > docs/settings.md
+	$(BIN)/python -m comparisons.options.source > table.py~ && mv table.py~ comparisons/options/table.py
 
 # The pages, in build/docs; a dead link is an error.
 docs: $(VENV)/installed-dev

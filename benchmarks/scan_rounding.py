@@ -17,7 +17,7 @@ from comparisons.logs.odometry import Odometry, RelativePoses, SteeringOdometry
 from comparisons.pipeline.compare import compare
 from comparisons.settings import run_config
 from ekf_reference.scan_landmarks.segmentation import Quality, quality
-from ekf_reference.scan_landmarks.templates import Observation, TemplateObserver
+from ekf_reference.scan_landmarks.templates import Observation, observe
 
 SIZE = 1e-12
 """Standard deviation of the factors by which inputs are multiplied, about 1."""
@@ -114,7 +114,7 @@ def outcome(log: Log, **options: Any) -> Outcome:
 @contextmanager
 def recorded() -> Iterator[list[Step]]:
     """Record the alignments of Scan-SLAM that are made meanwhile."""
-    steps, observe = list[Step](), TemplateObserver.observe
+    steps = list[Step]()
 
     def observing(*args: Any) -> Observation:
         seen = observe(*args)
@@ -134,7 +134,7 @@ def recorded() -> Iterator[list[Step]]:
         return found
 
     with (
-        patch.object(TemplateObserver, "observe", observing),
+        patch("ekf_reference.scan_landmarks.scan_slam.observe", observing),
         patch("ekf_reference.scan_landmarks.scan_slam.quality", trying),
     ):
         yield steps

@@ -25,8 +25,7 @@ import numpy as np
 from benchmarks.coverage import Coverage, coverage, figures_of, wrong
 from benchmarks.sound_drives import sound_run
 from benchmarks.trust_row import Row, print_table
-from comparisons.choices import Filter
-from comparisons.config import EkfConfig, RunConfig, SolveConfig
+from comparisons.config import EkfConfig, Filter, RunConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry

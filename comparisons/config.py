@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, cast, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -20,41 +20,38 @@ from pydantic import (
     model_validator,
 )
 
-from comparisons.choices import (
-    Association,
-    Attributes,
-    CloudFormat,
-    FailOn,
-    Features,
-    Filter,
-    Gps,
-    Guess,
-    LoopMatcher,
-    Method,
-    Optimiser,
-    PictureFormat,
-    Preset,
-    RequiredGrade,
-    Robust,
-    Sigmas,
-    SolverAssociation,
-)
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
-from comparisons.options import renamed_settings
+from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where
+from comparisons.options.earlier import renamed_settings
 
+Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]
+Gps = Literal["off", "on", "half"]
+RequiredGrade = Literal["equal", "like", "plausible"]
+FailOn = Literal["disagreement", "consistency", "both", "truth", "association"]
+Preset = Literal["recommended", "as-published"]
 Needs = Mapping[str, Mapping[str, Any]]
 """Extensions that must take part, with the fields that they must have."""
+
+
+T = TypeVar("T")
+
+
+def setting(default: T, about: str, *options: Option, **bounds: Any) -> T:
+    """Return a field of a section, for its class.
+
+    about: its meaning. options: of the command line, where it has any. bounds: as pydantic's Field
+    takes them.
+    """
+    field: Any = Field(default, description=about, **bounds)
+    field.metadata.extend(options)
+    return cast("T", field)
 
 
 class Section(BaseModel):
     """A group of settings. Unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
-
-    def needs(self) -> Needs:
-        """Extensions that this section cannot do without."""
-        return {}
 
     @classmethod
     def of(cls, /, **fields: Any) -> Self:
@@ -77,55 +74,73 @@ class Section(BaseModel):
 class LogSection(Section):
     """The log: which one is read, and how."""
 
-    source: str = Field(
-        default="victoria-park",
-        description="Log: a name in `slamcheck logs`, or a path; the argument LOG",
+    source: str = setting(
+        "victoria-park", "Log: a name in `slamcheck logs`, or a path; the argument LOG"
     )
-    format: str | None = Field(
-        default=None,
-        description="Format of the log, named as in `slamcheck logs`. Default: recognised",
+    format: str | None = setting(
+        None,
+        "Format of the log, named as in `slamcheck logs`. Default: recognised",
+        Option("--format", JOB, metavar="NAME"),
     )
-    robot: int = Field(default=1, description="Robot number in an MR.CLAM folder")
-    topics: tuple[str, ...] | None = Field(
-        default=None,
-        description="Topics of a ROS bag to read. Default: per message type, the topic with most "
-        "messages",
+    robot: int = setting(
+        1, "Robot number in an MR.CLAM folder", Option("--robot", JOB, metavar="N")
     )
-    start_s: float | None = Field(
-        default=None,
+    topics: tuple[str, ...] | None = setting(
+        None,
+        "Topics of a ROS bag to read. Default: per message type, the topic with most messages",
+        Option(
+            "--topic",
+            JOB,
+            "Topic of a ROS bag to read; repeat it for several. [per message type, the topic "
+            "with most messages]",
+            metavar="NAME",
+        ),
+    )
+    start_s: float | None = setting(
+        None,
+        "Seconds to skip at the start of the log",
+        Option("--start", JOB, "Skip the first S seconds of the log. [0]", metavar="S"),
         ge=0.0,
         allow_inf_nan=False,
-        description="Seconds to skip at the start of the log",
     )
-    end_s: float | None = Field(
-        default=None,
+    end_s: float | None = setting(
+        None,
+        "Last time to read, in seconds after the log's start",
+        Option("--end", JOB, "Stop S seconds after the log's start. [its end]", metavar="S"),
         gt=0.0,
         allow_inf_nan=False,
-        description="Last time to read, in seconds after the log's start",
     )
-    seed: int = Field(default=0, ge=0, lt=2**64, description="Random seed of a simulated log")
-    loops: int = Field(default=1, ge=1, le=1000, description="Number of loops of a simulated log")
-    noise_scale: float = Field(
-        default=1.0,
+    seed: int = setting(
+        0, "Random seed of a simulated log", Option("--seed", JOB, metavar="N"), ge=0, lt=2**64
+    )
+    loops: int = setting(
+        1, "Number of loops of a simulated log", Option("--loops", JOB, metavar="N"), ge=1, le=1000
+    )
+    noise_scale: float = setting(
+        1.0,
+        "Factor on the noise of a simulated log and on the sigmas that it states",
+        Option(
+            "--noise-scale",
+            JOB,
+            "Factor on the noise of a simulated log and on its stated sigmas. [1]",
+            metavar="X",
+        ),
         gt=0.0,
         le=1e6,
         allow_inf_nan=False,
-        description="Factor on the noise of a simulated log and on the sigmas that it states",
     )
-    features: Features = Field(
-        default="log",
-        description="Landmark measurements: log, those of the log; trees, tree trunks detected in "
-        "its scans",
+    features: Literal["log", "trees"] = setting(
+        "log",
+        "Landmark measurements: log, those of the log; trees, tree trunks detected in its scans",
+        Option("--features", jobs=("run", "solve", "check", "map")),
     )
-    sigmas: Sigmas = Field(
-        default="calibrated",
-        description="Measurement sigmas of the real logs of Nieto's vehicle: calibrated on the "
+    sigmas: Literal["calibrated", "published"] = setting(
+        "calibrated",
+        "Measurement sigmas of the real logs of Nieto's vehicle: calibrated on the "
         "logs, or published in his Table A.1. Other logs have one set",
     )
-    sha256: str | None = Field(
-        default=None,
-        description="SHA-256 of the log. A log with another hash is refused without "
-        "--allow-changed-log",
+    sha256: str | None = setting(
+        None, "SHA-256 of the log. A log with another hash is refused without --allow-changed-log"
     )
 
     @model_validator(mode="after")
@@ -137,69 +152,82 @@ class LogSection(Section):
         return self
 
 
+_GPS = (
+    "Absolute positions (GPS). on: fuse all; half: fuse every second one and hold the others out "
+    "as a reference"
+)
+_GPS_HELP = "GPS: off, on, or half (hold out every second one). [off]"
+
+
 class EkfConfig(Section):
     """The EKF."""
 
-    filter: Filter = Field(
-        default="full",
-        description="EKF variant. full: textbook EKF-SLAM; compressed: compressed EKF (Guivant "
+    filter: Filter = setting(
+        "full",
+        "EKF variant. full: textbook EKF-SLAM; compressed: compressed EKF (Guivant "
         "2002), equal to full; compressed-suboptimal: its conservative global update; misono: "
         "direction-cosine EKF as published (Misono 2007); misono-full: with the full Jacobian",
+        Option(
+            "--filter",
+            ESTIMATORS,
+            "EKF variant: full, compressed, compressed-suboptimal, misono (direction cosines) or "
+            "misono-full. [full]",
+        ),
     )
-    association: Association | None = Field(
-        default=None,
-        description="Data association. known: the log's labels; nn: nearest neighbour; jcbb: joint "
+    association: Literal["known", "nn", "jcbb", "euclidean", "consensus"] | None = setting(
+        None,
+        "Data association. known: the log's labels; nn: nearest neighbour; jcbb: joint "
         "compatibility branch and bound; euclidean: nearest by distance in metres; consensus: only "
         "the pairs that all likely joint hypotheses share. Default: known where the log has "
         "labels, else nn",
+        Option(
+            "--association",
+            ESTIMATORS,
+            "Association: known (labels), nn (nearest neighbour), jcbb (joint compatibility "
+            "branch and bound), euclidean, consensus (of all likely hypotheses). [known, else nn]",
+        ),
     )
-    attributes: Attributes = Field(
-        default="off",
-        description="Landmark attributes in association, for nn and jcbb. on: diameter and "
-        "intensity of the measurements; layer: intensities of the surrounding scans, from a dense "
-        "map",
+    attributes: Literal["off", "on"] = setting(
+        "off",
+        "Landmark attributes in association, for nn and jcbb. on: diameter and "
+        "intensity of the measurements",
+        Option("--attributes", jobs=("run",)),
     )
-    gps: Gps = Field(
-        default="off",
-        description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
-        "the others out as a reference",
+    gps: Gps = setting("off", _GPS, Option("--gps", ESTIMATORS, _GPS_HELP))
+    nn_gate: float = setting(
+        13.82, "Gate of nearest neighbour association: chi-square of 2 degrees of freedom", gt=0.0
     )
-    nn_gate: float = Field(
-        default=13.82,
-        gt=0.0,
-        description="Gate of nearest neighbour association: chi-square of 2 degrees of freedom",
-    )
-    least_gain: float | None = Field(
-        default=None,
+    least_gain: float | None = setting(
+        None,
+        "compressed-suboptimal: least share of a state's variance that an update must "
+        "remove to be applied to this state. Default: 1e-4",
         ge=0.0,
         lt=1.0,
-        description="compressed-suboptimal: least share of a state's variance that an update must "
-        "remove to be applied to this state. Default: 1e-4",
     )
-    gps_recovery: int | None = Field(
-        default=None,
-        ge=2,
-        description="Number of successive rejected absolute positions with the same offset from "
+    gps_recovery: int | None = setting(
+        None,
+        "Number of successive rejected absolute positions with the same offset from "
         "the vehicle after which the next ones are fused. Default: never",
+        ge=2,
     )
-    split_turn_rad: float | None = Field(
-        default=None,
-        gt=0.0,
-        description="Greatest turn of the vehicle by one update in radians; a larger update is "
+    split_turn_rad: float | None = setting(
+        None,
+        "Greatest turn of the vehicle by one update in radians; a larger update is "
         "split. Default: 0.0175 (1 degree) for absolute positions, none for landmarks",
-    )
-    split_move_m: float | None = Field(
-        default=None,
         gt=0.0,
-        description="Greatest move of the vehicle by one update in metres; a larger update is "
-        "split. Default: 1 for absolute positions, none for landmarks",
     )
-    split_shrink: float | None = Field(
-        default=None,
+    split_move_m: float | None = setting(
+        None,
+        "Greatest move of the vehicle by one update in metres; a larger update is "
+        "split. Default: 1 for absolute positions, none for landmarks",
+        gt=0.0,
+    )
+    split_shrink: float | None = setting(
+        None,
+        "Greatest share of a variance that one update removes; a larger update is "
+        "split. Default: none",
         gt=0.0,
         lt=1.0,
-        description="Greatest share of a variance that one update removes; a larger update is "
-        "split. Default: none",
     )
 
     @model_validator(mode="after")
@@ -222,70 +250,115 @@ class EkfConfig(Section):
         """The filter measures landmarks as points in the vehicle's axes (Misono 2007)."""
         return self.filter.startswith("misono")
 
-    def needs(self) -> Needs:
-        """Attributes of a layer come from the dense map that keeps it."""
-        return {"dense_maps": {"attribute_values": True}} if self.attributes == "layer" else {}
-
 
 class SmootherConfig(Section):
     """The smoother."""
 
-    method: Method = Field(
-        default="batch",
-        description="Method. batch: all poses at once; isam2: incremental; fixed-lag: the last "
+    method: Literal["batch", "isam2", "fixed-lag"] = setting(
+        "batch",
+        "Method. batch: all poses at once; isam2: incremental; fixed-lag: the last "
         "poses alone. The last two are compared with the batch optimum",
+        Option(
+            "--smoother",
+            ESTIMATORS,
+            "Method: batch, isam2 (incremental) or fixed-lag. [batch]",
+            jobs=("run", "solve"),
+        ),
     )
-    lag: int = Field(default=100, ge=1, description="Number of poses of a fixed-lag smoother")
-    optimiser: Optimiser = Field(
-        default="levenberg-marquardt", description="Optimiser of method batch"
+    lag: int = setting(
+        100,
+        "Number of poses of a fixed-lag smoother",
+        Option(
+            "--lag",
+            jobs=("run", "solve"),
+            where=Where("smoother.method", "fixed-lag", "--smoother fixed-lag"),
+        ),
+        ge=1,
     )
-    robust: Robust = Field(
-        default="none",
-        description="Robust kernel against outliers: none, huber, cauchy, or gnc (graduated "
+    optimiser: Literal["levenberg-marquardt", "gauss-newton", "dogleg"] = setting(
+        "levenberg-marquardt",
+        "Optimiser of method batch",
+        Option(
+            "--optimiser",
+            jobs=("run", "solve"),
+            where=Where("smoother.method", "batch", "--smoother batch"),
+        ),
+    )
+    robust: Literal["none", "huber", "cauchy", "gnc"] = setting(
+        "none",
+        "Robust kernel against outliers: none, huber, cauchy, or gnc (graduated "
         "non-convexity). A kernel changes the marginal covariances",
+        Option("--robust", ESTIMATORS, "Robust smoother kernel: none, huber, cauchy, gnc. [none]"),
     )
-    accept_misfit: bool = Field(
-        default=False,
-        description="Accept the lowest minimum as verified although its chi-square is high",
+    accept_misfit: bool = setting(
+        False,
+        "Accept the lowest minimum as verified although its chi-square is high",
+        Option("--accept-misfit"),
     )
 
 
 class ReportConfig(Section):
     """The output folder."""
 
-    figures: tuple[PictureFormat, ...] = Field(
-        default=(),
-        description="Write map, consistency and correlations as figures, too, in these formats; "
+    figures: tuple[Literal["png", "pdf"], ...] = setting(
+        (),
+        "Write map, consistency and correlations as figures, too, in these formats; "
         "the page has them in any case. pdf: beside a PNG",
+        Option("--figures"),
     )
-    trace: bool = Field(
-        default=False,
-        description="Write what the EKF did to ekf/filter.trace, for check and audit",
+    trace: bool = setting(
+        False, "Write what the EKF did to ekf/filter.trace, for check and audit", Option("--trace")
     )
 
 
 class FrontEndConfig(Section):
     """The scan front end."""
 
-    guess: Guess = Field(
-        default="wheels",
-        description="Initial guess of scan matching. wheels: the odometry; none: no motion",
+    guess: Literal["wheels", "none"] = setting(
+        "wheels",
+        "Initial guess of scan matching. wheels: the odometry; none: no motion",
+        Option(
+            "--guess",
+            FRONT_END,
+            "Initial guess of scan matching: wheels (wheel odometry) or none. [wheels]",
+        ),
     )
-    loop_closure: bool = Field(default=True, description="Detect and close loops")
-    matcher: LoopMatcher = Field(
-        default="surface",
-        description="Scan matcher of loop closure: surface (ours), kiss (KISS-ICP), or ICP of "
-        "Open3D, point-to-point, point-to-plane or generalised",
+    loop_closure: bool = setting(
+        True,
+        "Detect and close loops",
+        Option(
+            "--loop-closure",
+            FRONT_END,
+            "Detect loop closures and add them to the pose graph. [on]",
+            off=True,
+        ),
     )
-    gps: Gps = Field(
-        default="off",
-        description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
-        "the others out as a reference",
+    matcher: Literal["surface", "kiss", "point-to-point", "point-to-plane", "generalised"] = (
+        setting(
+            "surface",
+            "Scan matcher of loop closure: surface (ours), kiss (KISS-ICP), or ICP of "
+            "Open3D, point-to-point, point-to-plane or generalised",
+            Option(
+                "--matcher",
+                FRONT_END,
+                "Scan matcher of loop closure: surface, kiss, point-to-point, point-to-plane or "
+                "generalised. [surface]",
+                where=Where("front_end.loop_closure", True, "--loop-closure"),
+            ),
+        )
     )
+    gps: Gps = setting("off", _GPS, Option("--gps", FRONT_END, _GPS_HELP))
 
 
 class ExtensionConfig(Section):
     """An extension's settings."""
+
+    switch: ClassVar[Option | None] = None
+    """Adds and removes them."""
+
+    def needs(self) -> Needs:
+        """Extensions that this one cannot do without."""
+        return {}
 
     def libraries(self) -> dict[str, str]:
         """As of JobConfig."""
@@ -323,11 +396,12 @@ class JobConfig(Section):
     """A job's configuration, whichever the job."""
 
     job: str
-    preset: Preset = Field(
-        default="recommended",
-        description="Default values of all other settings: recommended, or as-published, the value "
+    preset: Preset = setting(
+        "recommended",
+        "Default values of all other settings: recommended, or as-published, the value "
         "of the source document where it states one (docs/settings.md). Over a configuration file, "
         "settings that differ from the file's preset stay",
+        Option("--preset"),
     )
     log: LogSection = LogSection()
 
@@ -364,8 +438,8 @@ class Configured(JobConfig):
     def _complete(self) -> Self:
         """Add what is needed; then let every extension look at the whole."""
         found = dict(self.extensions)
-        for section in (self.ekf, *self.extensions.values()):
-            for name, fields in section.needs().items():
+        for extension in self.extensions.values():
+            for name, fields in extension.needs().items():
                 kept = found.get(name) or self._by_preset(name)
                 found[name] = kept.model_copy(update=dict(fields))
         object.__setattr__(self, "extensions", found)
@@ -412,11 +486,19 @@ class RunConfig(Configured):
     job: Literal["run"] = "run"
     smoother: SmootherConfig = SmootherConfig()
     report: ReportConfig = ReportConfig()
-    fail_on: Annotated[tuple[FailOn, ...], BeforeValidator(_listed)] = Field(
-        default=(),
-        description="Findings that exit with 1. disagreement: always does; consistency: NEES, "
+    fail_on: Annotated[tuple[FailOn, ...], BeforeValidator(_listed)] = setting(
+        (),
+        "Findings that exit with 1. disagreement: always does; consistency: NEES, "
         "NIS or filter against smoother outside their bands; both: these two; truth: the smoother "
         "is far from the truth; association: no check of the association was possible",
+        Option(
+            "--fail-on",
+            JOB,
+            "Exit 1 also on: consistency (filter inconsistent), truth (smoother far off), "
+            "association (unchecked).",
+            metavar="WHAT,...",
+            text=True,
+        ),
     )
 
     @model_validator(mode="after")
@@ -429,13 +511,16 @@ class RunConfig(Configured):
         return self
 
 
+Cloud = Literal["pcd", "ply"]
+_CLOUD = "Write the map also as a point cloud; needs Open3D"
+_CLOUD_OPTION = Option("--cloud", JOB, "Write the map as point cloud: pcd, ply (Open3D).")
+
+
 class MapConfig(Configured):
     """`slamcheck map`: a dense map beside the filter."""
 
     job: Literal["map"] = "map"
-    cloud: CloudFormat | None = Field(
-        default=None, description="Write the map also as a point cloud; needs Open3D"
-    )
+    cloud: Cloud | None = setting(None, _CLOUD, _CLOUD_OPTION)
 
     def libraries(self) -> dict[str, str]:
         """Clouds are written by Open3D."""
@@ -446,16 +531,17 @@ class SolveConfig(JobConfig):
     """`slamcheck solve`: the smoother alone."""
 
     job: Literal["solve"] = "solve"
-    association: SolverAssociation | None = Field(
-        default=None,
-        description="Data association. known: the log's labels; own: found by the smoother. "
+    association: Literal["known", "own"] | None = setting(
+        None,
+        "Data association. known: the log's labels; own: found by the smoother. "
         "Default: known where the log has labels, else own",
+        Option(
+            "--association",
+            ESTIMATORS,
+            "Association: known (labels) or own (found by the smoother). [known, else own]",
+        ),
     )
-    gps: Gps = Field(
-        default="off",
-        description="Absolute positions (GPS). on: fuse all; half: fuse every second one and hold "
-        "the others out as a reference",
-    )
+    gps: Gps = setting("off", _GPS, Option("--gps", ESTIMATORS, _GPS_HELP))
     smoother: SmootherConfig = SmootherConfig()
 
 
@@ -467,30 +553,56 @@ class CheckConfig(SolveConfig):
     """`slamcheck check`: an external estimate against the smoother's."""
 
     job: Literal["check"] = "check"  # type: ignore[assignment]
-    estimate: str = Field(
-        default="",
-        description="Trajectory file (TUM, KITTI, CSV), or folder of an estimate (docs/formats.md)",
+    estimate: str = setting(
+        "",
+        "Trajectory file (TUM, KITTI, CSV), or folder of an estimate (docs/formats.md)",
+        Option(
+            "--estimate",
+            GRADE,
+            "Trajectory (TUM, KITTI, CSV) or estimate folder (docs/formats.md).",
+            metavar="PATH",
+        ),
     )
-    times: str | None = Field(
-        default=None, description="Time stamps of a KITTI trajectory. Default: times.txt beside it"
+    times: str | None = setting(
+        None,
+        "Time stamps of a KITTI trajectory. Default: times.txt beside it",
+        Option("--times", GRADE, metavar="FILE"),
     )
-    trace: str | None = Field(
-        default=None,
-        description="What the filter did, by slamcheck.Recorder. Default: filter.trace in the "
+    trace: str | None = setting(
+        None,
+        "What the filter did, by slamcheck.Recorder. Default: filter.trace in the "
         "estimate's folder",
+        Option(
+            "--trace",
+            GRADE,
+            "What the filter did, recorded. [filter.trace in the estimate's folder]",
+            metavar="FILE",
+        ),
     )
-    require: RequiredGrade | None = Field(
-        default=None,
-        description="Lowest grade that exits with 0. equal: to the reference EKF; like: within 5 % "
+    require: RequiredGrade | None = setting(
+        None,
+        "Lowest grade that exits with 0. equal: to the reference EKF; like: within 5 % "
         "of it; plausible: as near to the optimum as that is certain. Default: like where "
         'estimate.toml says estimator = "ekf", else plausible',
+        Option(
+            "--require",
+            GRADE,
+            "Lowest grade that exits with 0: equal, like (within 5 %) or plausible. [like for an "
+            "EKF, else plausible]",
+        ),
     )
-    min_coverage: float = Field(
+    min_coverage: float = setting(
         MIN_COVERAGE,
+        "Least share of the log's time that the estimate must cover; one that covers "
+        "less disagrees",
+        Option(
+            "--min-coverage",
+            GRADE,
+            "Least share of the log's duration that the estimate must cover. [0.95]",
+            metavar="SHARE",
+        ),
         ge=0.0,
         le=1.0,
-        description="Least share of the log's time that the estimate must cover; one that covers "
-        "less disagrees",
     )
 
 
@@ -499,9 +611,7 @@ class OdometryConfig(JobConfig):
 
     job: Literal["odometry"] = "odometry"
     front_end: FrontEndConfig = FrontEndConfig()
-    cloud: CloudFormat | None = Field(
-        default=None, description="Write the map also as a point cloud; needs Open3D"
-    )
+    cloud: Cloud | None = setting(None, _CLOUD, _CLOUD_OPTION)
 
     def libraries(self) -> dict[str, str]:
         """Odometry is KISS-ICP's; clouds and all other matchers but `surface` are Open3D's."""

@@ -11,15 +11,9 @@ from comparisons.config import RunConfig, Section, merge, shown
 from comparisons.errors import InputError, note
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.table import read_toml
-from comparisons.options import (
-    PRESET,
-    RUN,
-    Flag,
-    check_applies,
-    lay_over,
-    options,
-    renamed_settings,
-)
+from comparisons.options import Flag
+from comparisons.options.earlier import renamed_settings
+from comparisons.options.lookup import by_name, check_applies, lay_over, of_job
 
 C = TypeVar("C", bound=Section)
 
@@ -47,7 +41,9 @@ def configure(
     source = "" if file is None else f"{file}: "
     found = merge(_as_now(found, source), _as_now(over or {}))
     named = {setting.partition("=")[0].strip() for setting in settings}
-    if "preset" in named or any(flag is PRESET for flag, _ in flags):  # over a file with them all
+    if "preset" in named or any(
+        flag.field == "preset" for flag, _ in flags
+    ):  # over a file with them all
         from comparisons.documented.preset import without_documented
 
         found = without_documented(found)
@@ -81,7 +77,7 @@ def run_config(**values: Any) -> RunConfig:
 
 def run_options(values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
     """Return options of a run by name, for `configure`. Raises InputError for an unknown name."""
-    return options(RUN, values)
+    return by_name(of_job("run"), values)
 
 
 def _as_now(given: Mapping[str, Any], source: str = "") -> dict[str, Any]:

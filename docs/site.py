@@ -45,7 +45,7 @@ from comparisons.extensions.scan_motion.result import (
     ThreeWayResult,
 )
 from comparisons.figures import kept_fields, meanings
-from comparisons.options import FLAGS
+from comparisons.options.table import FLAGS
 from comparisons.report.check import CheckResult
 from comparisons.report.dense_map import MapResult
 from comparisons.report.models import Result, SolutionResult

@@ -21,7 +21,7 @@ A name is imported when it is first used, so `import slamcheck` takes no time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.study import montecarlo as montecarlo
     from comparisons.logs.log import Log as Log
     from comparisons.logs.log_folder import write_log_folder as write_log
-    from comparisons.options import Flag
     from comparisons.pipeline.check import ExternalCheck as ExternalCheck
     from comparisons.pipeline.compare import Comparison as Comparison
     from comparisons.pipeline.dense_map import DenseMapping as DenseMapping
@@ -181,11 +180,10 @@ def compare(
         graphslam.marginals.SingularProblemError: The smoother has no unique solution.
     """
     from comparisons.config import RunConfig
-    from comparisons.options import RUN
     from comparisons.pipeline.compare import compare as run
     from comparisons.pipeline.prepare import no_progress
 
-    return run(log, _configured(RunConfig, RUN, config, options), progress or no_progress)
+    return run(log, _configured(RunConfig, config, options), progress or no_progress)
 
 
 def check(
@@ -218,11 +216,10 @@ def check(
     from comparisons.config import CheckConfig
     from comparisons.estimates.estimate import Estimate
     from comparisons.estimates.external import ExternalEstimate, read_external
-    from comparisons.options import CHECK
     from comparisons.pipeline.check import check as check_external_estimate
     from comparisons.pipeline.prepare import no_progress
 
-    settings = _configured(CheckConfig, CHECK, config, options)
+    settings = _configured(CheckConfig, config, options)
     if isinstance(estimate, Estimate):
         estimate = ExternalEstimate.of(estimate)
     if not isinstance(estimate, ExternalEstimate):
@@ -254,12 +251,10 @@ def solve(
         graphslam.marginals.SingularProblemError: The smoother has no unique solution.
     """
     from comparisons.config import SolveConfig
-    from comparisons.options import GPS, SMOOTHER, SOLVER_ASSOCIATION
     from comparisons.pipeline.prepare import no_progress
     from comparisons.pipeline.solve import solve as run
 
-    table = (SOLVER_ASSOCIATION, GPS, *SMOOTHER)
-    return run(log, _configured(SolveConfig, table, config, options), progress or no_progress)
+    return run(log, _configured(SolveConfig, config, options), progress or no_progress)
 
 
 def odometry(
@@ -285,11 +280,10 @@ def odometry(
         graphslam.scan.libraries.MissingLibraryError: KISS-ICP or Open3D is not installed.
     """
     from comparisons.config import OdometryConfig
-    from comparisons.options import FRONT_END
     from comparisons.pipeline.odometry import run_front_end
     from comparisons.pipeline.prepare import no_progress
 
-    settings = _configured(OdometryConfig, FRONT_END, config, options)
+    settings = _configured(OdometryConfig, config, options)
     return run_front_end(log, settings, progress or no_progress)
 
 
@@ -318,13 +312,12 @@ def dense_map(
     Source: Nieto 2005, chapters 4 and 6.2.
     """
     from comparisons.config import MapConfig
-    from comparisons.options import EKF, MAP
     from comparisons.pipeline.dense_map import map_log
     from comparisons.pipeline.prepare import no_progress
 
     if config is None:
         options = {"layer": ["points", "occupancy"], **options}
-    settings = _configured(MapConfig, (*EKF, *MAP), config, options)
+    settings = _configured(MapConfig, config, options)
     return map_log(log, settings, progress or no_progress)
 
 
@@ -386,17 +379,16 @@ def write_report(result: Comparison | ExternalCheck | Solution | Audit, folder: 
     write_job_folder(content, Path(folder))
 
 
-def _configured(
-    job: type[C], table: Iterable[Flag], config: C | None, options: Mapping[str, Any]
-) -> C:
+def _configured(job: type[C], config: C | None, options: Mapping[str, Any]) -> C:
     """Return a configuration, or that of options; those of the log are none, for it is given."""
     from comparisons.errors import InputError
-    from comparisons.options import options as flags
+    from comparisons.options.lookup import by_name, of_job
     from comparisons.settings import configure
 
     if config is None:
-        table = [one for one in table if not one.field.startswith("log.")]
-        return configure(job, flags=flags(table, options))
+        table = of_job(job.model_fields["job"].default)
+        table = tuple(one for one in table if not one.field.startswith("log."))
+        return configure(job, flags=by_name(table, options))
     if options:
         raise InputError(f"give a configuration or options ({', '.join(options)}), not both")
     return config

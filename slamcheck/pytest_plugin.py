@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import re
 import warnings
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from comparisons.baseline import Found
     from comparisons.config import CheckConfig, RunConfig
     from comparisons.logs.log import Log
-    from comparisons.options import Flag
     from comparisons.pipeline.prepare import Progress
     from comparisons.pipeline.solve import Solution
     from comparisons.report.folder import JobFolder
@@ -201,16 +200,16 @@ def slam_check(
     ) -> Judgement:
         from comparisons.config import CheckConfig, RunConfig
         from comparisons.logs.log import Log
-        from comparisons.options import CHECK, RUN, options
+        from comparisons.options.lookup import by_name, of_job
         from comparisons.settings import configure
 
-        table: Sequence[Flag] = RUN if estimate is None else CHECK
+        table = of_job("run" if estimate is None else "check")
         if isinstance(log, Log):  # read already
-            table = [flag for flag in table if not flag.field.startswith("log.")]
+            table = tuple(flag for flag in table if not flag.field.startswith("log."))
         given = {name: str(v) if isinstance(v, Path) else v for name, v in settings.items()}
         if estimate is not None:
             given["estimate"] = str(estimate)
-        flags = options(table, given)
+        flags = by_name(table, given)
         over = {} if isinstance(log, Log) else {"log": {"source": str(log)}}
         config: RunConfig | CheckConfig = (
             configure(RunConfig, flags=flags, over=over)

@@ -53,7 +53,6 @@ BENCHMARKS = (
         "misono-full, aided median",
         pictures=1,
     ),
-    Benchmark("layer_values --seeds 1 --loops 0.08", slice(3, 6), "nn off; nn layer; nn mixed"),
     Benchmark(
         "attributes --seeds 1 --loops 0.3 --lost 2 --every 5",
         slice(1, 8),

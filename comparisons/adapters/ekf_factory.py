@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.attributes import BRIGHTNESS, check_attributes, no_estimates
+from comparisons.adapters.attributes import check_attributes, no_estimates
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
@@ -30,9 +29,6 @@ from ekf_reference.models.motion import (
     UnicycleModel,
 )
 from ekf_reference.models.position import PositionFixes, PositionModel
-
-if TYPE_CHECKING:
-    from ekf_reference.dense.layer_attributes import LayerValues
 
 Common = tuple[MotionModel, Association, Array, Array, Stabilisation, Trace]
 """What every filter is made of: motion, association, prior, its covariance, noise, trace."""
@@ -61,21 +57,19 @@ def settle(config: EkfConfig, log: Log) -> EkfConfig:
         raise InputError(
             f"{log.name}: its measurements do not all name their landmark; use --association nn"
         )
-    check_attributes(log, config.attributes)
+    if config.attributes != "off":
+        check_attributes(log)
     return config
 
 
-def build_ekf(log: Log, choices: EkfConfig, trace: Trace, layer: LayerValues | None = None) -> Ekf:
-    """The filter that a log and settled choices call for, standing at its prior.
-
-    layer: see build_association.
-    """
+def build_ekf(log: Log, choices: EkfConfig, trace: Trace) -> Ekf:
+    """The filter that a log and settled choices call for, standing at its prior."""
     odometry, prior = log.odometry, log.prior
     stabilisation = Stabilisation()
     if not isinstance(odometry, RelativePoses):
         noise = odometry.noise
         stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
-    rule = build_association(log, choices, layer)
+    rule = build_association(log, choices)
     common = (motion_model(log), rule, prior.pose, prior.covariance, stabilisation, trace)
     antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
     make = _misono if choices.own_axes else _of_headings
@@ -181,25 +175,16 @@ def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions | None:
     return p.chosen(rows) if len(rows) else None
 
 
-def build_association(
-    log: Log, choices: EkfConfig, layer: LayerValues | None = None
-) -> Association:
+def build_association(log: Log, choices: EkfConfig) -> Association:
     """The rule; detections that need confirmation pass as candidates first.
 
     Measurements of surveyed landmarks go by their labels in any case. Misono's published filter has
-    no gate for labels. layer: of the map that is kept beside the filter.
-    Raises ValueError where attributes are to come from one and there is none.
+    no gate for labels.
     """
     index_of, _, _ = surveyed(log)
     rule: Association
     memory = no_estimates() if choices.attributes != "off" else None
     reported: Attributes = memory or NO_ATTRIBUTES
-    if choices.attributes == "layer" and memory is not None:
-        if layer is None:
-            raise ValueError("attributes of a layer need the map that keeps it")
-        from ekf_reference.dense.layer_attributes import LayerAttributes
-
-        reported = LayerAttributes(memory, layer, BRIGHTNESS)
     if choices.association == "known":
         gate = NO_GATE if choices.filter == "misono" else log.measurements.label_gate
         rule = KnownAssociation(gate, first_index=len(index_of))

@@ -118,7 +118,7 @@ def run_ekf(
     """
     beside = setup or FilterSetup()
     trace, recorder = RecordedTrace(), PoseLandmarkRecorder()
-    ekf = build_ekf(log, config, trace, beside.layer)
+    ekf = build_ekf(log, config, trace)
     deactivated = beside.apply(ekf)
     watching = beside.watcher()
     ekf.insert_surveyed(*surveyed(log)[1:])
@@ -127,7 +127,7 @@ def run_ekf(
     covariance = np.empty((epochs, 3, 3))
     landmark_index = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
-    reported = measured_attributes(log, config.attributes)
+    reported = measured_attributes(log)
     epoch_states = run_filter_loop(
         ekf, log, timeline, positions, Beside(watching, beside.source, recorder, reported)
     )

@@ -17,7 +17,6 @@ from ekf_reference.core.landmark_types import POINT, LandmarkKind
 
 if TYPE_CHECKING:
     from ekf_reference.association.dynamic_rejection import DynamicGuard
-    from ekf_reference.dense.layer_attributes import LayerValues
 
 T = TypeVar("T")
 
@@ -28,17 +27,15 @@ class FilterSetup:
 
     modify: may replace parts of the filter before it starts. observers: read the filter, in their
     order. source: of measurements of pose landmarks; one that is a FilterObserver observes,
-    too, after the others. guard: knows where things move, so that the filter ignores these. layer:
-    knows what is around landmarks, for attributes of that kind. kinds: of landmarks that maps are
-    anchored to. offers: what extensions offer to
-    those after them, and to their own checks.
+    too, after the others. guard: knows where things move, so that the filter ignores these. kinds:
+    of landmarks that maps are anchored to. offers: what extensions offer to those after them, and
+    to their own checks.
     """
 
     modify: list[Callable[[Ekf], None]] = field(default_factory=list)
     observers: list[FilterObserver] = field(default_factory=list)
     source: PoseLandmarkSource = field(default_factory=NoPoseLandmarkSource)
     guard: DynamicGuard | None = None
-    layer: LayerValues | None = None
     kinds: tuple[LandmarkKind, ...] = (POINT,)
     offers: list[object] = field(default_factory=list)
 

@@ -36,11 +36,6 @@ class PlanarScans:
             self.sensor = _sensor(log.scans)
         self._flat = log.clouds is None
 
-    @property
-    def valued(self) -> bool:
-        """The scans tell more of a return than where it comes from: its intensity."""
-        return self._source.values(0) is not None
-
     def scan(self, number: int, vehicle: Array) -> Scan:
         """Scan `number` of them, seen with the vehicle at a pose (3,)."""
         points = self._source.points(number)
@@ -52,14 +47,12 @@ class PlanarScans:
         near = (distance >= self._options.least_range_m) & (distance <= self._most)
         if not self._flat:
             near &= _nearest(bearing, distance)
-        value = self._source.values(number)
         return Scan.of_ranges(
             planar.compose(vehicle, self._mount),
             bearing[near],
             distance[near],
             self.sensor,
             number,
-            None if value is None else value[near],
         )
 
 

@@ -54,14 +54,6 @@ class ScanSource:
         sweep = None if self._sweep is None else self._sweep[scan]
         return scan_points(self._stream, int(self.row[scan]), sweep)
 
-    def values(self, scan: int) -> Array | None:
-        """(M,) intensities of the same points; None where the log has none at all."""
-        if not isinstance(self._stream, Scans) or not self._stream.measures_intensity:
-            return None
-        row = int(self.row[scan])
-        reported: Array = self._stream.intensity[row, np.isfinite(self._stream.range_m[row])]
-        return reported
-
 
 class CloudsAt(Mapping[int, Array]):
     """Clouds by the number of the pose from which they were seen, made when asked for."""

@@ -23,7 +23,7 @@ from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.consistency.limits import inconsistencies, limit
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.verdict import Verdict
-from comparisons.choices import FailOn
+from comparisons.config import FailOn
 from comparisons.figures import Aside, Figure
 from comparisons.logs.log import LandmarkMeasurements
 

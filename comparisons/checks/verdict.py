@@ -13,7 +13,7 @@ from comparisons.checks.agreement import EXACT, Agreement, Allowed, Gap, block_a
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.data_usage import DataFault
-from comparisons.choices import FailOn
+from comparisons.config import FailOn
 from comparisons.figures import rounded
 from comparisons.statistics import ROUNDING
 from graphslam.optimum import Optimality

@@ -12,7 +12,8 @@ from comparisons.cli.flags import Command, Given, from_flags
 from comparisons.cli.jobs import read_job
 from comparisons.cli.support import AGREE, DISAGREE, guarded, progress_bar
 from comparisons.errors import InputError
-from comparisons.options import CHECK, ESTIMATE, RUN, Flag
+from comparisons.options import GRADE, Flag
+from comparisons.options.lookup import of_job
 
 if TYPE_CHECKING:
     from comparisons.baseline import Baseline, Change, Found
@@ -37,13 +38,15 @@ RunsOption = Annotated[
 ]
 
 
+RUN, CHECK = of_job("run"), of_job("check")
+_ESTIMATE = [flag for flag in CHECK if flag.panel == GRADE and flag.option != "--trace"]
 _SHOWN = "--estimate --require --filter --association --seed"
 
 
 @baseline.command(
     cls=Command, short_help="Save the figures of a run or of a check, with tolerances."
 )
-@from_flags((*RUN, *ESTIMATE), _SHOWN, prints=False, file=(FileArgument,), runs=(RunsOption, None))
+@from_flags((*RUN, *_ESTIMATE), _SHOWN, prints=False, file=(FileArgument,), runs=(RunsOption, None))
 def save(given: Given) -> None:
     """Save the figures of a run, or of a check of --estimate, with tolerances.
 

@@ -8,12 +8,12 @@ from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
 from comparisons.errors import InputError
-from comparisons.options import CHECK
+from comparisons.options.lookup import of_job
 
 _SHOWN = "--estimate --require --min-coverage --association --gps --robust --seed"
 
 
-@from_flags(CHECK, _SHOWN)
+@from_flags(of_job("check"), _SHOWN)
 def check(given: Given) -> None:
     """Grade an external estimate against EKF and smoother.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from comparisons.cli.support import guarded
+from comparisons.options.lookup import of_job
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -60,13 +61,13 @@ def config(
             typer.echo(json.dumps(json_schema(kind), indent=2))
             return
         command = _command(job.value)
-        options = _options(command)
+        options = _options(job.value)
         lines = [f'job = "{job.value}"', *_fields(kind, options)]
         if issubclass(kind, Configured):
             lines.append("\n# Extensions: each takes part where its section is present.")
             for name in EXTENSIONS:
                 lines += _section(f"extensions.{name}", config_class(name), options, aside=True)
-        lines += _others(command)
+        lines += _others(command, job.value)
         typer.echo("\n".join(lines))
 
 
@@ -86,15 +87,10 @@ def _command(job: str) -> Any:
     return build(job)
 
 
-def _options(command: Any) -> dict[str, str]:
-    """Return the options of a command by the field or section that each sets, with its values."""
-    from comparisons.options import FLAGS
-
-    names = {name for one in command.params for name in one.opts}
+def _options(job: str) -> dict[str, str]:
+    """Return the options of a job by the field or section that each sets, with its values."""
     return {
-        flag.field: " ".join([flag.option, "|".join(flag.words)]).strip()
-        for flag in FLAGS
-        if flag.option in names
+        flag.field: " ".join([flag.option, "|".join(flag.words)]).strip() for flag in of_job(job)
     }
 
 
@@ -142,11 +138,9 @@ def _lines(name: str, kind: type[BaseModel], option: str) -> list[str]:
     return [*comment, tomli_w.dumps({name: plain}).strip()]
 
 
-def _others(command: Any) -> list[str]:
+def _others(command: Any, job: str) -> list[str]:
     """Return what `--help` does not list and no setting is."""
-    from comparisons.options import FLAGS
-
-    settings = {flag.option for flag in FLAGS}
+    settings = {flag.option for flag in of_job(job)}
     lines = [
         line
         for one in command.params

@@ -10,7 +10,7 @@ import typer
 
 from comparisons.cli.flags import argument, log_names, of_flag, set_parameters
 from comparisons.cli.support import guarded
-from comparisons.options import LOG
+from comparisons.options.lookup import of_job
 
 
 def logs() -> None:
@@ -57,7 +57,7 @@ def convert(log: str, folder: Path, **given: Any) -> None:
                 typer.echo(f"{key.replace('_', ' ')}: {source.provenance[key]}")
 
 
-_FLAGS = [flag for flag in LOG if flag.field.startswith("log.")]
+_FLAGS = [flag for flag in of_job("solve") if flag.field.startswith("log.") and flag.help]
 set_parameters(
     convert,
     argument("log", str, "LOG", "Name in `slamcheck logs`, or path.", log_names),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import AGREE, guarded, print_result, progress_bar
-from comparisons.options import EKF, LOG, MAP
+from comparisons.options.lookup import of_job
 
 _DEFAULT = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
 
@@ -13,7 +13,7 @@ _DEFAULT = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
 _SHOWN = "--filter --association --gps --layer --resolution --dynamic --landmarks --cloud --seed"
 
 
-@from_flags((*MAP, *EKF, *LOG), _SHOWN)
+@from_flags(of_job("map"), _SHOWN)
 def map_command(given: Given) -> None:
     """Build a dense map of laser scans beside the EKF (DenseSLAM).
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
-from comparisons.options import FRONT_END, LOG
+from comparisons.options.lookup import of_job
 
 
-@from_flags((*FRONT_END, *LOG), "--guess --loop-closure --matcher --gps --cloud --seed")
+@from_flags(of_job("odometry"), "--guess --loop-closure --matcher --gps --cloud --seed")
 def odometry(given: Given) -> None:
     """Run the scan front end alone: odometry and loop closure.
 

@@ -10,7 +10,7 @@ import typer
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import DISAGREE, VERDICTS, guarded, print_result, progress_bar
-from comparisons.options import RUN
+from comparisons.options.lookup import of_job
 
 if TYPE_CHECKING:
     from comparisons.pipeline.compare import Comparison
@@ -30,7 +30,7 @@ RecordOption = Annotated[
 _SHOWN = "--filter --association --gps --robust --landmarks --motion --dense --seed --fail-on"
 
 
-@from_flags(RUN, _SHOWN, live=(LiveOption, False), record=(RecordOption, None))
+@from_flags(of_job("run"), _SHOWN, live=(LiveOption, False), record=(RecordOption, None))
 def run(given: Given) -> None:
     """Run EKF and smoother on a log, compare them, write a report.
 

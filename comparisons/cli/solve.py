@@ -5,12 +5,10 @@ from __future__ import annotations
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
-from comparisons.options import FEATURES, GPS, LOG, SMOOTHER, SOLVER_ASSOCIATION
-
-_FLAGS = (SOLVER_ASSOCIATION, FEATURES, GPS, *SMOOTHER, *LOG)
+from comparisons.options.lookup import of_job
 
 
-@from_flags(_FLAGS, "--association --gps --smoother --robust --seed")
+@from_flags(of_job("solve"), "--association --gps --smoother --robust --seed")
 def solve(given: Given) -> None:
     """Run the smoother alone; write its estimate and its graph.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,11 +68,6 @@ class Scans:
             raise InputError(
                 f"scans: beam_s is {self.beam_s}, expected sweeps of {_LONGEST_SWEEP_S:g} s at most"
             )
-
-    @cached_property
-    def measures_intensity(self) -> bool:
-        """Any beam has an intensity other than zero."""
-        return bool(np.any(self.intensity != 0.0))
 
 
 @dataclass(frozen=True)

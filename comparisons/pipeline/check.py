@@ -43,8 +43,7 @@ from comparisons.checks.grade import (
 )
 from comparisons.checks.spread import within_spread
 from comparisons.checks.verdict import Outcome
-from comparisons.choices import RequiredGrade
-from comparisons.config import MIN_COVERAGE, CheckConfig
+from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.logs.log import Log

@@ -18,7 +18,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.folder import write_estimate
 from comparisons.logs.table import read_toml
-from comparisons.options import FLAGS
+from comparisons.options.table import FLAGS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -158,7 +158,7 @@ def _as_usual(config: Configured, base: Mapping[str, Any]) -> set[str]:
     """Paths of extensions that nobody asked for, and of settings that are as theirs usually are."""
     log, ekf = config.log.model_dump(), config.ekf.model_dump()
     usual = type(config).of(**{**base, "preset": config.preset, "log": log, "ekf": ekf})
-    needed = [one.needs() for one in (config.ekf, *config.extensions.values())]
+    needed = [one.needs() for one in config.extensions.values()]
     found = {
         f"extensions.{name}" for name in {*usual.extensions, *(n for one in needed for n in one)}
     }

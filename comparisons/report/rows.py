@@ -49,8 +49,7 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
         *((name, f"{count:,}") for name, count in used.items()),
     ]
     if ekf.attributes != "off":
-        kept = "of a dense layer" if ekf.attributes == "layer" else ekf.attributes
-        found.append(("landmark attributes in the association", kept))
+        found.append(("landmark attributes in the association", ekf.attributes))
     if ekf.dynamic or ekf.deactivated:
         found += [
             ("measurements of moving objects, left out", f"{ekf.dynamic:,}"),

@@ -70,7 +70,6 @@ class DenseMap:
     _sensor: Sensor | None = None
     _regions_at: list[int] = field(default_factory=list)
     _spoken: set[tuple[int, int]] = field(default_factory=set)
-    _value: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         """The error layer follows the regions."""
@@ -124,7 +123,6 @@ class DenseMap:
             local=found.local[inside],
             point=scan.point[inside],
             covariance=scan.covariance[inside],
-            value=None if scan.value is None else scan.value[inside],
         )
         for layer in self.layers.values():
             layer.fuse(hits, placed, scan, near)
@@ -169,16 +167,7 @@ class DenseMap:
             number = self.waiting.add(
                 view, point, spread, self.tally.scans, self._potential, scan.origin
             )
-            self._note_values(number, outside, scan)
         self.tally.outside += int(np.count_nonzero(number < 0))
-
-    def _note_values(self, number: Index, outside: Index, scan: Scan) -> None:
-        """What else was measured of returns that wait, by the numbers that they got."""
-        if scan.value is not None:
-            more = int(number.max(initial=-1)) + 1 - len(self._value)
-            self._value = np.append(self._value, np.full(max(more, 0), np.nan))
-            kept = number >= 0
-            self._value[number[kept]] = scan.value[outside[kept]]
 
     def _make_virtual(
         self, view: FilterView, landmark_index: Index, waiting: DelayedInitialisation
@@ -208,14 +197,12 @@ class DenseMap:
         if not len(out.region):
             return
         self.tally.late += len(out.region)
-        value = self._value[out.number] if len(self._value) else None
         late = tuple(self._late_scans(out, placed))
         hits = Hits(
             region=out.region,
             local=out.local,
             point=out.point,
             covariance=out.covariance,
-            value=value,
             late=late,
         )
         for layer in self.layers.values():

@@ -91,8 +91,7 @@ class Scan:
     """The returns of one scan. pose: (3,) of the scanner in the world.
 
     bearing_rad: (B,) ascending, in [-pi, pi), from the scanner's ahead. range_m: (B,) finite,
-    above zero. number: of the scan, not decreasing. value: (B,) what else was measured of each
-    return, such as how bright it is; None where nothing was.
+    above zero. number: of the scan, not decreasing.
     """
 
     pose: Array
@@ -100,7 +99,6 @@ class Scan:
     range_m: Array
     sensor: Sensor
     number: int = 0
-    value: Array | None = None
 
     @classmethod
     def of_ranges(
@@ -110,7 +108,6 @@ class Scan:
         range_m: Array,
         sensor: Sensor,
         number: int = 0,
-        value: Array | None = None,
     ) -> Scan:
         """From beams in any order (B,). What is not finite or not above zero is no return.
 
@@ -121,14 +118,12 @@ class Scan:
         )
         bearing = np.mod(bearing_rad[returned] + np.pi, _TURN) - np.pi
         order = np.argsort(bearing, kind="stable")
-        reported = None if value is None else value[returned][order]
         return cls(
             pose=pose,
             bearing_rad=bearing[order],
             range_m=range_m[returned][order],
             sensor=sensor,
             number=number,
-            value=reported,
         )
 
     @property

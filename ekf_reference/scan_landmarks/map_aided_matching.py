@@ -7,7 +7,6 @@ are those of the template alone, against the whole prior, and so is the gate.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,6 @@ from ekf_reference.scan_landmarks.templates import (
     Observation,
     Template,
     TemplateMatching,
-    TemplateObserver,
     observe,
 )
 from ekf_reference.scan_matching.alignment import align
@@ -28,42 +26,6 @@ _THIN_M = 0.3
 """Cells in which Gaussians are merged, since an alignment's cost grows with their number."""
 _ONE_START_M = 1e4
 """Spacing of starts that leaves the middle of the prior alone."""
-
-
-Around = Callable[[Template, Array], SumOfGaussians | None]
-"""What stands around a template whose axis is estimated at (3,) in the world, in that axis.
-
-None where nothing but the template is known.
-"""
-
-
-class MapAidedObserver(TemplateObserver):
-    """Observes templates with their surroundings, where it is uncertain where to look for them.
-
-    observed: how many were, so far.
-    """
-
-    def __init__(self, around: Around, least_sigma_m: float) -> None:
-        """least_sigma_m: standard deviation of z^ from which the surroundings are used."""
-        self.observed, self._around, self._least_sigma_m = 0, around, least_sigma_m
-
-    def observe(
-        self,
-        template: Template,
-        place: Array,
-        scan: SumOfGaussians,
-        predicted: Array,
-        covariance: Array,
-        matching: TemplateMatching,
-    ) -> Observation:
-        """See TemplateObserver."""
-        around = None
-        if np.linalg.norm(covariance[:2, :2], 2) > self._least_sigma_m**2:
-            around = self._around(template, place)
-        if around is None:
-            return observe(template, scan, predicted, covariance, matching)
-        self.observed += 1
-        return observe_enriched(template, around, scan, predicted, covariance, matching)
 
 
 def enriched(template: Template, around: SumOfGaussians) -> SumOfGaussians:

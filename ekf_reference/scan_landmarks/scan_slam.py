@@ -34,8 +34,8 @@ from ekf_reference.scan_landmarks.templates import (
     ObservationOptions,
     Template,
     TemplateMatching,
-    TemplateObserver,
     View,
+    observe,
     share_in_view,
 )
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions, ScanAlignment
@@ -138,12 +138,8 @@ class ScanSlam:
         mount: Array,
         options: ScanSlamOptions | None = None,
         seed: int = 0,
-        observer: TemplateObserver | None = None,
     ) -> None:
-        """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials.
-
-        observer: of the templates; by default by themselves.
-        """
+        """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials."""
         self.sensor = sensor
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
@@ -156,7 +152,6 @@ class ScanSlam:
         )
         self.found = ScanLandmarks()
         self.guard: DynamicPlaces | None = None
-        self._observer = observer or TemplateObserver()
         self._seed = seed
         self._last_seen: dict[int, int] = {}
         self._last_tried: Counter[int] = Counter()
@@ -195,7 +190,7 @@ class ScanSlam:
         """Fuse [z, R] = scan_align(G_L, G_o, z^) of those in view and gate; returns how many."""
         seen: list[_Seen] = []
         for row in self._in_view(predicted, scan):
-            one = self._observe(ekf, predicted, row, scan)
+            one = self._observe(predicted, row, scan)
             if one is None:
                 continue
             within = one.normalised_squared <= self.options.gate
@@ -211,16 +206,13 @@ class ScanSlam:
             )
         return len(seen)
 
-    def _observe(
-        self, ekf: Ekf, predicted: Predicted, row: int, scan: SumOfGaussians
-    ) -> _Seen | None:
+    def _observe(self, predicted: Predicted, row: int, scan: SumOfGaussians) -> _Seen | None:
         """Align a template with the scan; None, and the reason counted, where it is not seen."""
         o, landmark_index = self.options, int(predicted.landmark_index[row])
         z, spread = predicted.z[row], predicted.covariance[row]
         wide = spread + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
         template = self.found.template[landmark_index]
-        place = ekf.state.places(POSE)[landmark_index]
-        what = self._observer.observe(template, place, scan, z, wide, self._matching)
+        what = observe(template, scan, z, wide, self._matching)
         found = what.alignment
         if not what.usable or found is None:
             self.found.reasons[what.reason] += 1

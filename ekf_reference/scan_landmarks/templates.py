@@ -195,22 +195,6 @@ def observe(
     return Observation(found, "" if evidence.converged else UNFINISHED)
 
 
-class TemplateObserver:
-    """How ScanSlam observes a template: by its shape alone."""
-
-    def observe(
-        self,
-        template: Template,
-        place: Array,
-        scan: SumOfGaussians,
-        predicted: Array,
-        covariance: Array,
-        matching: TemplateMatching,
-    ) -> Observation:
-        """As the function `observe`. place: (3,) estimate of the template's axis in the world."""
-        return observe(template, scan, predicted, covariance, matching)
-
-
 def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> Mask:
     """(N,) which of a template's points the sensor should see; see share_in_view."""
     point = template.shape.transformed(pose).mean

@@ -13,8 +13,7 @@ import pytest
 
 from comparisons.adapters.ekf_factory import LEAST_GAIN
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.choices import Filter
-from comparisons.config import EkfConfig
+from comparisons.config import EkfConfig, Filter
 from comparisons.errors import InputError
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.logs.log import Log

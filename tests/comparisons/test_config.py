@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
-from comparisons import choices
 from comparisons.config import (
     JOBS,
     CheckConfig,
@@ -20,70 +18,28 @@ from comparisons.config import (
     OdometryConfig,
     RunConfig,
     SolveConfig,
-    choices_of,
     json_schema,
 )
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
-from comparisons.options import (
-    ESTIMATE,
-    FEATURES,
-    FRONT_END,
-    GPS,
-    LOG,
-    MAP,
-    RUN,
-    SMOOTHER,
-    SOLVER_ASSOCIATION,
-    Flag,
-)
+from comparisons.options import source, table
+from comparisons.options.lookup import of_job
 from comparisons.settings import configure, run_config
 from tests.commands import slamcheck
 
-
-def fields(job: type[JobConfig]) -> dict[str, object]:
-    """Every field of a configuration by its path, extensions' included, with its annotation."""
-    found: dict[str, object] = {}
-
-    def walk(kind: type, path: str) -> None:
-        for name, field in kind.model_fields.items():  # type: ignore[attr-defined]
-            if name == "extensions":
-                for one in EXTENSIONS:
-                    found[f"extensions.{one}"] = config_class(one)
-                    walk(config_class(one), f"extensions.{one}.")
-            elif hasattr(field.annotation, "model_fields"):
-                walk(field.annotation, f"{path}{name}.")
-            else:
-                found[path + name] = field.annotation
-
-    walk(job, "")
-    return found
+RUN, MAP = of_job("run"), of_job("map")
 
 
-TABLES: dict[str, tuple[Flag, ...]] = {
-    "run": RUN,
-    "map": (*MAP, *LOG),
-    "solve": (SOLVER_ASSOCIATION, FEATURES, GPS, *SMOOTHER),
-    "check": ESTIMATE,
-    "odometry": FRONT_END,
-}
-
-
-@pytest.mark.parametrize("job", sorted(TABLES))
-def test_every_flag_sets_a_field_that_is_there(job: str) -> None:
-    """And offers the words that the field takes."""
-    known = fields(JOBS[job])
-    for flag in TABLES[job]:
-        assert flag.field in known, flag.option
-        if flag.words and flag.settings is None:
-            assert flag.words == choices_of(known[flag.field]), flag.option
+def test_the_table_of_options_is_generated_from_the_settings() -> None:
+    assert Path(table.__file__).read_text() == source.source(), "options are old: make settings"
 
 
 def test_the_switches_of_extensions_offer_what_their_settings_take() -> None:
-    motion = config_class("scan_motion").model_fields["motion"].annotation
-    assert set(choices_of(motion)) < set(get_args(choices.Motion))
-    landmarks = config_class("scan_landmarks").model_fields["landmarks"].annotation
-    assert set(choices_of(landmarks)) < set(get_args(choices.Landmarks))
+    for name in EXTENSIONS:
+        kind = config_class(name)
+        words = kind.switch.settings if kind.switch else None
+        for given in (words or {}).values():
+            assert given is None or kind.of(**given)
 
 
 def everything() -> list[JobConfig]:
@@ -92,11 +48,11 @@ def everything() -> list[JobConfig]:
         run_config(),
         run_config(filter="compressed", association="jcbb", gps="half", seed=7, robust="gnc"),
         run_config(motion="both", smoother_association="own", dense=["points"], dynamic=True),
-        run_config(landmarks="both", template_extraction="per-segment", attributes="layer",
+        run_config(landmarks="both", template_extraction="per-segment", attributes="on",
                    smoother_matcher="generalised-icp", association="nn"),
         RunConfig.of(extensions={"high_level": {"cell_m": 0.4}},
                      report={"figures": ["pdf"], "trace": True}),
-        MapConfig.of(extensions={"dense_maps": {"layers": ["values"], "known_m": 0.5}}),
+        MapConfig.of(extensions={"dense_maps": {"layers": ["points"], "known_m": 0.5}}),
         SolveConfig.of(association="own", smoother={"method": "isam2"}),
         CheckConfig.of(estimate="mine"),
     ]  # fmt: skip
@@ -163,7 +119,7 @@ def test_another_log_than_the_files_drops_its_hash(tmp_path: Path) -> None:
 WRONG_SETTINGS = {
     "ekf.filter=ukf": "ekf.filter is 'ukf': input should be 'full', 'compressed'",
     "ekf.filtre=full": "ekf.filtre: is unknown, expected one of filter, association",
-    "ekf.attributes=yes": "ekf.attributes is 'yes': input should be 'off', 'on' or 'layer'",
+    "ekf.attributes=yes": "ekf.attributes is 'yes': input should be 'off' or 'on'",
     "kalman.filter=full": "kalman is unknown, expected one of preset, log, ekf, smoother",
     "preset=mine": "preset is 'mine': input should be 'recommended' or 'as-published'",
     "log.features=corners": "log.features is 'corners': input should be 'log' or 'trees'",
@@ -219,7 +175,6 @@ DRAWN: dict[str, object] = {"posterior": "samples"}
             {"template_extraction": "per-segment"},
             "--template-extraction per-segment goes with --landmarks scans or both",
         ),
-        ({"map_aided_matching": True}, "--map-aided-matching goes with --landmarks scans or both"),
         ({"merge_landmarks": True}, "--merge-landmarks goes with --landmarks scans or both"),
         ({"landmarks": "walls"}, "--landmarks is 'walls', expected points or scans or both"),
         (SCANS | {"smoother_matcher": "kiss"}, "is 'kiss', expected ekf or generalised-icp"),
@@ -230,17 +185,12 @@ DRAWN: dict[str, object] = {"posterior": "samples"}
             "--smoother-association own compares landmarks that are points.* use --landmarks both",
         ),
         (SCANS | {"attributes": "on"}, "--attributes on tells points apart"),
-        (
-            SCANS | {"attributes": "layer", "association": "nn"},
-            "--attributes layer tells points apart",
-        ),
         (BOTH | {"high_level": True}, "--high-level goes with --landmarks points only"),
         (
             MERGED | {"dense": ["sog"]},
-            "goes without --dense, .*anchored to scan landmarks for good",
+            "goes without --dense and .*anchored to scan landmarks for good",
         ),
-        (MERGED | {"dynamic": True}, "regions of a map anchored to scan landmarks for good"),
-        (MERGED | {"map_aided_matching": True}, "and --map-aided-matching"),
+        (MERGED | {"dynamic": True}, "regions of a map are anchored to scan landmarks for good"),
         (BOTH | {"trace": True}, "--trace is for"),
         ({"filter": "misono", "trace": True}, "--trace is for"),
         (DRAWN | SCANS, "goes with landmarks that are points"),
@@ -267,7 +217,7 @@ def test_what_does_not_go_together_is_refused(options: dict[str, object], words:
         {"landmarks": "both", "motion": "both", "smoother_association": "own"},
         {"lag": 100},
         {"smoother": "fixed-lag", "lag": 5},
-        {"map_aided_matching": False, "merge_landmarks": False},
+        {"merge_landmarks": False},
         {"dynamic": True, "resolution": 0.4},
     ],
 )
@@ -295,9 +245,6 @@ def test_an_extension_brings_what_it_needs() -> None:
     assert (alone["layers"], alone["detect_motion"]) == ((), True)
     beside = run_config(dynamic=True, dense=["sog"]).model_dump()["extensions"]["dense_maps"]
     assert (beside["layers"], beside["detect_motion"]) == (("sog",), True)
-    assert run_config(attributes="layer").extensions["dense_maps"] == config_class("dense_maps")(
-        attribute_values=True
-    )  # type: ignore[call-arg]
 
 
 def test_a_settled_filter_keeps_its_settings() -> None:

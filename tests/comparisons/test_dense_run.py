@@ -13,8 +13,7 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.adapters.timeline import build_timeline
-from comparisons.choices import Filter
-from comparisons.config import EkfConfig, MapConfig
+from comparisons.config import EkfConfig, Filter, MapConfig
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, build_map

@@ -15,8 +15,7 @@ from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.checks.map_agreement import compare_maps
 from comparisons.checks.verdict import Diagnosis, judge
-from comparisons.choices import Gps
-from comparisons.config import FrontEndConfig, OdometryConfig
+from comparisons.config import FrontEndConfig, Gps, OdometryConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.extension import ScanMotionFinding

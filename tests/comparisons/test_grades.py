@@ -28,8 +28,7 @@ from comparisons.checks.agreement import Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis.covariance_signatures import fit
 from comparisons.checks.grade import GRADES, Grade, Part, eigenvalues
-from comparisons.choices import RequiredGrade
-from comparisons.config import EkfConfig
+from comparisons.config import EkfConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.logs.log import Log

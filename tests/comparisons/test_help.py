@@ -19,10 +19,13 @@ from comparisons.cli.flags import Command, Given, from_flags
 from comparisons.config import JOBS, RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
-from comparisons.options import FLAGS, RENAMED, RUN, renamed_words
+from comparisons.options.earlier import RENAMED, renamed_words
+from comparisons.options.lookup import of_job
+from comparisons.options.table import FLAGS
 from comparisons.report.folder import check_free
 from comparisons.settings import configure, run_config
 
+RUN = of_job("run")
 MOST_LINES = 46
 """Of the help of a command, with 80 columns."""
 GROUPS = ("baseline save", "baseline compare")
@@ -169,8 +172,6 @@ EARLIER = {
     "--no-fuse-landmarks": "--no-merge-landmarks",
     "--pieces joined": "--template-extraction whole-scan",
     "--pieces=single": "--template-extraction per-segment",
-    "--templates enriched": "--map-aided-matching",
-    "--templates bare": "--no-map-aided-matching",
     "--smoother-matcher own": "--smoother-matcher generalised-icp",
 }
 
@@ -209,7 +210,7 @@ def test_the_command_line_reads_them_with_a_line_on_standard_error(
 
 
 NOW: dict[str, Any] = {"landmarks": "both", "template_extraction": "per-segment",
-                       "map_aided_matching": True, "association": "consensus"}  # fmt: skip
+                       "association": "consensus"}  # fmt: skip
 OLD_FILE = """
 job = "run"
 [ekf]
@@ -217,7 +218,7 @@ association = "agreed"
 [extensions.scan_landmarks]
 landmarks = "both"
 pieces = "single"
-templates = "enriched"
+templates = "bare"
 fuse = false
 """
 
@@ -231,8 +232,6 @@ def test_an_earlier_runs_file_is_read(tmp_path: Path, capsys: pytest.CaptureFixt
         f'slamcheck: {path}: ekf.association = "agreed" is now ekf.association = "consensus"',
         f'slamcheck: {path}: scan_landmarks.pieces = "single" is now '
         'scan_landmarks.template_extraction = "per-segment"',
-        f'slamcheck: {path}: scan_landmarks.templates = "enriched" is now '
-        "scan_landmarks.map_aided_matching = true",
         f"slamcheck: {path}: scan_landmarks.fuse = false is now "
         "scan_landmarks.merge_landmarks = false",
     ]
@@ -243,13 +242,22 @@ def test_an_earlier_runs_file_is_read(tmp_path: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr().err == ""
 
 
+def test_a_setting_that_is_gone_is_passed_over_where_it_was_not_used(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text('[extensions.dense_maps]\nlayers = ["sog"]\nattribute_values = false\n')
+    assert configure(RunConfig, path) == run_config(dense=["sog"])
+    path.write_text(path.read_text().replace("false", "true"))
+    with pytest.raises(InputError, match=r"dense_maps\.attribute_values: is unknown"):
+        configure(RunConfig, path)
+
+
 def test_flags_and_settings_lie_over_an_earlier_file(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(OLD_FILE)
     flags = [(flag, "whole-scan") for flag in RUN if flag.option == "--template-extraction"]
-    found = configure(RunConfig, path, flags, ["scan_landmarks.templates=bare"])
+    found = configure(RunConfig, path, flags, ["scan_landmarks.pieces=joined"])
     section = found.model_dump()["extensions"]["scan_landmarks"]
-    assert (section["template_extraction"], section["map_aided_matching"]) == ("whole-scan", False)
+    assert section["template_extraction"] == "whole-scan"
 
 
 def test_an_earlier_runs_folder_is_known(tmp_path: Path) -> None:
@@ -262,8 +270,8 @@ def test_an_earlier_runs_folder_is_known(tmp_path: Path) -> None:
 
 
 def test_python_reads_them(capsys: pytest.CaptureFixture[str]) -> None:
-    found = run_config(landmarks="both", pieces="single", templates="enriched",
-                       association="agreed", fuse_landmarks=False)  # fmt: skip
+    found = run_config(landmarks="both", pieces="single", association="agreed",
+                       fuse_landmarks=False)  # fmt: skip
     assert found == run_config(**NOW)
     assert "slamcheck: pieces='single' is now template_extraction='per-segment'" in (
         capsys.readouterr().err.splitlines()
@@ -275,7 +283,7 @@ def test_what_is_in_no_table_is_unknown(monkeypatch: pytest.MonkeyPatch, tmp_pat
     path = tmp_path / "config.toml"
     path.write_text(OLD_FILE)
     kept = tuple(one for one in RENAMED if not one.was_field.endswith("pieces"))
-    monkeypatch.setattr("comparisons.options.RENAMED", kept)
+    monkeypatch.setattr("comparisons.options.earlier.RENAMED", kept)
     with pytest.raises(InputError, match=r"scan_landmarks\.pieces: is unknown"):
         configure(RunConfig, path)
 

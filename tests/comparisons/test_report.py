@@ -200,7 +200,7 @@ def test_a_logs_name_is_no_path(name: str, folder: str) -> None:
             {"landmarks": "scans", "template_extraction": "per-segment"},
             "-landmarks-scans-template-extraction-per-segment",
         ),
-        ({"attributes": "layer"}, "-attributes-layer"),
+        ({"attributes": "on"}, "-attributes-on"),
         ({"dense": ["points", "sog"], "resolution": 0.4}, "-dense-points-sog-resolution-0.4"),
         ({"smoother_association": "ekf"}, "-smoother-association-ekf"),
         ({"preset": "as-published"}, "-preset-as-published"),

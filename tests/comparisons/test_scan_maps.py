@@ -7,17 +7,15 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.extension import DenseMapsFinding
-from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.pipeline.compare import Comparison, run_filter
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.pipeline.prepare import prepare
 from comparisons.report.dense_map import build_map_result, regions_csv
 from comparisons.settings import run_config
-from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.landmark_types import POSE
 from tests.helpers import compared, present
 from tests.scenarios import scenario
 
@@ -39,14 +37,6 @@ def asked(landmarks: str) -> MapConfig:
     return MapConfig.of(
         extensions={"dense_maps": dense, "scan_landmarks": {"landmarks": landmarks}}
     )
-
-
-def source(**options: str | bool) -> ScanSlamSource:
-    """As it stands beside the filter before the start."""
-    prepared, setup = prepare(log(), run_config(**options)), FilterSetup()
-    for extension in prepared.extensions:
-        extension.attach(setup, prepared)
-    return present(setup.find(ScanSlamSource))
 
 
 @pytest.mark.slow
@@ -95,12 +85,6 @@ def test_it_is_told_by_the_scan_landmarks_names() -> None:
     names = {name for row in rows for corner in row.split(",")[1:4] for name in corner.split("+")}
     assert names <= {f"s{landmark_index}" for landmark_index in range(result.scan_landmarks)}
     assert len(names) > 2
-
-
-def test_a_map_to_enrich_templates_from_hangs_on_the_same_landmarks() -> None:
-    kept = present(source(landmarks="both", map_aided_matching=True).map_of)
-    assert kept.run().kinds == (POINT, POSE)
-    assert source(landmarks="scans").map_of is None
 
 
 def test_points_are_needed_for_a_map_on_both() -> None:

@@ -12,8 +12,7 @@ import pytest
 from comparisons.adapters import motion
 from comparisons.adapters.motion import check_regular
 from comparisons.adapters.timeline import build_timeline
-from comparisons.choices import Filter
-from comparisons.config import EkfConfig, SolveConfig
+from comparisons.config import EkfConfig, Filter, SolveConfig
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log

@@ -39,7 +39,6 @@ mrclam-2-nn: run {shared}/mrclam/MRCLAM_Dataset6 --robot 2 --association nn
 scan-slam-own: run {work}/short --landmarks scans --smoother-matcher generalised-icp \
 --template-extraction per-segment
 scan-slam-fused: run {work}/short --landmarks scans --merge-landmarks
-scan-slam-enriched: run {work}/short --landmarks scans --map-aided-matching
 scan-maps-dense: run scan-slam-maps --landmarks scans --dense occupancy
 scan-loop-dense: run scan-loop-fine --dense points --dense sog --resolution 0.4
 high-level-dense: run occupancy-loop --high-level --dense occupancy

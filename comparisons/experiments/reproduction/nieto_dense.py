@@ -23,8 +23,7 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.checks.consistency.nees import map_errors
-from comparisons.choices import Layer, Preset
-from comparisons.config import MapConfig
+from comparisons.config import MapConfig, Preset
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.drawing import draw_slam, plan
@@ -46,7 +45,7 @@ from comparisons.extensions.dense_maps.accuracy import (
     near_share,
     surface_error,
 )
-from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.config import DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.figure import (
     draw_error_layer,
     draw_occupied,

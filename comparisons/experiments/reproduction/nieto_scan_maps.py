@@ -10,7 +10,6 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Polygon
 
 from comparisons.arrays import Array
-from comparisons.choices import Layer
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.basin import ConvergenceBasin, Seen, basin
@@ -26,7 +25,7 @@ from comparisons.experiments.reproduction.interface import (
 )
 from comparisons.experiments.reproduction.measures import occupied
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, near_share, surface_error
-from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.config import DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.figure import (
     DENSE_COLOUR,
     draw_occupied,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, field_validator
 
-from comparisons.choices import Layer
-from comparisons.config import Configured, ExtensionConfig
+from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.options import SCANS, Option
 from ekf_reference.dense.layers.occupancy import Coarsening
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _Cell = Annotated[float, Field(ge=0.01, le=10.0)]
 FlipTest = Literal["joint", "ellipses"]
+Layer = Literal["points", "occupancy", "particles", "sog"]
 
 
 class Bounds(NamedTuple):
@@ -35,7 +36,7 @@ AMONG_SCANS = Bounds(1.5, 60.0, 50.0, 64, 20_000)
 5 m apart: regions are larger, and it takes longer until there are three landmarks."""
 
 
-BARE: Mapping[str, Any] = {"detect_motion": False, "attribute_values": False, "coarsening": None}
+BARE: Mapping[str, Any] = {"detect_motion": False, "coarsening": None}
 """Of a map that another extension keeps for itself."""
 
 
@@ -43,92 +44,80 @@ class DenseMapsConfig(ExtensionConfig):
     """Dense map in triangles of the filter's landmarks (DenseSLAM, Nieto 2005, chapter 3).
 
     Lengths in metres. The map is compared with the smoother's where layers are asked for; it may
-    also serve others: detect_motion looks for what moves, attribute_values keeps the values that
-    association goes by.
+    also look for what moves: detect_motion.
     """
 
-    layers: tuple[Layer, ...] = Field(
+    layers: tuple[Layer, ...] = setting(
         (),
-        description="Layers to build and to compare with those of the smoother. sog: sum of "
-        "Gaussians; values: intensities",
+        "Layers to build and to compare with those of the smoother. sog: sum of Gaussians",
+        Option(
+            "--dense",
+            SCANS,
+            "Dense map layer (repeatable): points, occupancy, particles or sog (sum of Gaussians).",
+            jobs=("run",),
+        ),
+        Option(
+            "--layer",
+            SCANS,
+            "Map layer (repeatable): points, occupancy, particles or sog (sum of Gaussians). "
+            "[occupancy]",
+            jobs=("map",),
+        ),
     )
-    resolution_m: _Cell = Field(0.2, description="Cell size in metres")
-    d_min_m: _Cell = Field(
-        0.2, description="Least distance of two Gaussians or particles in metres"
+    resolution_m: _Cell = setting(
+        0.2,
+        "Cell size in metres",
+        Option("--resolution", SCANS, "Cell size of the dense map in metres. [0.2]", metavar="M"),
     )
-    p_occupied: float = Field(
-        0.65,
-        gt=0.5,
-        lt=1.0,
-        description="Probability that a grid cell is occupied, given one return",
+    d_min_m: _Cell = setting(0.2, "Least distance of two Gaussians or particles in metres")
+    p_occupied: float = setting(
+        0.65, "Probability that a grid cell is occupied, given one return", gt=0.5, lt=1.0
     )
-    p_free: float = Field(
-        0.45,
-        gt=0.0,
-        lt=0.5,
-        description="Probability that a grid cell is occupied, given one ray through it",
+    p_free: float = setting(
+        0.45, "Probability that a grid cell is occupied, given one ray through it", gt=0.0, lt=0.5
     )
-    least_correlation: float = Field(
-        0.9, ge=-1.0, le=1.0, description="Least correlation of any two landmarks of a region"
+    least_correlation: float = setting(
+        0.9, "Least correlation of any two landmarks of a region", ge=-1.0, le=1.0
     )
-    known_apart_m: float | None = Field(
+    known_apart_m: float | None = setting(
         None,
-        ge=0.0,
-        description="Relative sigma in metres below which two landmarks may share a region at any "
+        "Relative sigma in metres below which two landmarks may share a region at any "
         "correlation; 0: none. Default: 0.5, on scan landmarks alone 1.5",
+        ge=0.0,
     )
-    longest_edge_m: float | None = Field(
-        None,
-        description="Longest edge of a region in metres. Default: 35, on scan landmarks alone 60",
+    longest_edge_m: float | None = setting(
+        None, "Longest edge of a region in metres. Default: 35, on scan landmarks alone 60"
     )
-    flip_test: FlipTest = Field(
+    flip_test: FlipTest = setting(
         "joint",
-        description="Test whether a triangle may flip. joint: joint covariance of its corners; "
+        "Test whether a triangle may flip. joint: joint covariance of its corners; "
         "ellipses: the error ellipse of each corner",
     )
-    coarsening: Coarsening | None = Field(
+    coarsening: Coarsening | None = setting(
+        None, "Coarser cells in almost empty regions of the occupancy layer. Default: none"
+    )
+    known_m: float = setting(
+        math.inf, "Greatest relative sigma of the vehicle, in metres, at which its scans are mapped"
+    )
+    reach_m: float | None = setting(
+        None, "Greatest range of mapped returns in metres. Default: 35, on scan landmarks alone 50"
+    )
+    delayed: bool = setting(True, "Buffer returns until a region for them exists")
+    virtual_landmarks: bool = setting(True, "Allow regions with a virtual landmark as a corner")
+    patience: int | None = setting(
         None,
-        description="Coarser cells in almost empty regions of the occupancy layer. Default: none",
-    )
-    known_m: float = Field(
-        math.inf,
-        description="Greatest relative sigma of the vehicle, in metres, at which its scans are "
-        "mapped",
-    )
-    reach_m: float | None = Field(
-        None,
-        description="Greatest range of mapped returns in metres. Default: 35, on scan landmarks "
-        "alone 50",
-    )
-    delayed: bool = Field(True, description="Buffer returns until a region for them exists")
-    virtual_landmarks: bool = Field(
-        True, description="Allow regions with a virtual landmark as a corner"
-    )
-    patience: int | None = Field(
-        None,
-        description="Number of scans for which buffered returns wait for a third landmark. "
+        "Number of scans for which buffered returns wait for a third landmark. "
         "Default: 16, on scan landmarks alone 64",
     )
-    capacity: int | None = Field(
-        None,
-        description="Greatest number of buffered returns. Default: 5000, on scan landmarks alone "
-        "20000",
+    capacity: int | None = setting(
+        None, "Greatest number of buffered returns. Default: 5000, on scan landmarks alone 20000"
     )
-    detect_motion: bool = Field(False, description="Detect moving objects (set by --dynamic)")
-    attribute_values: bool = Field(
-        False, description="Keep intensities for association (set by --attributes layer)"
-    )
+    detect_motion: bool = setting(False, "Detect moving objects (set by --dynamic)")
 
     @field_validator("layers")
     @classmethod
     def _once(cls, layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
         return tuple(dict.fromkeys(layers))
-
-    @property
-    def kept_layers(self) -> tuple[str, ...]:
-        """All that the map holds, for whomever."""
-        values = ("values",) if self.attribute_values else ()
-        return tuple(dict.fromkeys((*self.layers, *values)))
 
     @property
     def first_condition(self) -> str:
@@ -149,10 +138,10 @@ class DenseMapsConfig(ExtensionConfig):
 
     def check_with(self, config: Configured) -> None:
         """A map that keeps nothing is a mistake."""
-        if not (self.layers or self.detect_motion or self.attribute_values):
+        if not (self.layers or self.detect_motion):
             raise ValueError(
-                "dense_maps.layers: empty, expected some of points, occupancy, particles, sog, "
-                "values (--dense); --resolution alone asks for no map"
+                "dense_maps.layers: empty, expected some of points, occupancy, particles, sog "
+                "(--dense); --resolution alone asks for no map"
             )
 
     def settled(self, *, points: bool = True) -> DenseMapsConfig:

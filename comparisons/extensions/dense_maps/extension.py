@@ -43,8 +43,6 @@ class DenseMaps(Extension):
         watcher = DenseWatcher(prepared.log, self._config, setup.kinds)
         setup.observers.append(watcher)
         setup.offers.append(watcher)
-        if self._config.attribute_values:
-            setup.layer = watcher
 
     def find(self, known: Known) -> DenseMapsFinding | None:
         """Compare the layers that were asked for with the smoother's."""

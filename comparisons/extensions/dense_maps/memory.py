@@ -74,8 +74,8 @@ class Demand:
     def bytes(self, resolution_m: float) -> float:
         """Peak of the whole process."""
         c, square = self._config, resolution_m**2
-        of_returns = {"points", "particles", "sog"} & set(c.kept_layers)
-        grid = self.regions_m2 / square if "occupancy" in c.kept_layers else 0.0
+        of_returns = {"points", "particles", "sog"} & set(c.layers)
+        grid = self.regions_m2 / square if "occupancy" in c.layers else 0.0
         moving = self.regions_m2 / square if c.detect_motion else 0.0
         classic = self.seen_m2 / square if self._mapped else 0.0
         pixels = self.window_m2 / square if self._mapped else 0.0
@@ -84,7 +84,7 @@ class Demand:
         run = cell * (grid + classic) + _MOVING_CELL * moving
         drawn = _PIXEL * pixels + _FIRST_PIXEL * min(pixels, _FIRST_PIXELS)
         kept = _KEPT_CELL * (grid + classic) + _MOVING_CELL * moving
-        fixed = _PROGRAM + _LAYER * len(c.kept_layers) + _RETURN * self.returns * len(of_returns)
+        fixed = _PROGRAM + _LAYER * len(c.layers) + _RETURN * self.returns * len(of_returns)
         return fixed + max(run, kept + drawn)
 
     def check(self, name: str) -> None:

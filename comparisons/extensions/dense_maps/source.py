@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, cast
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.attributes import AROUND_M
 from comparisons.adapters.ekf_factory import motion_model
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.arrays import Array
-from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.logs.log import Log
@@ -31,7 +29,6 @@ from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
-from ekf_reference.dense.layers.values import PlaceValues, Values
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
@@ -80,11 +77,10 @@ def build_map(
         "occupancy": OccupancyGrid(size, grid_model(config), coarsening=config.coarsening),
         "particles": Particles(np.random.default_rng(0), d_min_m=config.d_min_m),
         "sog": Gaussians(config.d_min_m),
-        "values": Values(),
     }
     waiting = DelayedInitialisation(capacity=bounds.capacity, patience=bounds.patience)
     return DenseMap(
-        layers={name: made[name] for name in dict.fromkeys((*config.kept_layers, *also))},
+        layers={name: made[name] for name in dict.fromkeys((*config.layers, *also))},
         regions=LocalRegions(conditions=conditions(config)),
         waiting=waiting if config.delayed or config.virtual_landmarks else None,
         delayed=config.delayed,
@@ -159,9 +155,8 @@ class DenseRun:
 class DenseWatcher:
     """Feeds a dense map while the filter runs. Reads the filter only.
 
-    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving, and
-    tells LayerValues to one that goes by what is around its landmarks. options: what it was asked
-    to keep.
+    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving.
+    options: what it was asked to keep.
     """
 
     def __init__(
@@ -175,10 +170,6 @@ class DenseWatcher:
         Raises InputError.
         """
         self._scans = PlanarScans(log)
-        if "values" in options.kept_layers and not self._scans.valued:
-            raise InputError(
-                f"{log.name}: its scans have no intensities, which the layer of values needs"
-            )
         self._next = 0
         self.options, self._kinds = options.settled(points=POINT in kinds), kinds
         self._also: tuple[str, ...] = ()
@@ -253,18 +244,6 @@ class DenseWatcher:
     def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
         return _is_dynamic(self._dense, self._dense.landmark, point)
-
-    def values_at(self, landmark_index: NDArray[np.intp]) -> PlaceValues:
-        """Return the values around points by landmark index (L,), for the filter's association.
-
-        Raises KeyError without that layer.
-        """
-        layer, landmark = self._dense.layers["values"], self._dense.landmark
-        placed = self._dense.regions.placed(landmark)
-        number = len(self._kinds) * landmark_index + self._kinds.index(
-            POINT
-        )  # see dense.view.numbered
-        return cast(Values, layer).around(landmark[number], placed, AROUND_M)
 
     @property
     def moves(self) -> Counters:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import Field
-
-from comparisons.config import Configured, ExtensionConfig, Needs
+from comparisons.config import Configured, ExtensionConfig, Needs, setting
+from comparisons.options import SCANS, SWITCH, Option
 
 if TYPE_CHECKING:
     from comparisons.extensions.dynamic.extension import Dynamic
@@ -15,15 +14,17 @@ if TYPE_CHECKING:
 class DynamicConfig(ExtensionConfig):
     """Dynamic-object rejection: exclude where objects move (Nieto 2005, section 6.3)."""
 
-    look_s: float = Field(0.25, gt=0.0, description="Seconds between two map differences")
-    threshold: float = Field(
-        0.3, gt=0.0, lt=1.0, description="Least change of occupancy of a fast object"
+    switch = Option(
+        "--dynamic",
+        SCANS,
+        "Detect moving objects and exclude them from the filter. [off]",
+        settings=SWITCH,
+        off=True,
     )
-    slow_threshold: float = Field(
-        0.35,
-        gt=0.0,
-        lt=1.0,
-        description="Least change of occupancy of an object that was added or removed",
+    look_s: float = setting(0.25, "Seconds between two map differences", gt=0.0)
+    threshold: float = setting(0.3, "Least change of occupancy of a fast object", gt=0.0, lt=1.0)
+    slow_threshold: float = setting(
+        0.35, "Least change of occupancy of an object that was added or removed", gt=0.0, lt=1.0
     )
 
     def needs(self) -> Needs:

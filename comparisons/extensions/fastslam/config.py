@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field
-
-from comparisons.config import Configured, ExtensionConfig
+from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.options import ABSENT, ESTIMATORS, Option
 
 if TYPE_CHECKING:
     from comparisons.extensions.fastslam.extension import FastSlamExtension
@@ -15,25 +14,32 @@ if TYPE_CHECKING:
 class FastSlamConfig(ExtensionConfig):
     """FastSLAM (Rao-Blackwellised particle filter) as a third estimator."""
 
-    particles: int = Field(100, ge=4, le=100_000, description="Particles of each cloud")
-    clouds: int = Field(
+    switch = Option(
+        "--third",
+        ESTIMATORS,
+        "Third estimator: fastslam (clouds of particles beside filter and smoother). [none]",
+        jobs=("run",),
+        settings={"none": ABSENT, "fastslam": {}},
+    )
+    particles: int = setting(100, "Particles of each cloud", ge=4, le=100_000)
+    clouds: int = setting(
         192,
+        "Independent clouds, divided among at most 12 stretches of the log; each gives "
+        "one draw of the posterior",
         ge=16,
         le=10_000,
-        description="Independent clouds, divided among at most 12 stretches of the log; each gives "
-        "one draw of the posterior",
     )
-    proposal: Literal["1.0", "2.0"] = Field(
+    proposal: Literal["1.0", "2.0"] = setting(
         "2.0",
-        description="Distribution from which poses are sampled. 1.0: the motion; 2.0: the motion "
+        "Distribution from which poses are sampled. 1.0: the motion; 2.0: the motion "
         "conditioned on the measurements",
     )
-    association: Literal["likeliest", "sampled"] = Field(
+    association: Literal["likeliest", "sampled"] = setting(
         "likeliest",
-        description="How a particle associates measurements without labels. sampled: it draws in "
+        "How a particle associates measurements without labels. sampled: it draws in "
         "proportion to the likelihood, so that particles hold several hypotheses",
     )
-    seed: int = Field(0, ge=0, description="Seed of all random numbers")
+    seed: int = setting(0, "Seed of all random numbers", ge=0)
 
     def check_with(self, config: Configured) -> None:
         """Raise ValueError for what FastSLAM does not estimate."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import Field
-
-from comparisons.config import Configured, ExtensionConfig
+from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.options import SWITCH, Option
 
 if TYPE_CHECKING:
     from comparisons.extensions.high_level.extension import HighLevel
@@ -19,20 +18,15 @@ class HighLevelConfig(ExtensionConfig):
     within reach for less than half of a minute.
     """
 
-    cell_m: float = Field(
-        0.2,
-        ge=0.05,
-        le=2.0,
-        description="Cell size of the map and least distance of its Gaussians in metres",
+    switch = Option("--high-level", jobs=("run",), settings=SWITCH, off=True)
+    cell_m: float = setting(
+        0.2, "Cell size of the map and least distance of its Gaussians in metres", ge=0.05, le=2.0
     )
-    pair_m: float = Field(
-        12.0,
-        ge=1.0,
-        le=100.0,
-        description="Greatest distance of two corners of a landmark in metres",
+    pair_m: float = setting(
+        12.0, "Greatest distance of two corners of a landmark in metres", ge=1.0, le=100.0
     )
-    least: int = Field(200, ge=3, le=10**6, description="Least number of Gaussians of a landmark")
-    every_s: float = Field(20.0, ge=0.1, le=1e6, description="Seconds between two searches")
+    least: int = setting(200, "Least number of Gaussians of a landmark", ge=3, le=10**6)
+    every_s: float = setting(20.0, "Seconds between two searches", ge=0.1, le=1e6)
 
     def build(self, config: Configured) -> HighLevel:
         """Return the extension."""

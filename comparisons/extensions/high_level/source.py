@@ -14,8 +14,7 @@ from comparisons.adapters.filter_loop import FilterObserver, NoObserver
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.arrays import Array
-from comparisons.choices import Layer
-from comparisons.extensions.dense_maps.config import BARE, DenseMapsConfig
+from comparisons.extensions.dense_maps.config import BARE, DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.logs.log import Log
@@ -69,7 +68,7 @@ class HighLevelOptions:
 
     def served_by(self, options: DenseMapsConfig) -> bool:
         """Whether a map with these options has the cells that are searched."""
-        layers = {"layers": SEARCHED, "detect_motion": False, "attribute_values": False}
+        layers = {"layers": SEARCHED, "detect_motion": False}
         return options.settled().model_copy(update=layers) == self.kept
 
 

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field
-
-from comparisons.choices import When
-from comparisons.config import Configured, ExtensionConfig
+from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.options import Option
 
 if TYPE_CHECKING:
     from comparisons.extensions.own_association.extension import OwnAssociation
+
+When = Literal["always", "never"]
 
 
 class OwnAssociationConfig(ExtensionConfig):
     """Second solution, with an association found by the smoother itself."""
 
-    when: When = Field(
+    switch = Option(
+        "--smoother-association",
+        jobs=("run",),
+        settings={"ekf": {"when": "never"}, "own": {"when": "always"}},
+    )
+    when: When = setting(
         "always",
-        description="When to solve. never: not even where a run would do it by default, for a "
+        "When to solve. never: not even where a run would do it by default, for a "
         "log without labels and truth of at most 5 million pairs of measurement and landmark",
     )
 

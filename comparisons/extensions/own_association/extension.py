@@ -16,7 +16,6 @@ from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
 from comparisons.checks.agreement import block_agrees
 from comparisons.checks.association import AssociationScore, association_rows, score_association
 from comparisons.checks.check import Finding
-from comparisons.choices import When
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension
@@ -25,6 +24,7 @@ from comparisons.extensions.own_association.check import (
     association_cause,
     check_own_association,
 )
+from comparisons.extensions.own_association.config import When
 from comparisons.figures import Model, in_sigma
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.gaps import Known

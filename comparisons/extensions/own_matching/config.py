@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from comparisons.config import Configured, ExtensionConfig
+from comparisons.options import ABSENT, Option
 
 if TYPE_CHECKING:
     from comparisons.extensions.own_matching.extension import OwnMatching
@@ -12,6 +13,10 @@ if TYPE_CHECKING:
 
 class OwnMatchingConfig(ExtensionConfig):
     """Second solution, with scan landmarks matched by Open3D's generalised ICP."""
+
+    switch = Option(
+        "--smoother-matcher", jobs=("run",), settings={"ekf": ABSENT, "generalised-icp": {}}
+    )
 
     def check_with(self, config: Configured) -> None:
         """There must be scan landmarks to match."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import Field
-
-from comparisons.config import Configured, ExtensionConfig, RunConfig
+from comparisons.config import Configured, ExtensionConfig, RunConfig, setting
+from comparisons.options import ABSENT, Option
 
 if TYPE_CHECKING:
     from comparisons.extensions.posterior.extension import Posterior
@@ -15,14 +14,15 @@ if TYPE_CHECKING:
 class PosteriorConfig(ExtensionConfig):
     """Draws of the smoother's exact posterior, for short logs of point landmarks."""
 
-    draws: int = Field(
+    switch = Option("--posterior", jobs=("run",), settings={"none": ABSENT, "samples": {}})
+    draws: int = setting(
         8000,
+        "Draws of all 16 chains together; below 400 effective ones of any unknown the "
+        "sampling is not converged, and judges nothing",
         ge=800,
         le=200_000,
-        description="Draws of all 16 chains together; below 400 effective ones of any unknown the "
-        "sampling is not converged, and judges nothing",
     )
-    seed: int = Field(0, ge=0, description="Random seed of the draws")
+    seed: int = setting(0, "Random seed of the draws", ge=0)
 
     def check_with(self, config: Configured) -> None:
         """The posterior must be that of the batch smoother, of points, and of Gaussian noise."""

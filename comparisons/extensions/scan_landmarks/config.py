@@ -4,95 +4,86 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field
-
-from comparisons.choices import TemplateExtraction
-from comparisons.config import Configured, ExtensionConfig
+from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.options import ABSENT, SCANS, Option
 
 if TYPE_CHECKING:
     from comparisons.extensions.scan_landmarks.extension import ScanLandmarksExtension
 
 _MAPPED = "dense_maps"
+_WITHIN = "--landmarks scans or both"
 
 
 class ScanLandmarksConfig(ExtensionConfig):
     """Landmarks that are templates of laser scans (Scan-SLAM, Nieto 2005, chapter 5)."""
 
-    landmarks: Literal["scans", "both"] = Field(
-        "scans", description="Use. scans: in place of the log's landmarks; both: beside them"
+    switch = Option(
+        "--landmarks",
+        SCANS,
+        "Landmarks: points (of the log), scans (templates of laser scans, Scan-SLAM), or both. "
+        "[points]",
+        settings={"points": ABSENT, "scans": {"landmarks": "scans"}, "both": {"landmarks": "both"}},
     )
-    template_extraction: TemplateExtraction | None = Field(
+    landmarks: Literal["scans", "both"] = setting(
+        "scans", "Use. scans: in place of the log's landmarks; both: beside them"
+    )
+    template_extraction: Literal["whole-scan", "per-segment"] | None = setting(
         None,
-        description="Template extraction. whole-scan: all segments of a scan make one landmark; "
+        "Template extraction. whole-scan: all segments of a scan make one landmark; "
         "per-segment: each segment makes its own. Default: whole-scan, but per-segment where a "
         "dense map is anchored to the landmarks",
+        Option("--template-extraction", within=_WITHIN),
     )
-    map_aided_matching: bool = Field(
+    merge_landmarks: bool = setting(
         False,
-        description="Match a template together with the dense map around it (Nieto 2005, section "
-        "6.2)",
+        "Merge scan landmarks that turn out to be the same",
+        Option("--merge-landmarks", jobs=("run",), within=_WITHIN, off=True),
     )
-    merge_landmarks: bool = Field(
-        False, description="Merge scan landmarks that turn out to be the same"
-    )
-    least_returns: int | None = Field(
+    least_returns: int | None = setting(
         None,
+        "Least number of returns of a template. Default: 50 (whole-scan), 15 (per-segment)",
         ge=3,
         le=10**6,
-        description="Least number of returns of a template. Default: 50 (whole-scan), 15 "
-        "(per-segment)",
     )
-    residual: float = Field(
-        0.15,
-        gt=0.0,
-        le=1.0,
-        description="Greatest error of a trial alignment, as a share of its displacement",
+    residual: float = setting(
+        0.15, "Greatest error of a trial alignment, as a share of its displacement", gt=0.0, le=1.0
     )
-    open_directions: int = Field(
+    open_directions: int = setting(
+        2, "Number of directions (x, y, heading) that a template may leave undetermined", ge=0, le=2
+    )
+    trials: int = setting(2, "Number of trial alignments of a template candidate", ge=1, le=100)
+    tried: int = setting(
         2,
-        ge=0,
-        le=2,
-        description="Number of directions (x, y, heading) that a template may leave undetermined",
-    )
-    trials: int = Field(
-        2, ge=1, le=100, description="Number of trial alignments of a template candidate"
-    )
-    tried: int = Field(
-        2,
+        "Number of segments of a scan that are tried as templates (per-segment); 0: all",
         ge=0,
         le=10**4,
-        description="Number of segments of a scan that are tried as templates (per-segment); 0: "
-        "all",
     )
-    every: int | None = Field(
+    every: int | None = setting(
         None,
+        "Number of scans between two that may initialise landmarks. Default: 5 "
+        "(whole-scan), 2 (per-segment)",
         ge=1,
         le=10**6,
-        description="Number of scans between two that may initialise landmarks. Default: 5 "
-        "(whole-scan), 2 (per-segment)",
     )
-    in_view: float | None = Field(
+    in_view: float | None = setting(
         None,
+        "Share of a template that must be in view to be matched. Default: 0.5 "
+        "(whole-scan), 0.9 (per-segment)",
         gt=0.0,
         le=1.0,
-        description="Share of a template that must be in view to be matched. Default: 0.5 "
-        "(whole-scan), 0.9 (per-segment)",
     )
-    aligned: int = Field(
+    aligned: int = setting(
         5,
+        "Greatest number of templates that are matched in one scan; 0: all in view",
         ge=0,
         le=10**6,
-        description="Greatest number of templates that are matched in one scan; 0: all in view",
     )
-    gate: float = Field(
-        11.345,
-        gt=0.0,
-        le=1e6,
-        description="Gate of a template measurement: chi-square of 3 degrees of freedom",
+    gate: float = setting(
+        11.345, "Gate of a template measurement: chi-square of 3 degrees of freedom", gt=0.0, le=1e6
     )
-    shared_noise: bool = Field(
+    shared_noise: bool = setting(
         True,
-        description="Count the noise of returns that several alignments share once. Off: take all "
+        "Count the noise of returns that several alignments share once. Off: take all "
         "alignments for independent",
     )
 
@@ -107,23 +98,18 @@ class ScanLandmarksConfig(ExtensionConfig):
                 raise ValueError(f"{option} compares landmarks that are points; "
                                  "use --landmarks both")  # fmt: skip
         if self.landmarks == "scans" and config.ekf.attributes != "off":
-            raise ValueError(
-                f"--attributes {config.ekf.attributes} tells points apart; use --landmarks points "
-                "or both"
-            )
+            raise ValueError("--attributes on tells points apart; use --landmarks points or both")
         if "high_level" in config.extensions:
             raise ValueError("--high-level goes with --landmarks points only")
-        if self.merge_landmarks and (_MAPPED in config.extensions or self.map_aided_matching):
+        if self.merge_landmarks and _MAPPED in config.extensions:
             # Regions anchored to a landmark that was merged would stay behind.
             raise ValueError(
-                "--merge-landmarks goes without --dense, --dynamic, --attributes layer and "
-                "--map-aided-matching: regions of a map anchored to scan landmarks for good"
+                "--merge-landmarks goes without --dense and --dynamic: regions of a map are "
+                "anchored to scan landmarks for good"
             )
 
     def build(self, config: Configured) -> ScanLandmarksExtension:
         """Return the extension."""
-        from comparisons.extensions.dense_maps.config import DenseMapsConfig
         from comparisons.extensions.scan_landmarks.extension import ScanLandmarksExtension
 
-        dense = DenseMapsConfig.of(**config.settings_of(_MAPPED).model_dump())
-        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions, dense=dense)
+        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions)

@@ -12,8 +12,6 @@ from matplotlib.axes import Axes
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.checks.check import Finding
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.config import DenseMapsConfig
-from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
@@ -22,7 +20,6 @@ from comparisons.extensions.scan_landmarks.result import (
     scan_slam_rows,
 )
 from comparisons.extensions.scan_landmarks.source import (
-    ENRICHING,
     LANDMARKS,
     LogScans,
     ScanSlamSource,
@@ -40,11 +37,8 @@ class ScanLandmarksExtension(Extension):
 
     name = "scan_landmarks"
 
-    def __init__(
-        self, config: ScanLandmarksConfig, *, mapped: bool, dense: DenseMapsConfig
-    ) -> None:
-        """mapped: a dense map is anchored to the landmarks. dense: its settings by the preset."""
-        self._dense = dense.model_copy(update=ENRICHING)
+    def __init__(self, config: ScanLandmarksConfig, *, mapped: bool) -> None:
+        """mapped: a dense map is anchored to the landmarks."""
         self._config, self.options = config, scan_slam_options(config, mapped=mapped)
         self.brings_landmarks = config.landmarks == "scans"
         self._scans: LogScans | None = None
@@ -63,11 +57,8 @@ class ScanLandmarksExtension(Extension):
         if self._scans is None:
             raise InputError("scan landmarks: the log was not prepared")
         setup.kinds = LANDMARKS[self._config.landmarks]
-        enriching = None
-        if self._config.map_aided_matching:
-            enriching = DenseWatcher(prepared.log, self._dense, kinds=setup.kinds)
         fusing = FusingOptions() if self._config.merge_landmarks else None
-        setup.source = ScanSlamSource(self._scans, self.options, enriching, fusing)
+        setup.source = ScanSlamSource(self._scans, self.options, fusing)
         setup.offers.append(setup.source)
 
     def find(self, known: Known) -> ScanLandmarksFinding | None:

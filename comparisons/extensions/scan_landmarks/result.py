@@ -40,7 +40,6 @@ def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanS
         dynamic=found.dynamic,
         deactivated=len(found.moving),
         fused=source.merged,
-        enriched=source.enriched,
         pieces=source.options.extraction.name,
         rule=template_rule(source.options),
         measurements=dict(found.reasons),
@@ -82,7 +81,6 @@ def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
         "landmarks merged with duplicates": result.fused,
         "returns of moving objects, left out": result.dynamic,
         "landmarks deactivated on moving objects": result.deactivated,
-        "alignments with the local map as well": result.enriched,
     }
     return [
         Row(group, "landmarks that agree", agreeing, "all", count == len(result.landmarks)),
@@ -178,7 +176,6 @@ class ScanSlamResult(Model):
         deactivated: landmarks that are no longer matched, since their template is where something
             moves.
         fused: landmarks that turned out to be another one.
-        enriched: alignments that the surroundings of the template supported.
         pieces: as in `rule`.
         rule: how templates are made and observed.
         measurements: how often a landmark near the scanner was measured, or why not.
@@ -190,7 +187,6 @@ class ScanSlamResult(Model):
     dynamic: int = 0
     deactivated: int = 0
     fused: int = 0
-    enriched: int = 0
     pieces: str = "single"
     rule: TemplateRule | None = None
     measurements: dict[str, int]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -13,8 +12,6 @@ from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.arrays import Array, Index, Mask
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.config import BARE
-from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
@@ -24,8 +21,6 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.state import FilterDivergedError, LocalMap
 from ekf_reference.dense.scan import Scan
-from ekf_reference.scan_landmarks.local_context import LocalContext
-from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
 from ekf_reference.scan_landmarks.merging import DuplicateMerging, FusingOptions
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import (
@@ -43,11 +38,6 @@ EXTRACTION: Mapping[str, TemplateExtraction] = {
     "per-segment": SingleSegments(),
 }
 """Which returns of a scan become one landmark."""
-ENRICH_M = 1.0
-"""Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
-ENRICHING: Mapping[str, Any] = {**BARE, "layers": ("occupancy", "sog"), "known_m": 0.5}
-"""What templates are enriched from: a scan from a vehicle that does not know where it is among a
-region's landmarks would draw there what it is to be compared with."""
 _MARGIN_M = 0.01
 """The farthest return is in view."""
 
@@ -72,8 +62,7 @@ class _Telling:
 def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamOptions:
     """Return what is asked for. mapped: a dense map is anchored to the landmarks."""
     # A map's regions need landmarks that stand among objects.
-    segments = mapped or config.map_aided_matching
-    usual = EXTRACTION[config.template_extraction or ("per-segment" if segments else "whole-scan")]
+    usual = EXTRACTION[config.template_extraction or ("per-segment" if mapped else "whole-scan")]
     trial = replace(
         usual.segmentation,
         residual=config.residual,
@@ -168,22 +157,12 @@ class ScanSlamSource:
         self,
         scans: LogScans,
         options: ScanSlamOptions | None = None,
-        map_of: DenseWatcher | None = None,
         fusing: FusingOptions | None = None,
     ) -> None:
-        """Start without landmarks. map_of: who keeps a map that templates are enriched from.
-
-        fusing: of landmarks that are one; None to leave them two.
-        """
+        """Start without landmarks. fusing: of landmarks that are one; None to leave them two."""
         self._scans, self._next = scans, 0
-        self._observer = None
-        if map_of is not None:
-            self._observer = MapAidedObserver(LocalContext(map_of.dense).around, ENRICH_M)
-        self._slam = ScanSlam(
-            scans.sensor, scans.view, scans.mount, options, observer=self._observer
-        )
+        self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
         self._duplicates = None if fusing is None else DuplicateMerging(self._slam, fusing)
-        self.map_of = map_of
         self._guard: DynamicGuard | None = None
         self.closing: Closing | None = None
 
@@ -202,11 +181,6 @@ class ScanSlamSource:
         """Landmarks that were found to be others."""
         return 0 if self._duplicates is None else self._duplicates.merged
 
-    @property
-    def enriched(self) -> int:
-        """Alignments that began where what stands around the landmark fits."""
-        return 0 if self._observer is None else self._observer.observed
-
     def keep_from(self, guard: DynamicGuard) -> None:
         """Returns and landmarks that lie where something moves are left out, and counted."""
         self._guard = self._slam.guard = guard
@@ -219,24 +193,6 @@ class ScanSlamSource:
         moves = self._guard.is_dynamic(seen.point)
         self.found.dynamic += int(np.count_nonzero(moves))
         return self._scans.shape_of(seen, moves)
-
-    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
-        """The map, if there is one, takes in the scans of the interval."""
-        if self.map_of is not None:
-            self.map_of.before_predict(ekf, time_s, control, duration_s)
-
-    def on_predict(self, ekf: Ekf) -> None:
-        """What waits there follows the vehicle."""
-        if self.map_of is not None:
-            self.map_of.on_predict(ekf)
-
-    def on_update(self, ekf: Ekf) -> None:
-        """It follows its landmarks."""
-        if self.map_of is not None:
-            self.map_of.on_update(ekf)
-
-    def on_end(self, ekf: Ekf, time_s: float) -> None:
-        """No template is enriched any more."""
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         """The scan of this epoch, if there is one. Raises FilterDivergedError."""

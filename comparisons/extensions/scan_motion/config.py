@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field
-
-from comparisons.config import Configured, ExtensionConfig
+from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.options import ABSENT, SCANS, Option
 
 if TYPE_CHECKING:
     from comparisons.extensions.scan_motion.extension import ScanMotionExtension
@@ -15,9 +14,17 @@ if TYPE_CHECKING:
 class ScanMotionConfig(ExtensionConfig):
     """Motion by scan matching (KISS-ICP)."""
 
-    motion: Literal["scan", "both"] = Field(
+    switch = Option(
+        "--motion",
+        SCANS,
+        "Motion: wheel (odometry), scan (scan matching), or both (scan matching as a third "
+        "estimate). [wheel]",
+        jobs=("run",),
+        settings={"wheel": ABSENT, "scan": {"motion": "scan"}, "both": {"motion": "both"}},
+    )
+    motion: Literal["scan", "both"] = setting(
         "both",
-        description="Use. scan: in place of the odometry; both: odometry, and a third estimate "
+        "Use. scan: in place of the odometry; both: odometry, and a third estimate "
         "by scan matching",
     )
 

@@ -22,16 +22,14 @@ class Hits:
     """Returns in regions, from one scan or from several that waited for a region.
 
     region: (N,) never -1. local: (N, 2) alpha, beta. point: (N, 2) in the world [m] as the
-    landmarks lie now. covariance: (N, 2, 2) of it within the region [m^2]. value: (N,) what else
-    was measured, NaN where it was not; None where it never is. late: of returns that waited, the
-    scans that they are of.
+    landmarks lie now. covariance: (N, 2, 2) of it within the region [m^2]. late: of returns that
+    waited, the scans that they are of.
     """
 
     region: Index
     local: Array
     point: Array
     covariance: Array
-    value: Array | None = None
     late: tuple[LateScan, ...] = ()
 
 

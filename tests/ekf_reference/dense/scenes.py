@@ -13,7 +13,6 @@ from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
-from ekf_reference.dense.layers.values import Values
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Sensor
@@ -24,7 +23,7 @@ SENSOR = Sensor(0.1, math.radians(0.5), math.radians(0.5))
 HERE = np.array([2.0, 5.0, 0.1])
 WALL_M = 14.3
 """A wall along north, at this east."""
-LAYERS = ("points", "occupancy", "particles", "gaussians", "values")
+LAYERS = ("points", "occupancy", "particles", "gaussians")
 
 
 def layer(name: str, seed: int = 0) -> Layer:
@@ -33,7 +32,6 @@ def layer(name: str, seed: int = 0) -> Layer:
         "occupancy": OccupancyGrid(),
         "particles": Particles(np.random.default_rng(seed)),
         "gaussians": Gaussians(),
-        "values": Values(0.2),
     }
     return made[name]
 
@@ -74,7 +72,6 @@ def reported(
         local=found.local[inside],
         point=scan.point[inside],
         covariance=scan.covariance[inside],
-        value=np.ones(len(inside)),
     )
     near = np.sort(placed.tree.meeting(scan.box()[None]).item)
     return hits, placed, None if late else scan, near

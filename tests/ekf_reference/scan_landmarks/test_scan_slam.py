@@ -12,7 +12,6 @@ from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.models.motion import RelativePoseModel
-from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
 from ekf_reference.scan_landmarks.scan_slam import GATED, LEFT_OUT, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
@@ -20,7 +19,6 @@ from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
     Template,
-    TemplateObserver,
     View,
 )
 from ekf_reference.scan_matching.scan_shape import of_scan
@@ -62,10 +60,10 @@ def scan_from(vehicle: Array, seed: int = 0, scene: Solids = STAR) -> SumOfGauss
 
 
 def initialised(
-    options: ScanSlamOptions = EVERY, observer: TemplateObserver | None = None
+    options: ScanSlamOptions = EVERY,
 ) -> tuple[ScanSlam, Ekf, Reported]:
     """One landmark, initialised by the first scan."""
-    slam = ScanSlam(LASER, VIEW, MOUNT, options, observer=observer)
+    slam = ScanSlam(LASER, VIEW, MOUNT, options)
     ekf = filter_at(np.zeros(3))
     reported = Reported(ekf)
     slam.step(ekf, scan_from(np.zeros(3)), reported)
@@ -187,25 +185,3 @@ def test_alignments_go_to_the_last_observed_and_to_the_longest_untried() -> None
     # broken: by last observation alone, which failing trials do not change
     longest = sorted(range(9), key=slam._last_seen.__getitem__)[:5]
     assert not {8, 7, 6} & set(longest)
-
-
-def test_templates_are_enriched_from_a_sigma_on() -> None:
-    """What is around is asked for where the landmark lies now, and only from the threshold on."""
-    asked: list[Array] = []
-
-    def around(template: Template, place: Array) -> SumOfGaussians:
-        asked.append(place.copy())
-        return template.shape
-
-    moved = np.array((0.3, 0.1, 0.02))
-    for least_sigma_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
-        observer = MapAidedObserver(around, least_sigma_m)
-        slam, ekf, reported = initialised(observer=observer)
-        place = ekf.state.places(POSE)[0].copy()
-        ekf.predict(moved, PRIOR, 1.0)
-        slam.step(ekf, scan_from(moved, 1), reported)
-        assert observer.observed == len(asked) == times
-        assert slam.found.reasons[USED] == 1
-        for one in asked:
-            assert np.array_equal(one, place)
-        asked.clear()
