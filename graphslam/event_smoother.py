@@ -10,11 +10,14 @@ without variance, a noise of any rank and a clone are like any other, and memory
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 from graphslam.arrays import Array, Index, Marginal
 
@@ -221,7 +224,7 @@ class EventSmoother:
         """L^-1 of R = L L^T, which mostly is the same as before."""
         if self._whitened is None or self._whitened[0] is not r:
             root = np.linalg.cholesky(r)
-            self._whitened = r, solve_triangular(root, np.eye(len(r)), lower=True)
+            self._whitened = r, _solve_lower(root, np.eye(len(r)))
         return self._whitened[1]
 
     def _collapse(self) -> Array:
@@ -285,20 +288,29 @@ def square_root(covariance: Array) -> Array:
 
 def _inverse_root(covariance: Array) -> Array | None:
     """Return W with W P W^T = I, or None of a covariance that is singular, or nearly."""
-    variance = np.diag(covariance)
+    variance = covariance.diagonal()
     if not (variance > 0.0).all():
         return None
     inverse = 1.0 / np.sqrt(variance)
     try:
-        root = np.linalg.cholesky(covariance * np.outer(inverse, inverse))
+        root = np.linalg.cholesky(covariance * (inverse[:, None] * inverse))
     except np.linalg.LinAlgError:
         return None
     if root.diagonal().min() < _LEAST_PIVOT:
         return None
-    found: Array = solve_triangular(root, np.diag(inverse), lower=True, check_finite=False)
+    return _solve_lower(root, np.diag(inverse))
+
+
+def _solve_lower(root: NDArray[np.floating[Any]], right: Array) -> Array:
+    """Return L^-1 B of a Cholesky factor, which numpy keeps by rows and LAPACK reads by columns.
+
+    Without scipy's solve_triangular, whose checks take longer than a small system.
+    """
+    found: Array = dtrtrs(root.T, right, lower=0, trans=1)[0]
     return found
 
 
+@cache
 def _unit(size: int) -> gtsam.noiseModel.Unit:
     return gtsam.noiseModel.Unit.Create(size)
 

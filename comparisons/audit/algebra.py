@@ -13,7 +13,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.audit.faults import KnownFault, known_faults
-from comparisons.audit.replay import Fused, Replay, apart, check_gain, largest_pair
+from comparisons.audit.replay import Fused, Layout, Replay, apart, check_gain, largest_pair
 from comparisons.statistics import ROUNDING, units
 from comparisons.trace.events import (
     Augment,
@@ -200,10 +200,10 @@ class AlgebraCheck:
         """Keep the estimate's numbers as events lead to them, and compare a snapshot's."""
         numbers = self._numbers
         match event:
-            case Prior() if event.point is not None:
-                self._numbers = _parts(event.point, event.blocks, event.dims)
             case Predict():
                 self._set(event.blocks, event.after)
+            case Prior() if event.point is not None:
+                self._numbers = _parts(event.point, Layout(event.blocks, event.dims))
             case Augment():
                 self._numbers.pop(event.name, None)
                 if event.after is not None and len(event.after) == len(event.jacobian):
@@ -219,11 +219,11 @@ class AlgebraCheck:
 
     def _set(self, blocks: Blocks, after: Array | None) -> None:
         """Set the numbers of blocks; None where they are not known any more."""
-        dims = [self.replay.layout.dims[name] for name in blocks]
-        for name in blocks:
-            self._numbers.pop(name, None)
+        if self._numbers:
+            for name in blocks:
+                self._numbers.pop(name, None)
         if after is not None:
-            self._numbers |= _parts(after, blocks, dims)
+            self._numbers |= _parts(after, self.replay.layout.of(blocks))
 
     def _correct(self, correction: Array | None) -> None:
         entries, before = self.replay.layout.entries, self._numbers
@@ -234,7 +234,7 @@ class AlgebraCheck:
     def _compare_estimate(self, snapshot: Snapshot, mean: Array) -> None:
         """Find blocks whose estimate is not what the events lead to."""
         layout = self.replay.layout
-        given = _parts(mean, snapshot.blocks, [layout.dims[name] for name in snapshot.blocks])
+        given = _parts(mean, layout.of(snapshot.blocks))
         wrong, largest = [], 0.0
         for name, value in given.items():
             expected = self._numbers.get(name)
@@ -319,13 +319,11 @@ def _least(scaled: Array, allowed: float) -> float:
     return allowed
 
 
-def _parts(numbers: Array, blocks: Blocks, dims: Sequence[int]) -> dict[str, Array]:
+def _parts(numbers: Array, layout: Layout) -> dict[str, Array]:
     """Return the numbers of each block; none where there are not as many as its errors have."""
-    if len(numbers) != sum(dims):
+    if len(numbers) != layout.size:
         return {}
-    ends = np.cumsum(dims)
-    parts = zip(blocks, dims, ends.tolist(), strict=True)
-    return {name: numbers[end - dim : end] for name, dim, end in parts}
+    return {name: numbers[layout.entries(name)] for name in layout.dims}
 
 
 class Cause(NamedTuple):

@@ -196,31 +196,28 @@ class _Pass:
     def _do(self, event: Event) -> None:
         """Let both solutions do an event."""
         match event:
+            case Predict() | Update() | Reset() | Augment() | Clone() | Remove():
+                self.acted = True
+                if self.spurious is not None:
+                    self.spurious.take(event)
+                fused = self.algebra.take(event)
+                self._solve(event, fused)
+            case Snapshot():
+                self._snapshot(event)
             case Prior():
                 self.blocks = dict(zip(event.blocks, event.dims, strict=True))
                 self.algebra.take(event)
                 self.smoother = EventSmoother(event.blocks, event.dims, event.covariance)
-                return
-            case Snapshot():
-                self._snapshot(event)
-                return
             case Directions():
                 self.spurious = SpuriousInformation(event, self.algebra.replay)
-                return
-        self.acted = True
-        if self.spurious is not None:
-            self.spurious.take(event)
-        fused = self.algebra.take(event)
-        if not isinstance(event, Update):
-            self._solve(event)
-        elif fused is not None:
-            self._update(event, fused)
 
-    def _solve(self, event: Predict | Reset | Augment | Clone | Remove) -> None:
-        """Let least squares do an event that is no measurement."""
+    def _solve(self, event: Event, fused: Fused | None) -> None:
+        """Let least squares do an event. fused: what the recursion made of an update."""
         match event:
             case Predict():
                 self.smoother.predict(event.blocks, event.jacobian, event.noise)
+            case Update() if fused is not None:
+                self._update(event, fused)
             case Reset():
                 self.smoother.predict(event.blocks, event.jacobian, None)
             case Augment():

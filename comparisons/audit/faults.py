@@ -101,7 +101,7 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
         yield KnownFault(
             "the covariance is P - K H P, which holds for Kalman's gain alone",
             event.blocks,
-            lambda replay, e: _short(replay, _update(e), _recorded_gain(e)),
+            lambda replay, e: _short(replay, _update(e), _used_gain(replay, _update(e))),
         )
     yield from _of_noise(event)
     if event.gain is None:
@@ -260,12 +260,6 @@ def _update(event: Event) -> Update:
     return event
 
 
-def _recorded_gain(event: Event) -> Array:
-    gain = _update(event).gain
-    assert gain is not None  # noqa: S101
-    return gain
-
-
 def _skipped(replay: Replay, event: Event) -> None:
     del replay, event
 
@@ -368,6 +362,11 @@ def _gain(replay: Replay, event: Update, noise: Array | None = None) -> Array:
     return across @ np.linalg.pinv(s)
 
 
+def _used_gain(replay: Replay, event: Update) -> Array:
+    """The recorded gain, or Kalman's where there is none."""
+    return _gain(replay, event) if event.gain is None else event.gain
+
+
 def _short(replay: Replay, event: Update, gain: Array) -> None:
     """P - K H P."""
     at = replay.layout.columns(event.blocks)
@@ -377,13 +376,13 @@ def _short(replay: Replay, event: Update, gain: Array) -> None:
 
 def _without_noise_term(replay: Replay, event: Event) -> None:
     update = _update(event)
-    gain = _gain(replay, update) if update.gain is None else update.gain
-    replay.fuse(update._replace(noise=np.zeros_like(update.noise)), gain)
+    without = update._replace(noise=np.zeros_like(update.noise))
+    replay.fuse(without, _used_gain(replay, update))
 
 
 def _without_r(replay: Replay, event: Event) -> None:
     update, p = _update(event), replay.covariance
-    gain = _gain(replay, update) if update.gain is None else update.gain
+    gain = _used_gain(replay, update)
     at, h = replay.layout.columns(update.blocks), update.jacobian
     replay.covariance = p - gain @ h @ p[at][:, at] @ h.T @ gain.T
 
@@ -402,7 +401,7 @@ def _before_noise(replay: Replay, event: Event) -> None:
 
 def _not_transposed(replay: Replay, event: Event) -> None:
     update, p = _update(event), replay.covariance
-    gain = _gain(replay, update) if update.gain is None else update.gain
+    gain = _used_gain(replay, update)
     keep = np.eye(len(p))
     keep[:, replay.layout.columns(update.blocks)] -= gain @ update.jacobian
     wrong = keep @ p @ keep + gain @ update.noise @ gain.T
@@ -433,12 +432,8 @@ def _schmidt(blocks: Blocks) -> Callable[[Replay, Event], None]:
 def _without_jacobian(block: str) -> Callable[[Replay, Event], None]:
     def apply(replay: Replay, event: Event) -> None:
         update = _update(event)
-        h, start = update.jacobian.copy(), 0
-        for name in update.blocks:
-            dim = replay.layout.dims[name]
-            if name == block:
-                h[:, start : start + dim] = 0.0
-            start += dim
+        h = update.jacobian.copy()
+        h[:, replay.layout.of(update.blocks).entries(block)] = 0.0
         replay.apply(update._replace(jacobian=h, gain=None))
 
     return apply
@@ -479,13 +474,8 @@ def _one_sided(replay: Replay, event: Event) -> None:
 def _without_noise(block: str) -> Callable[[Replay, Event], None]:
     def apply(replay: Replay, event: Event) -> None:
         assert isinstance(event, Predict)  # noqa: S101
-        noise, start = event.noise.copy(), 0
-        for name in event.blocks:
-            dim = replay.layout.dims[name]
-            if name == block:
-                noise[start : start + dim] = 0.0
-                noise[:, start : start + dim] = 0.0
-            start += dim
+        noise, at = event.noise.copy(), replay.layout.of(event.blocks).entries(block)
+        noise[at] = noise[:, at] = 0.0
         replay.predict(event.blocks, event.jacobian, noise)
 
     return apply

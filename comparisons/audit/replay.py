@@ -8,7 +8,7 @@ its covariance is that of this gain and its estimate moves by it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -84,9 +84,10 @@ class Layout:
         self._find()
         return np.flatnonzero(~gone)
 
-    def copy(self) -> Layout:
-        """Return the same blocks."""
-        return Layout(tuple(self.dims), tuple(self.dims.values()))
+    def of(self, blocks: Iterable[str]) -> Layout:
+        """Return the layout of some blocks alone, in their order."""
+        names = tuple(blocks)
+        return Layout(names, [self.dims[name] for name in names])
 
 
 class Fused(NamedTuple):
@@ -127,7 +128,7 @@ class Replay:
     def copy(self) -> Replay:
         """Return one that goes its own way."""
         other = object.__new__(Replay)
-        other.layout = self.layout.copy()
+        other.layout = self.layout.of(self.layout.dims)
         other.covariance, other.mean = self.covariance.copy(), self.mean.copy()
         other.added = self.added
         return other
@@ -330,10 +331,12 @@ def _correction(
 ) -> list[Unlike]:
     assert event.correction is not None  # noqa: S101 - asked for above
     off = np.abs(event.correction - right) / unit
-    wrong = _blocks(off, layout, max(tolerance, _ALIKE * float(np.abs(right / unit).max())))
-    everywhere = len(wrong) == len(layout.dims) > _NAMED
-    if not off.max() > tolerance or not wrong:
+    if not off.max() > tolerance:
         return []
+    wrong = _blocks(off, layout, max(tolerance, _ALIKE * float(np.abs(right / unit).max())))
+    if not wrong:
+        return []
+    everywhere = len(wrong) == len(layout.dims) > _NAMED
     given = np.concatenate([event.correction[layout.entries(b)] for b in wrong])
     meant = np.concatenate([right[layout.entries(b)] for b in wrong])
     names = "all blocks" if everywhere else ", ".join(wrong)

@@ -318,27 +318,29 @@ class EventReader:
     def _shaped(self, row: Row, column: int, *shape: int) -> Array:
         """A matrix, the same one each time that it is stored once."""
         own = row.cells[column]
-        if own is not None and own.matrix is not None and own.matrix.shape == shape:
-            return own.matrix
-        flat = self._flat(row, column)
-        if flat.size != math.prod(shape):
-            name = COLUMNS[row.kind][column]
-            expected = " x ".join(map(str, shape))
-            self._refuse(row.number, f"{name} has {flat.size} numbers, expected {expected}")
-        found = flat.reshape(shape)
-        assert own is not None  # noqa: S101 - or it had no numbers
-        own.matrix = found
-        return found
+        if own is None or own.matrix is None:
+            self._refuse_cell(row, column)
+        if own.matrix.shape != shape:
+            if own.matrix.size != math.prod(shape):
+                name, expected = COLUMNS[row.kind][column], " x ".join(map(str, shape))
+                fault = f"{name} has {own.matrix.size} numbers, expected {expected}"
+                self._refuse(row.number, fault)
+            own.matrix = own.matrix.reshape(shape)
+        return own.matrix
 
     def _flat(self, row: Row, column: int) -> Array:
         """The numbers (n,) of a matrix."""
-        own, name = row.cells[column], COLUMNS[row.kind][column]
-        if own is None:
-            self._refuse(row.number, f"{name} is missing")
-        if own.matrix is None:
-            fault = f"{name} is no numbers, or has one that is not finite or too large"
-            self._refuse(row.number, fault)
+        own = row.cells[column]
+        if own is None or own.matrix is None:
+            self._refuse_cell(row, column)
         return own.matrix.reshape(-1)
+
+    def _refuse_cell(self, row: Row, column: int) -> NoReturn:
+        """Refuse an event without the numbers of a matrix."""
+        fault = "is no numbers, or has one that is not finite or too large"
+        if row.cells[column] is None:
+            fault = "is missing"
+        self._refuse(row.number, f"{COLUMNS[row.kind][column]} {fault}")
 
     def _check_covariances(self) -> None:
         """Raise InputError for the first noise or prior that no sound filter has."""
