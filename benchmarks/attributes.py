@@ -3,9 +3,8 @@
     python benchmarks/attributes.py [--seeds 10] [--victoria-park DIR] [--car-park DIR]
 
 Simulated: pairs of trees 0.6 m apart along Nieto's loop, scored by the true landmarks. Victoria
-Park: what is recognised after blind stretches, what the diameters scatter by, the whole run without
-and with them, and with --blind runs without the measurements of the last seconds of every minute,
-scored by the run that has them all. Car park: what intensities say.
+Park: what is recognised after blind stretches, what the diameters scatter by, and the whole run
+without and with them. Car park: what intensities say.
 """
 
 from __future__ import annotations
@@ -130,39 +129,26 @@ def scatter(log: Log, landmark_index: LandmarkIndices) -> None:
     )
 
 
-def withheld(log: Log, length_s: float, period_s: float, phase_s: float) -> NDArray[np.bool_]:
-    """Which measurements (M,) are left when the last part of every period is blind."""
-    since = log.measurements.time_s - log.prior.time_s - phase_s
-    kept: NDArray[np.bool_] = (since <= 0.0) | (np.mod(since, period_s) <= period_s - length_s)
-    return kept
-
-
-def park(log: Log, blind_s: list[float], phases_s: list[float]) -> None:
+def park(log: Log) -> None:
     """Victoria Park without and with diameters."""
     reference = run(log, "compressed", "nn", "off").landmark_index
     scatter(log, reference)
-    print("Victoria Park, blind for, phase, attributes: pairs' precision and recall, landmarks, ")
-    print("  ambiguous, candidates, GPS median and RMS (aligned)")
-    for length in blind_s:
-        for phase in phases_s if length else phases_s[:1]:
-            kept = withheld(log, length, LONG_S, phase)
-            part = replace(log, measurements=log.measurements.chosen(kept))
-            for association in ("nn", "jcbb"):
-                for attributes in ("off", "on"):
-                    done = run(part, "compressed", association, attributes)
-                    true = reference[kept][: len(done.landmark_index)]
-                    both = true >= 0
-                    score = score_partition(done.landmark_index[both], true[both])
-                    accuracy = assess(done.estimate, log, labelled=False)
-                    assert accuracy is not None
-                    print(
-                        f"{length:4g} s {phase:4g} s {association:5} {attributes:4} "
-                        f"{score.precision:.3f} {score.recall:.3f} "
-                        f"{len(done.estimate.landmark)} {done.unused['ambiguous']} "
-                        f"{done.unused['candidate']} {accuracy.gps_median_aligned_m:.2f} "
-                        f"{accuracy.gps_rms_aligned_m:.2f} m",
-                        flush=True,
-                    )
+    print("Victoria Park, attributes: pairs' precision and recall, landmarks, ambiguous,")
+    print("  candidates, GPS median and RMS (aligned)")
+    for association in ("nn", "jcbb"):
+        for attributes in ("off", "on"):
+            done = run(log, "compressed", association, attributes)
+            true = reference[: len(done.landmark_index)]
+            score = score_partition(done.landmark_index[true >= 0], true[true >= 0])
+            accuracy = assess(done.estimate, log, labelled=False)
+            assert accuracy is not None
+            print(
+                f"{association:5} {attributes:4} {score.precision:.3f} {score.recall:.3f} "
+                f"{len(done.estimate.landmark)} {done.unused['ambiguous']} "
+                f"{done.unused['candidate']} {accuracy.gps_median_aligned_m:.2f} "
+                f"{accuracy.gps_rms_aligned_m:.2f} m",
+                flush=True,
+            )
 
 
 class Course:
@@ -362,10 +348,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--loops", type=float, default=2.0)
     parser.add_argument("--victoria-park", type=Path)
-    parser.add_argument("--blind", type=float, nargs="*", default=[0.0])
     parser.add_argument("--lost", type=float, nargs="+", default=[5.0, 10.0, 20.0, 40.0])
     parser.add_argument("--every", type=float, default=20.0)
-    parser.add_argument("--phases", type=float, nargs="+", default=[0.0, 20.0, 40.0])
     parser.add_argument("--car-park", type=Path)
     given = parser.parse_args()
     if given.seeds:
@@ -377,7 +361,7 @@ def main() -> None:
         log = victoria_park.read(given.victoria_park)
         for association in ("nn", "jcbb"):
             lost(log, association, given.lost, given.every)
-        park(log, given.blind, given.phases)
+        park(log)
 
 
 if __name__ == "__main__":

@@ -1,28 +1,25 @@
 """FastSLAM on Victoria Park: error, depletion and cost over the number of particles.
 
-    python benchmarks/fastslam.py [--particles 10 30 100] [--seeds 1] [--epochs K]
-        [--choice likeliest | sampled] [--proposal measurement | motion] [--labelled | --data DIR]
-        [--copies] [--agreement [--wheelbase F ...]]
+    python -m benchmarks.fastslam [--particles 10 30 100] [--seeds 1] [--labelled | --data DIR]
+        [--agreement [--wheelbase F ...]]
 
-By default the raw detections of Victoria Park (--data), which every particle associates for itself:
-the likeliest pairs, or sampled ones (--choice). A row a number of particles and seed: median
+By default the raw detections of Victoria Park (--data), which every particle associates for itself
+by the likeliest pairs. A row a number of particles and seed: median
 distance to the GPS, also after the rigid motion that fits best; particles of the first tenth and
 of the middle of the log that have descendants at its end; mean share of the effective sample size;
 resamplings; landmarks that most particles have; seconds of processor time, and how many times
 faster than the log's own time.
 
 --labelled: the bundled log `victoria-park` instead, with its labels; it has no GPS, so its error
-is the median distance from the EKF's trajectory. --copies: what resampling costs per copied map at
-300 landmarks, and a measurement update beside it. --agreement: the clouds of `slamcheck run
---third fastslam` against the smoother, over stretches of the bundled Victoria Park and of simulated
-loops of so many seeds, where FastSLAM alone has a wheelbase that is wrong by the factors F (1). p
-is that of the energy distance.
+is the median distance from the EKF's trajectory. --agreement: the clouds of `slamcheck run --third
+fastslam` against the smoother, over stretches of the bundled Victoria Park and of simulated loops
+of so many seeds, where FastSLAM alone has a wheelbase that is wrong by the factors F (1). p is that
+of the energy distance.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import kstest
 
+from benchmarks.timing import ROOT, timed
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import Timeline, build_timeline
@@ -45,14 +43,8 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers import victoria_park
 from comparisons.pipeline.compare import Comparison, compare
-from ekf_reference.core.landmark_types import diagonal_noise
-from ekf_reference.core.measurements import Measurements
 from ekf_reference.core.trace import Trace
-from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions
-from ekf_reference.fastslam.resampling import systematic_parents
-from ekf_reference.models.motion import RelativePoseModel
 
-ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data" / "victoria_park"
 CLOUDS = FastSlamConfig().clouds
 VERDICTS = {True: "agree", False: "disagree", None: "no verdict"}
@@ -80,10 +72,8 @@ def errors(log: Log, timeline: Timeline, mean: Array, reference: Array | None) -
 
 def row(log: Log, timeline: Timeline, sampling: Sampling, reference: Array | None) -> str:
     """Run once."""
-    begin = time.process_time()
     slam = build_fastslam(log, sampling, known=log.measurements.labelled)
-    cloud = run_fastslam(slam, log, timeline)
-    cpu_s = time.process_time() - begin
+    cloud, cpu_s = timed(run_fastslam, slam, log, timeline)
     error_m, aligned_m = errors(log, timeline, cloud.mean, reference)
     distinct, n = slam.history.distinct(), sampling.particles
     resampled = sum(parents is not None for parents in slam.history.parents)
@@ -95,30 +85,6 @@ def row(log: Log, timeline: Timeline, sampling: Sampling, reference: Array | Non
         f"{np.mean(slam.history.effective) / n:>6.2f} "
         f"{resampled:>9} {landmarks:>9} {cpu_s:>7.1f} {span_s / cpu_s:>9.1f}"
     )
-
-
-def copies(particles: int, landmarks: int = 300) -> str:
-    """Milliseconds of a resampling and of a scan with 8 measurements."""
-    generator = np.random.default_rng(0)
-    options = FastSlamOptions(particles=particles, resample_share=0.0)
-    slam = FastSlam(RelativePoseModel(), np.zeros(3), np.diag((0.01,) * 3), generator, options)
-    z = np.column_stack((np.linspace(5.0, 60.0, landmarks), np.linspace(-3.0, 3.0, landmarks)))
-    noise = diagonal_noise(np.full((landmarks, 2), 0.1))
-    slam.observe(Measurements(z, noise, np.arange(landmarks)))
-    few = np.arange(0, landmarks, landmarks // 8)[:8]
-    repeats, spent = 20, [0.0, 0.0]
-    weight = generator.dirichlet(np.full(particles, 1.0))  # effective sample size of N / 2
-    for _ in range(repeats):
-        begin = time.process_time()
-        parents = systematic_parents(weight, generator)
-        slam.maps.inherit(parents)
-        middle = time.process_time()
-        slam.predict(np.zeros(3), np.diag((1e-4, 1e-4, 1e-5)), 1.0)
-        slam.observe(Measurements(z[few], noise[few], few))
-        spent[0] += middle - begin
-        spent[1] += time.process_time() - middle
-    copied = int((parents != np.arange(particles)).sum())
-    return f"{particles:>9} {copied:>7} " + " ".join(f"{1e3 * s / repeats:>12.2f}" for s in spent)
 
 
 def agreement(particles: int, seeds: int, wheelbases: Sequence[float]) -> None:
@@ -147,16 +113,16 @@ def agreement(particles: int, seeds: int, wheelbases: Sequence[float]) -> None:
 
 def agreement_row(found: Comparison, wheelbase: float, sampling: Sampling) -> CloudCheck:
     """Compare once; FastSLAM alone has a wheelbase that is wrong by a factor."""
-    begin = time.process_time()
     log = found.prepared.log if wheelbase == 1.0 else with_wheelbase(found.prepared.log, wheelbase)
-    check = check_clouds(StretchComparison(found.gaps, log, sampling).run(CLOUDS))
+    clouds, cpu_s = timed(StretchComparison(found.gaps, log, sampling).run, CLOUDS)
+    check = check_clouds(clouds)
     length_s = np.mean([one.end_s - one.begin_s for one in check.stretches])
     exact = check.exact
     print(
         f"{log.name:>14} {wheelbase:>9g} {sampling.particles:>9} {sampling.seed:>4} "
         f"{len(check.stretches):>9} {length_s:>6.1f} {check.energy:>6.2f} {check.p:>6.4f} "
         f"{check.squared_shift:>7.2f} {check.spread:>6.2f} {check.independent:>11.1f} "
-        f"{time.process_time() - begin:>6.1f}  {VERDICTS[check.agrees]}"
+        f"{cpu_s:>6.1f}  {VERDICTS[check.agrees]}"
         + (f" (exact posterior: p {exact.clouds:.4f})" if exact is not None else ""),
         flush=True,
     )
@@ -178,20 +144,11 @@ def main() -> None:
     )
     parser.add_argument("--particles", type=int, nargs="+", default=[10, 30, 100])
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--epochs", type=int, help="only so many of the log's")
-    parser.add_argument("--proposal", choices=("measurement", "motion"), default="measurement")
-    parser.add_argument("--choice", choices=("likeliest", "sampled"), default="likeliest")
     parser.add_argument("--labelled", action="store_true")
     parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--copies", action="store_true")
     parser.add_argument("--agreement", action="store_true")
     parser.add_argument("--wheelbase", type=float, nargs="+", default=[1.0], metavar="F")
     given = parser.parse_args()
-    if given.copies:
-        print(f"{'particles':>9} {'copied':>7} {'resample ms':>12} {'scan ms':>12}")
-        for particles in given.particles:
-            print(copies(particles))
-        return
     if given.agreement:
         for particles in given.particles:
             agreement(particles, given.seeds, given.wheelbase)
@@ -200,18 +157,16 @@ def main() -> None:
         parser.error(f"{given.data} holds no detections of Victoria Park; see --labelled")
     log = open_log("victoria-park") if given.labelled else victoria_park.read(given.data)
     timeline = build_timeline(log)
-    if given.epochs is not None:
-        timeline = timeline.prefix(given.epochs)
     reference = ekf_trajectory(log, timeline) if given.labelled else None
+    default = Sampling(1)
     print(
-        f"{log.name}, {len(timeline.epoch_time_s):,} epochs, proposal {given.proposal}, "
-        f"choice {given.choice}"
+        f"{log.name}, {len(timeline.epoch_time_s):,} epochs, proposal {default.proposal}, "
+        f"choice {default.choice}"
     )
     print(HEAD)
     for particles in given.particles:
         for seed in range(given.seeds):
-            sampling = Sampling(particles, given.proposal, seed, given.choice)
-            print(row(log, timeline, sampling, reference), flush=True)
+            print(row(log, timeline, Sampling(particles, seed=seed), reference), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,14 @@
 """How far from the truth scan matchers may begin (Nieto 2005, section 7.2.3), and their time.
 
-    python benchmarks/matchers.py [--pairs 20] [--car-park FOLDER] [--figure FILE]
+    python -m benchmarks.matchers [--pairs 20]
 
 The thesis asks for a comparison of scan matching algorithms, "in particular, their sensitivity to
 initial pose error". Every pair of scans is matched from guesses wrong by so much, in a direction
 drawn at random; a match is a success within 5 cm and 0.5 degrees of the truth. Pairs are
-simulated, and of the ACFR car park, where the truth is what most matchers find from nearby; what
-the scans hold fixes every direction. False are results that are neither refused nor near the
-truth, as their own covariance has it (0.999 of a chi-square with three degrees of freedom). NEES is
-the median of all successes over what it should be, 2.37: below 1 the covariance is too wide. The
-correlations are also told how wide a guess may be wrong, and search so far.
+simulated; what the scans hold fixes every direction. False are results that are neither refused
+nor near the truth, as their own covariance has it (0.999 of a chi-square with three degrees of
+freedom). NEES is the median of all successes over what it should be, 2.37: below 1 the covariance
+is too wide. The correlations are also told how wide a guess may be wrong, and search so far.
 """
 
 from __future__ import annotations
@@ -19,19 +18,15 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from comparisons.logs.readers import read_log
+from benchmarks.timing import timed
 from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_worlds import dense_slam_world, occupancy_world, scan_slam_world
 from ekf_reference.dense.scan import Scan, Sensor
@@ -52,7 +47,6 @@ SHIFTS_M = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)
 TURNS_DEG = (0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 WITHIN_M, WITHIN_RAD = 0.05, np.deg2rad(0.5)
 FIXED = 6.0
-MOVED_M = 0.2
 FALSE = 16.27
 ANGLES = np.deg2rad(np.linspace(-90.0, 90.0, 361))
 REACH_M, SIGMA_M, SIGMA_BEAM = 40.0, 0.02, np.deg2rad(0.1)
@@ -139,39 +133,6 @@ def simulated_pairs(rng: np.random.Generator, count: int) -> list[Pair]:
     return pairs
 
 
-def car_park_pairs(folder: Path, count: int) -> list[Pair]:
-    """Scans three apart, taken on the move all over the log, on which most matchers agree."""
-    scans = read_log(folder).scans
-    assert scans is not None
-    pairs: list[Pair] = []
-    for first in np.linspace(0, len(scans.time_s) - 4, 10 * count).astype(int).tolist():
-        target, source = (
-            planar_points(scans.angle_rad, scans.range_m[row], np.zeros(3))
-            for row in (first, first + 3)
-        )
-        truth = consensus(source, target)
-        moved = truth is not None and np.hypot(truth[0], truth[1]) > MOVED_M
-        if truth is not None and moved and is_fixed(source, target, truth):
-            pairs.append((source, target, truth))
-    chosen = np.linspace(0, len(pairs) - 1, min(count, len(pairs))).astype(int)
-    return [pairs[k] for k in chosen.tolist()]
-
-
-def consensus(source: Array, target: Array) -> Array | None:
-    """What four matchers of five find from nothing, or the motion of none."""
-    found = []
-    for make in MATCHERS.values():
-        try:
-            found.append(make().match(source, target, np.zeros(3)).motion)
-        except ScanError:
-            continue
-    for one in found:
-        near = [other for other in found if is_near(one, other)]
-        if len(near) >= 4:
-            return np.asarray(np.median(near, axis=0))
-    return None
-
-
 def is_fixed(source: Array, target: Array, truth: Array) -> bool:
     """The shape fixes all three directions by some pairs of points; elsewhere no start helps."""
     unmoved = SurfaceMatcher(MatchOptions(reaches_m=()))
@@ -207,6 +168,13 @@ class ConvergenceBasin:
         return float(np.median(self.nees)) / MEDIAN_NEES if self.nees else np.nan
 
 
+def matched(matcher: Matcher, source: Array, target: Array, guess: Array) -> Registration | None:
+    """What a matcher finds; None where it refuses."""
+    with suppress(ScanError):
+        return matcher.match(source, target, guess)
+    return None
+
+
 def basin(matcher: Matcher, pairs: list[Pair]) -> ConvergenceBasin:
     """Match every pair from every error, the same ones for every matcher."""
     rng = np.random.default_rng(1)
@@ -218,41 +186,19 @@ def basin(matcher: Matcher, pairs: list[Pair]) -> ConvergenceBasin:
                 way, sign = rng.uniform(0.0, 2.0 * np.pi), rng.choice((-1.0, 1.0))
                 error = (shift * np.cos(way), shift * np.sin(way), sign * np.deg2rad(turn))
                 guess = planar.compose(truth, np.array(error))
-                begin = time.perf_counter()
-                try:
-                    found = matcher.match(source, target, guess)
+                found, cpu_s = timed(matched, matcher, source, target, guess)
+                if found is not None:
                     off = planar.wrapped(planar.between(found.motion, truth))
                     nees = float(off @ np.linalg.solve(found.covariance, off))
                     wrong, near = nees > FALSE, is_near(found.motion, truth)
                     result.nees += [nees] if near else []
                     result.success[row, column] += float(near) / len(pairs)
                     result.false += float(wrong and not near) / tries
-                except ScanError:
-                    pass
-                result.milliseconds += 1e3 * (time.perf_counter() - begin) / tries
+                result.milliseconds += 1e3 * cpu_s / tries
     return result
 
 
-def plot(results: dict[str, dict[str, ConvergenceBasin]], to: Path) -> None:
-    """A map of successes per matcher and kind of pair."""
-    figure = Figure(figsize=(2.5 * len(COMPARED) + 0.8, 2.7 * len(results) + 0.4))
-    FigureCanvasAgg(figure)
-    figure.set_layout_engine("constrained")
-    axes = figure.subplots(len(results), len(COMPARED), squeeze=False, sharex=True, sharey=True)
-    for row, (kind, basins) in enumerate(results.items()):
-        for axis, (name, found) in zip(axes[row], basins.items(), strict=True):
-            image = axis.imshow(found.success, origin="lower", vmin=0.0, vmax=1.0, cmap="viridis")
-            axis.set_title(f"{name}\n{kind}, {found.milliseconds:.0f} ms", fontsize=9)
-            axis.set_xticks(range(len(SHIFTS_M)), [f"{m:g}" for m in SHIFTS_M], fontsize=8)
-            axis.set_yticks(range(len(TURNS_DEG)), [f"{d:g}" for d in TURNS_DEG], fontsize=8)
-        axes[row, 0].set_ylabel("heading error [deg]", fontsize=9)
-    for axis in axes[-1]:
-        axis.set_xlabel("position error [m]", fontsize=9)
-    figure.colorbar(image, ax=axes, label="share of successes", fraction=0.03)
-    figure.savefig(to, dpi=130, metadata={"Software": None})
-
-
-def table(results: dict[str, dict[str, ConvergenceBasin]]) -> Iterable[str]:
+def table(kind: str, basins: dict[str, ConvergenceBasin]) -> Iterable[str]:
     """Shares in percent: over all errors, and along each alone."""
     shifts, turns = SHIFTS_M[1:], TURNS_DEG[1:]
     yield (
@@ -263,15 +209,14 @@ def table(results: dict[str, dict[str, ConvergenceBasin]]) -> Iterable[str]:
         f"{'pairs':14}{'matcher':15}{'all':>6} {''.join(f'{m:5g}' for m in shifts)} "
         f"{''.join(f'{d:5g}' for d in turns)} {'false':>6} {'NEES':>6} {'ms':>6}"
     )
-    for kind, basins in results.items():
-        for name, found in basins.items():
-            percent = 100.0 * found.success
-            yield (
-                f"{kind:14}{name:15}{percent.mean():6.0f} "
-                f"{''.join(f'{p:5.0f}' for p in percent[0, 1:])} "
-                f"{''.join(f'{p:5.0f}' for p in percent[1:, 0])} "
-                f"{100.0 * found.false:6.0f} {found.calibration:6.2f} {found.milliseconds:6.1f}"
-            )
+    for name, found in basins.items():
+        percent = 100.0 * found.success
+        yield (
+            f"{kind:14}{name:15}{percent.mean():6.0f} "
+            f"{''.join(f'{p:5.0f}' for p in percent[0, 1:])} "
+            f"{''.join(f'{p:5.0f}' for p in percent[1:, 0])} "
+            f"{100.0 * found.false:6.0f} {found.calibration:6.2f} {found.milliseconds:6.1f}"
+        )
 
 
 def usual_times(pairs: list[Pair]) -> str:
@@ -284,36 +229,23 @@ def usual_times(pairs: list[Pair]) -> str:
         tried: dict[str, Callable[[], object]] = {
             "sums of Gaussians": partial(align, *sums),
             "with covariance": partial(scan_align, *sums),
-            "KISS-ICP": partial(MATCHERS["kiss"]().match, source, target, truth + wrong),
+            "KISS-ICP": partial(matched, MATCHERS["kiss"](), source, target, truth + wrong),
         }
         for name, match in tried.items():
-            begin = time.process_time()
-            with suppress(ScanError):
-                match()
-            taken.setdefault(name, []).append(1e3 * (time.process_time() - begin))
+            taken.setdefault(name, []).append(1e3 * timed(match)[1])
     reported = ", ".join(f"{name} {np.median(row):.1f} ms" for name, row in taken.items())
     return f"guess wrong by {USUAL[0, 0] ** 0.5:g} m, medians of processor time: {reported}"
 
 
 def main() -> None:
-    """Run all, print a table, draw the basins."""
+    """Run all, print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pairs", type=int, default=20)
-    parser.add_argument("--car-park", type=Path, help="the ACFR car park's folder")
-    parser.add_argument("--figure", "--plot", dest="figure", type=Path)
     choices = parser.parse_args()
-    kinds = {"simulated": simulated_pairs(np.random.default_rng(0), choices.pairs)}
-    if choices.car_park is not None:
-        kinds["car park"] = car_park_pairs(choices.car_park, choices.pairs)
-    results = {
-        f"{len(pairs)} {kind}": {name: basin(make(), pairs) for name, make in COMPARED.items()}
-        for kind, pairs in kinds.items()
-        if pairs
-    }
-    print("\n".join(table(results)))
-    print(usual_times(kinds["simulated"]))
-    if choices.figure is not None:
-        plot(results, choices.figure)
+    pairs = simulated_pairs(np.random.default_rng(0), choices.pairs)
+    basins = {name: basin(make(), pairs) for name, make in COMPARED.items()}
+    print("\n".join(table(f"{len(pairs)} simulated", basins)))
+    print(usual_times(pairs))
 
 
 if __name__ == "__main__":

@@ -1,20 +1,17 @@
 """Simulation-based calibration of posterior draws, and what share of truths Gaussians cover.
 
-    python benchmarks/posterior_sampling.py [--problems 100] [--cases NAME ...] [--kernels]
+    python -m benchmarks.posterior_sampling [--problems 100] [--cases NAME ...]
 
 A problem is drawn from its own prior: first pose, motions, landmarks given their first measurement;
 its later measurements from the model. The rank of the truth among independent draws of the
 posterior is then uniform (Talts, Betancourt, Simpson, Vehtari, Gelman 2018). A chi-square test of
 16 bins says so, its p-value from simulated multinomial counts, as there are too few problems for
 its asymptotic law. The filter is ekf_reference's, run through comparisons on a log of the problem.
-
---kernels compares Markov kernels instead, on drives of growing length.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -22,25 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from benchmarks.timing import timed
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.config import RunConfig
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
-from graphslam.chain_diagnostics import chain_evidence
 from graphslam.increments import dead_reckoned
-from graphslam.problem import SlamProblem
 from graphslam.sampling import (
     PosteriorDraws,
-    Potential,
     SamplingOptions,
-    SlamPotential,
-    WhitenedPotential,
-    sample_chains,
     sample_posterior,
 )
-from graphslam.smoother import SmootherResult, smooth
+from graphslam.smoother import smooth
 
 Array = NDArray[np.float64]
 LEVELS = (0.5, 0.9, 0.95)
@@ -217,6 +209,11 @@ def solve(drawn: Drawn, rng: np.random.Generator) -> Solved:
     return Solved(drawn.truth, gaussians, draws)
 
 
+def solve_all(case: Case, problems: int, rng: np.random.Generator) -> list[Solved]:
+    """Draw and solve so many problems."""
+    return [solve(draw_problem(case, rng), rng) for _ in range(problems)]
+
+
 def wrapped(apart: Array) -> Array:
     """Deviations (..., m) with the pose's heading within half a turn."""
     apart[..., 2] = np.angle(np.exp(1j * apart[..., 2]))
@@ -306,102 +303,12 @@ def report(name: str, solved: list[Solved], rng: np.random.Generator) -> Iterato
 def calibration(names: list[str], problems: int, seed: int) -> None:
     """Print every case."""
     for name in names:
-        start_s = time.process_time()
         rng = np.random.default_rng([seed, list(CASES).index(name)])
         case = CASES[name]()
-        solved = [solve(draw_problem(case, rng), rng) for _ in range(problems)]
+        solved, cpu_s = timed(solve_all, case, problems, rng)
         for line in report(name, solved, rng):
             print(line, flush=True)
-        print(f"  {time.process_time() - start_s:.0f} s of processor time")
-
-
-class Counted:
-    """A density that counts how often it is asked."""
-
-    def __init__(self, potential: Potential) -> None:
-        """Start at zero."""
-        self._potential, self.calls = potential, 0
-
-    def __call__(self, state: Array) -> tuple[Array, Array]:
-        """Return what the density says."""
-        self.calls += 1
-        return self._potential(state)
-
-
-def metropolis(
-    potential: Potential, dimension: int, rng: np.random.Generator, calls: int, *, local: bool
-) -> tuple[Array, float]:
-    """Draws (16, N, n) of as many calls, and the acceptance.
-
-    local: preconditioned Crank-Nicolson, its step set in the first fifth so that 0.4 are accepted;
-    else proposals independent of the last draw. Both use no gradient.
-    """
-    state = rng.standard_normal((dimension, 16))
-    rest = potential(state)[0] - 0.5 * np.sum(state**2, axis=0)
-    step, kept, chances = (0.5 if local else 1.0), [], []
-    for i in range(calls):
-        proposed = np.sqrt(1.0 - step**2) * state + step * rng.standard_normal(state.shape)
-        there = potential(proposed)[0] - 0.5 * np.sum(proposed**2, axis=0)
-        chance = np.exp(-np.maximum(there - rest, 0.0))
-        moved = rng.uniform(size=16) < chance
-        state, rest = np.where(moved, proposed, state), np.where(moved, there, rest)
-        if i < calls // 5:
-            if local:
-                step = float(np.clip(step * np.exp(0.1 * (chance.mean() - 0.4)), 1e-4, 1.0))
-        else:
-            kept.append(state)
-            chances.append(chance.mean())
-    return np.array(kept).transpose(2, 0, 1), float(np.mean(chances))
-
-
-def kernels(seed: int) -> None:
-    """Print what each kernel makes of equally many evaluations of the density."""
-    cases = {
-        "straight, heading 0.3 rad": straight(heading=0.3),
-        "circle, 16 poses": circle(),
-        "circle, 64 poses": circle(64, 0.02),
-        "circle, 256 poses": circle(256, 0.005),
-    }
-    print(f"{'case':28s} {'kernel':22s}   n  calls  accepted  R-hat  least ESS per 1000 calls")
-    for name, case in cases.items():
-        rng = np.random.default_rng(seed)
-        prepared = prepare(draw_problem(case, rng).log, RunConfig())
-        run, _ = run_filter(prepared)
-        problem = build_problem(prepared.log, run)
-        result = smooth(problem, {"ekf": (run.departed, run.estimate.landmark)})
-        along = Counted(WhitenedPotential(problem, result.poses, result.landmarks))
-        found = {}
-        chains = sample_chains(along, problem.state_dimension, rng)
-        calls = along.calls
-        found["HMC"] = chains.draws, chains.acceptance, calls
-        world = Counted(in_the_world(problem, result))
-        chains = sample_chains(world, problem.state_dimension, rng)
-        found["HMC, in the world"] = chains.draws, chains.acceptance, world.calls
-        for label, local in (("Crank-Nicolson", True), ("independence", False)):
-            drawn, rate = metropolis(along, problem.state_dimension, rng, calls, local=local)
-            found[label] = drawn, rate, calls
-        for label, (drawn, accepted, spent) in found.items():
-            evidence = chain_evidence(drawn)
-            rate = 1000.0 * float(np.minimum(evidence.bulk, evidence.tail).min()) / spent
-            print(
-                f"{name:28s} {label:22s} {drawn.shape[2]:3d} {spent:6d} {accepted:9.3f} "
-                f"{evidence.r_hat.max():6.3f} {rate:12.0f}",
-                flush=True,
-            )
-
-
-def in_the_world(problem: SlamProblem, result: SmootherResult) -> Potential:
-    """The density around gtsam's Gaussian in the world's coordinates."""
-    potential = SlamPotential(problem)
-    optimum = np.concatenate((result.poses.ravel(), result.landmarks.ravel()))
-    joint = result.joint(range(problem.pose_count), range(problem.landmark_count))
-    root = np.linalg.cholesky(joint)
-
-    def whitened(state: Array) -> tuple[Array, Array]:
-        energy, gradient = potential(optimum[:, None] + root @ state)
-        return energy, root.T @ gradient
-
-    return whitened
+        print(f"  {cpu_s:.0f} s of processor time")
 
 
 def main() -> None:
@@ -409,12 +316,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--problems", type=int, default=100)
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
-    parser.add_argument("--kernels", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    if given.kernels:
-        kernels(given.seed)
-        return
     calibration(given.cases, given.problems, given.seed)
 
 

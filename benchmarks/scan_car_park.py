@@ -1,6 +1,6 @@
 """Scan-SLAM on the real car park, as recorded and with its inputs moved by 1e-12.
 
-    python benchmarks/scan_car_park.py DATA/acfr_car_park [--runs 20] [--processes 2] [--end 125]
+    python -m benchmarks.scan_car_park DATA/acfr_car_park [--runs 20] [--processes 2] [--end 125]
 
 Per run: verdict, landmarks, and of filter and smoother the root mean square and median distance to
 GPS after a rigid alignment, and how far the beacons are off that no estimator saw: each beacon's
@@ -11,13 +11,13 @@ others, and compared. Below: what differs between the runs.
 from __future__ import annotations
 
 import argparse
-import time
 from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
-from scan_rounding import perturbed  # type: ignore[import-not-found]
 
+from benchmarks.scan_rounding import perturbed
+from benchmarks.timing import timed
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned, rigid_motion
 from comparisons.estimates.estimate import Estimate
@@ -94,9 +94,7 @@ def one(path: str, number: int, end_s: float) -> Run:
         log = cut_log(log, end_s=end_s)
     if number:
         log = perturbed(log, np.random.default_rng(number))
-    start = time.process_time()
-    c = compare(log, run_config(landmarks="scans"))
-    spent = time.process_time() - start
+    c, spent = timed(compare, log, run_config(landmarks="scans"))
     found = c.find(ScanLandmarksFinding).source.found
     reckoned = c.accuracy.dead_reckoning
     if reckoned is None or reckoned.gps_rms_aligned_m is None:

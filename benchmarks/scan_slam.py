@@ -1,7 +1,7 @@
 """Scan-SLAM on Nieto's environment (Nieto 2005, section 5.6, Table 5.1): drives without a landmark.
 
-    python benchmarks/scan_slam.py [--seeds 30] [--first 100] [--laser table|2cm] [--seconds 176]
-                                   [--processes 2] [--options landmarks=scans shared_noise=false]
+    python -m benchmarks.scan_slam [--seeds 30] [--first 100] [--laser table|2cm] [--seconds 176]
+                                   [--processes 2]
 
 A row a drive; below, means over the drives with the 95 % interval of the mean, and for NEES the
 two-sided 95 % band of a mean of so many independent drives. NEES are over their degrees of freedom:
@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -23,6 +21,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from benchmarks.timing import timed
 from comparisons.checks.accuracy import aligned
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.accuracy import error_of_points
@@ -99,14 +98,12 @@ def main() -> None:
     parser.add_argument("--laser", choices=("table", "2cm"), default="table")
     parser.add_argument("--seconds", type=float, default=math.inf)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--options", nargs="*", default=["landmarks=scans"])
     asked = parser.parse_args()
-    options = dict(one.split("=", 1) for one in asked.options)
     seeds = range(asked.first, asked.first + asked.seeds)
     names = [f.name for f in fields(Row)]
     print("seed", *(f"{name:>14}" for name in names))
     rows: list[Row] = []
-    work = (delayed(measured)(seed, asked.laser, asked.seconds, options) for seed in seeds)
+    work = (delayed(measured)(seed, asked.laser, asked.seconds) for seed in seeds)
     drives = Parallel(n_jobs=asked.processes, return_as="generator")(work)
     for seed, row in zip(seeds, drives, strict=True):
         rows.append(row)
@@ -138,13 +135,11 @@ def summary(rows: list[Row]) -> None:
         print(f"{outcome}: {sum(row.verdict == outcome for row in rows)} of {count}")
 
 
-def measured(seed: int, laser: str, seconds: float, options: Mapping[str, str]) -> Row:
+def measured(seed: int, laser: str, seconds: float) -> Row:
     """One drive."""
     drive = experiment(laser)
     log = _until(simulate(np.random.default_rng(seed), drive), seconds)
-    start = time.process_time()
-    c = compare(log, run_config(**{k: _value(v) for k, v in options.items()}))
-    cpu_s = time.process_time() - start
+    c, cpu_s = timed(compare, log, run_config(landmarks="scans"))
     source = c.find(ScanLandmarksFinding).source
     ekf, reckoned = c.accuracy.ekf, c.accuracy.dead_reckoning
     smoother, gaps = c.accuracy.smoother, c.agreement
@@ -310,10 +305,6 @@ def _until(log: Log, seconds: float) -> Log:
     columns = ("time_s", "speed_mps", "steering_rad")
     short = {name: getattr(odometry, name)[:count] for name in columns}
     return replace(log, odometry=replace(odometry, **short))
-
-
-def _value(text: str) -> Any:
-    return {"true": True, "false": False}.get(text, text)
 
 
 def _shown(value: Any) -> str:

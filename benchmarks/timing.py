@@ -18,8 +18,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 ROOT = Path(__file__).resolve().parents[1]
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class MissingError(Exception):
@@ -93,6 +96,13 @@ def median(spent: Sequence[Spent]) -> Spent:
         statistics.median(one.cpu_s for one in spent),
         statistics.median(one.wall_s for one in spent),
     )
+
+
+def timed(function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> tuple[T, float]:
+    """Return what a function returns, and its processor time [s]."""
+    begin_s = time.process_time()
+    result = function(*arguments, **options)
+    return result, time.process_time() - begin_s
 
 
 def here(call: Callable[[], object]) -> Side:

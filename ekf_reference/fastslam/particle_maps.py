@@ -61,7 +61,7 @@ class ParticleMaps:
 
     Resampling copies the maps of new children only (see resampling.systematic_parents). At 1,000
     particles and 300 landmarks that costs less than one measurement update, so pages shared between
-    particles would save nothing that is measured (benchmarks/fastslam.py --copies).
+    particles would save nothing that is measured.
     """
 
     def __init__(self, particles: int, columns: int = 16) -> None:
