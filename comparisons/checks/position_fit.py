@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from comparisons.arrays import Array
 from comparisons.logs.log import Poses
@@ -50,8 +51,6 @@ def position_fit(seen: Seen, path: Poses) -> str:
         seen: Positions that do not fit.
         path: What odometry and landmarks say.
     """
-    from scipy.optimize import least_squares  # takes long to load
-
     if len(seen.time_s) < _FEWEST:
         return ""
     whiten = np.linalg.inv(np.linalg.cholesky(seen.covariance))

@@ -17,7 +17,6 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.causes import Cause
 from comparisons.checks.check import Absent, Check, Of
-from comparisons.checks.position_fit import Seen, position_fit
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Poses
 from ekf_reference.models.position import PositionFixes, PositionModel
@@ -140,6 +139,8 @@ def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
     found = RejectedFixes(count, number, streaks(number), squared > PositionFixes().gate)
     if not found.contradict:
         return found
+    from comparisons.checks.position_fit import Seen, position_fit
+
     seen = Seen(smoothed.time_s[at], given.position_m[number], spread, given.antenna_m)
     return replace(found, fit=position_fit(seen, Poses(smoothed.time_s, smoothed.pose)))
 

@@ -18,9 +18,8 @@ from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.association import AssociationFinding, AssociationScore
 from comparisons.checks.causes import Cause
 from comparisons.checks.check import Absent, Check, Of
-from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.consistency.consistency import Consistency, inconsistencies, limit
 from comparisons.checks.consistency.finding import ConsistencyFinding
-from comparisons.checks.consistency.limits import inconsistencies, limit
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.verdict import Verdict
 from comparisons.config import FailOn

@@ -92,18 +92,18 @@ def test_every_band_covers_its_nominal_share() -> None:
     assert names(table) == ""
 
 
-def another_level(count: int, dof: int) -> Band:
-    """80 % in place of 95."""
-    return mean_band(count, dof, outside=0.2)
+def another_level(count: int, dof: int, outside: float = 0.05) -> Band:
+    """80 % in place of 95, and so on."""
+    return mean_band(count, dof, outside=4.0 * outside)
 
 
-def one_more_dof(count: int, dof: int) -> Band:
-    return mean_band(count, dof + 1)
+def one_more_dof(count: int, dof: int, outside: float = 0.05) -> Band:
+    return mean_band(count, dof + 1, outside)
 
 
-def as_if_independent(count: int, dof: int) -> Band:
+def as_if_independent(count: int, dof: int, outside: float = 0.05) -> Band:
     """Each number counted four times."""
-    low, high = mean_band(4 * count, dof)
+    low, high = mean_band(4 * count, dof, outside)
     return Band(low, high)
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.checks.consistency.consistency import Consistency
-from comparisons.checks.consistency.limits import inconsistencies, limit
+from comparisons.checks.consistency.consistency import Consistency, inconsistencies, limit
 from comparisons.checks.qualifiers import (
     TRUTH_GAP,
     UNCHECKED,

@@ -78,7 +78,7 @@ def test_each_side_runs_its_own_code(tmp_path: Path) -> None:
     for side in ("base", "tree"):
         check_out("HEAD", tmp_path / side / "code")
         if side == "tree":
-            module = tmp_path / side / "code" / "comparisons" / "report" / "model.py"
+            module = tmp_path / side / "code" / "comparisons" / "figures.py"
             module.write_text(module.read_text() + PLANTED)
         run_case(case, tmp_path / side / "code", tmp_path / side)
     found = list(differences(tmp_path / "base" / case, tmp_path / "tree" / case))

@@ -13,9 +13,9 @@ from comparisons.checks.consistency.consistency import (
     Consistency,
     ExternalConsistency,
     check_consistency,
+    inconsistencies,
 )
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
-from comparisons.checks.consistency.limits import inconsistencies
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.figures import Model, band
 from comparisons.innovations import InnovationResult
