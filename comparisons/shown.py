@@ -1,6 +1,7 @@
 """How a result shows itself in a notebook and as data frames, without knowing any report.
 
-A result stands below the reports. `slamcheck`, which stands above both, names who renders.
+A result stands below the reports. Who renders it is named here, as extensions are, and imported
+when a notebook or `to_pandas` asks.
 """
 
 from __future__ import annotations
@@ -8,8 +9,11 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-RENDERERS: dict[str, str] = {}
-"""Who renders a result, as `module:function`: `html` for notebooks, `frame` for its tables."""
+RENDERERS = {
+    "html": "comparisons.report.notebook:html",
+    "frame": "comparisons.report.tables:frame",
+}
+"""`html` for notebooks, `frame` for one of a result's tables."""
 
 
 class Shown:
@@ -21,6 +25,6 @@ class Shown:
 
 
 def render(how: str, *what: object) -> Any:
-    """Return a result as one of RENDERERS makes it. Raises LookupError where there is none."""
+    """Return a result as one of RENDERERS makes it."""
     module, _, name = RENDERERS[how].partition(":")
     return getattr(import_module(module), name)(*what)

@@ -26,7 +26,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from comparisons.shown import RENDERERS
 from slamcheck._packages import check_packages
 
 if TYPE_CHECKING:
@@ -63,7 +62,6 @@ if TYPE_CHECKING:
     C = TypeVar("C", bound=JobConfig)
     Progress = Callable[[str, int, int], None]
 
-RENDERERS.update(html="comparisons.report.notebook:html", frame="comparisons.report.tables:frame")
 _PLACES = {
     "Audit": "comparisons.audit.audit",
     "CheckConfig": "comparisons.config",

@@ -24,6 +24,7 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.transforms.time_window import cut_log
+from comparisons.checks import truth_by_labels
 from comparisons.pipeline import second_association
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
@@ -264,7 +265,7 @@ def test_labels_that_do_not_fit_are_no_truth(monkeypatch: pytest.MonkeyPatch) ->
     label = log.measurements.landmark.copy()
     label[::7] = label[3]
     misread = replace(log, measurements=replace(log.measurements, landmark=label))
-    monkeypatch.setattr(second_association, "smooth", None)
+    monkeypatch.setattr(truth_by_labels, "smooth", None)
     assert compared(misread, association="nn").truth_gap is None
     with pytest.raises(TypeError):  # with the right labels it is asked
         compared(log, association="nn")
