@@ -176,17 +176,6 @@ def test_dense_maps_benchmark_rules() -> None:
 
 
 @pytest.mark.slow
-def test_enriched_templates_benchmark_runs(tmp_path: Path) -> None:
-    picture = tmp_path / "basin.png"
-    few = ("--seeds", "1", "--draws", "1", "--errors", "0.25", "--figure", str(picture))
-    lines = run("benchmarks/enriched_templates.py", *few)
-    error, bare, enriched = (float(part.rstrip("%")) for part in lines[2].split())
-    assert error == 0.25
-    assert enriched > bare > 20.0
-    assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
 def test_scan_slam_benchmark_runs() -> None:
     lines = run("benchmarks/scan_slam.py", "--seeds", "2", "--seconds", "6", "--processes", "1")
     assert [line.split()[:2] for line in lines[1:3]] == [["100", "agree"], ["101", "agree"]]
