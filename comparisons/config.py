@@ -22,8 +22,7 @@ from pydantic import (
 
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
-from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where
-from comparisons.options.earlier import renamed_settings
+from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where, renamed_settings
 
 Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]
 Gps = Literal["off", "on", "half"]

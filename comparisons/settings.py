@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,9 +11,8 @@ from comparisons.config import RunConfig, Section, merge, shown
 from comparisons.errors import InputError, note
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.table import read_toml
-from comparisons.options import Flag
-from comparisons.options.earlier import renamed_settings
-from comparisons.options.lookup import by_name, check_applies, lay_over, of_job
+from comparisons.options import RENAMED, Flag, below, renamed_settings
+from comparisons.options.table import FLAGS, of_job
 
 C = TypeVar("C", bound=Section)
 
@@ -47,14 +46,14 @@ def configure(
         from comparisons.documented.preset import without_documented
 
         found = without_documented(found)
-    lay_over(found, flags)
+    _lay_over(found, flags)
     for setting in settings:
         found = merge(found, _as_now(_nested(job, setting), "--set "))
     if "sha256" in recorded and _other_log(found["log"], recorded):
         found["log"].pop("sha256", None)
     try:
         config = job.of(**found)
-        check_applies(config.model_dump(), job.of().model_dump())
+        _check_applies(config.model_dump(), job.of().model_dump())
         return config
     except InputError as error:
         raise InputError(f"{file}: {error}" if file is not None else str(error)) from None
@@ -78,6 +77,52 @@ def run_config(**values: Any) -> RunConfig:
 def run_options(values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
     """Return options of a run by name, for `configure`. Raises InputError for an unknown name."""
     return by_name(of_job("run"), values)
+
+
+def by_name(table: Iterable[Flag], values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
+    """Return flags with values by their options' names, as `filter` or `smoother_association`.
+
+    Earlier names and values are read, with a note. Raises InputError for a name that no flag of
+    the table has.
+    """
+    known = {flag.name.rstrip("_"): flag for flag in table}
+    found = []
+    for name, value in values.items():
+        option = f"--{name.replace('_', '-')}"
+        now, new = option, value
+        for one in RENAMED:
+            if option == (one.was_option or one.option):
+                now = one.option
+                new = one.values.get(value, value) if isinstance(value, str) else value
+        flag = known.get(now[2:].replace("-", "_"))
+        if flag is None:
+            raise InputError(f"option {name}: is unknown, expected some of {', '.join(known)}")
+        if (now, new) != (option, value):
+            note(f"{name}={value!r} is now {flag.name.rstrip('_')}={new!r}")
+        found.append((flag, new))
+    return found
+
+
+def _lay_over(config: dict[str, Any], flags: Sequence[tuple[Flag, Any]]) -> None:
+    """Put flags that were given over nested mappings, sections before what lies within them.
+
+    Only flags that are given count, so that a flag can also take a file's value back.
+    """
+    for flag, value in sorted(flags, key=lambda one: bool(one[0].within)):
+        flag.lay_over(config, value)
+
+
+def _check_applies(config: Mapping[str, Any], usual: Mapping[str, Any]) -> None:
+    """Raise InputError for a setting that is not the usual one and has no effect beside the rest.
+
+    config, usual: whole configurations of one job as nested mappings, the latter all defaults.
+    """
+    for flag in FLAGS:
+        value = below(config, flag.field)
+        if flag.where is None or value == below(usual, flag.field):
+            continue
+        if below(config, flag.where.field) != flag.where.value:
+            raise InputError(f"{flag.option} {value} goes with {flag.where.words}")
 
 
 def _as_now(given: Mapping[str, Any], source: str = "") -> dict[str, Any]:

@@ -380,8 +380,8 @@ def write_report(result: Comparison | ExternalCheck | Solution | Audit, folder: 
 def _configured(job: type[C], config: C | None, options: Mapping[str, Any]) -> C:
     """Return a configuration, or that of options; those of the log are none, for it is given."""
     from comparisons.errors import InputError
-    from comparisons.options.lookup import by_name, of_job
-    from comparisons.settings import configure
+    from comparisons.options.table import of_job
+    from comparisons.settings import by_name, configure
 
     if config is None:
         table = of_job(job.model_fields["job"].default)

@@ -200,8 +200,8 @@ def slam_check(
     ) -> Judgement:
         from comparisons.config import CheckConfig, RunConfig
         from comparisons.logs.log import Log
-        from comparisons.options.lookup import by_name, of_job
-        from comparisons.settings import configure
+        from comparisons.options.table import of_job
+        from comparisons.settings import by_name, configure
 
         table = of_job("run" if estimate is None else "check")
         if isinstance(log, Log):  # read already

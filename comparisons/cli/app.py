@@ -18,7 +18,7 @@ import typer
 from comparisons.cli.flags import Command
 from comparisons.cli.support import BROKEN, INTERRUPTED, UNUSABLE, fail
 from comparisons.errors import note
-from comparisons.options.earlier import renamed_words
+from comparisons.options import renamed_words
 
 PANELS = {
     "Main": {

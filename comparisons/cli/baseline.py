@@ -13,7 +13,7 @@ from comparisons.cli.jobs import read_job
 from comparisons.cli.support import AGREE, DISAGREE, guarded, progress_bar
 from comparisons.errors import InputError
 from comparisons.options import GRADE, Flag
-from comparisons.options.lookup import of_job
+from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
     from comparisons.baseline import Baseline, Change, Found

@@ -8,7 +8,7 @@ from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
 from comparisons.errors import InputError
-from comparisons.options.lookup import of_job
+from comparisons.options.table import of_job
 
 _SHOWN = "--estimate --require --min-coverage --association --gps --robust --seed"
 

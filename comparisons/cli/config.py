@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from comparisons.cli.support import guarded
-from comparisons.options.lookup import of_job
+from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,7 +10,7 @@ import typer
 
 from comparisons.cli.flags import argument, log_names, of_flag, set_parameters
 from comparisons.cli.support import guarded
-from comparisons.options.lookup import of_job
+from comparisons.options.table import of_job
 
 
 def logs() -> None:

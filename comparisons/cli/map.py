@@ -5,7 +5,7 @@ from __future__ import annotations
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import AGREE, guarded, print_result, progress_bar
-from comparisons.options.lookup import of_job
+from comparisons.options.table import of_job
 
 _DEFAULT = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
 

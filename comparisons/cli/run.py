@@ -10,7 +10,7 @@ import typer
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import DISAGREE, VERDICTS, guarded, print_result, progress_bar
-from comparisons.options.lookup import of_job
+from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
     from comparisons.pipeline.compare import Comparison

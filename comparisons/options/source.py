@@ -28,11 +28,19 @@ from comparisons.options import Flag, Where
 
 FLAGS: tuple[Flag, ...] = (
 '''
+_TAIL = '''\
+)
+
+
+def of_job(job: str) -> tuple[Flag, ...]:
+    """Return the options of a job."""
+    return tuple(flag for flag in FLAGS if job in flag.jobs)
+'''
 
 
 def source() -> str:
     """Return the text of the module."""
-    return _HEAD + "".join(f"    {_literal(flag)},\n" for flag in flags()) + ")\n"
+    return _HEAD + "".join(f"    {_literal(flag)},\n" for flag in flags()) + _TAIL
 
 
 def flags() -> list[Flag]:

@@ -54,3 +54,8 @@ FLAGS: tuple[Flag, ...] = (
     Flag(option='--matcher', panel='Scan front end', help='Scan matcher of loop closure: surface, kiss, point-to-point, point-to-plane or generalised. [surface]', jobs=('odometry',), where=Where(field='front_end.loop_closure', value=True, words='--loop-closure'), field='front_end.matcher', words=('surface', 'kiss', 'point-to-point', 'point-to-plane', 'generalised')),
     Flag(option='--gps', panel='Scan front end', help='GPS: off, on, or half (hold out every second one). [off]', jobs=('odometry',), field='front_end.gps', words=('off', 'on', 'half')),
 )
+
+
+def of_job(job: str) -> tuple[Flag, ...]:
+    """Return the options of a job."""
+    return tuple(flag for flag in FLAGS if job in flag.jobs)

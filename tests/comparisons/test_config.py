@@ -23,7 +23,7 @@ from comparisons.config import (
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
 from comparisons.options import source, table
-from comparisons.options.lookup import of_job
+from comparisons.options.table import of_job
 from comparisons.settings import configure, run_config
 from tests.commands import slamcheck
 

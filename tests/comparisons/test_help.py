@@ -19,9 +19,8 @@ from comparisons.cli.flags import Command, Given, from_flags
 from comparisons.config import JOBS, RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
-from comparisons.options.earlier import RENAMED, renamed_words
-from comparisons.options.lookup import of_job
-from comparisons.options.table import FLAGS
+from comparisons.options import RENAMED, renamed_words
+from comparisons.options.table import FLAGS, of_job
 from comparisons.report.folder import check_free
 from comparisons.settings import configure, run_config
 
@@ -283,7 +282,7 @@ def test_what_is_in_no_table_is_unknown(monkeypatch: pytest.MonkeyPatch, tmp_pat
     path = tmp_path / "config.toml"
     path.write_text(OLD_FILE)
     kept = tuple(one for one in RENAMED if not one.was_field.endswith("pieces"))
-    monkeypatch.setattr("comparisons.options.earlier.RENAMED", kept)
+    monkeypatch.setattr("comparisons.options.RENAMED", kept)
     with pytest.raises(InputError, match=r"scan_landmarks\.pieces: is unknown"):
         configure(RunConfig, path)
 

@@ -30,11 +30,9 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 _ONE_START = np.diag((1e-6, 1e-6, 1e-8))
 TURN = math.radians(10.0)
 """A start that is off by a metre is turned by so much."""
-CLOSE = (0.3, math.radians(5.0))
-"""An alignment that ends so near is right: metres, and radians."""
 SAME_MAXIMUM = (1.0, math.radians(10.0))
-"""One that ends so near is at the right maximum: with the noise of Table 5.1 those of templates lie
-0.3 m (median) off the truth."""
+"""An alignment that ends so near is at the right maximum, metres and radians: with the noise of
+Table 5.1 those of templates lie 0.3 m (median) off the truth."""
 _ANYWHERE = View(math.inf, -math.pi, math.pi, share=0.0)
 
 
@@ -63,18 +61,12 @@ class ConvergenceBasin:
     cases: int
 
 
-def converges(
-    template: SumOfGaussians,
-    true: Array,
-    scan: SumOfGaussians,
-    off: Array,
-    close: tuple[float, float] = CLOSE,
-) -> bool:
+def _converges(template: SumOfGaussians, true: Array, scan: SumOfGaussians, off: Array) -> bool:
     """Whether an alignment that begins off by (3,) ends where the template is."""
-    return _is_close(align(template, scan, true + off, _ONE_START).pose, true, close)
+    return _is_close(align(template, scan, true + off, _ONE_START).pose, true)
 
 
-def offsets(rng: np.random.Generator, error_m: float, draws: int) -> Array:
+def _offsets(rng: np.random.Generator, error_m: float, draws: int) -> Array:
     """(D, 3) of so many metres any way, and turned with them either way."""
     way = rng.uniform(0.0, 2.0 * np.pi, draws)
     side = rng.choice((-1.0, 1.0), draws)
@@ -89,14 +81,14 @@ def basin(
     for row, error in enumerate(errors):
         for case in cases:
             richer = enriched(case.template, case.around)
-            for off in offsets(rng, error, draws):
+            for off in _offsets(rng, error, draws):
                 count[0, row] += (
-                    converges(case.template.shape, case.true, case.scan, off, SAME_MAXIMUM),
-                    converges(richer, case.true, case.scan, off, SAME_MAXIMUM),
+                    _converges(case.template.shape, case.true, case.scan, off),
+                    _converges(richer, case.true, case.scan, off),
                 )
                 for column, what in enumerate(_searched(case, off, error)):
                     if what.usable and what.alignment is not None:
-                        close = _is_close(what.alignment.pose, case.true, SAME_MAXIMUM)
+                        close = _is_close(what.alignment.pose, case.true)
                         count[1 if close else 2, row, column] += 1
     converged, right, wrong = count / max(draws * len(cases), 1)
     return ConvergenceBasin(np.array(errors, dtype=float), converged, right, wrong, len(cases))
@@ -111,7 +103,7 @@ def _searched(case: Seen, off: Array, error_m: float) -> tuple[Observation, Obse
     return observe(case.template, *how), observe_enriched(case.template, case.around, *how)
 
 
-def _is_close(pose: Array, true: Array, close: tuple[float, float]) -> bool:
+def _is_close(pose: Array, true: Array) -> bool:
     away = pose - true
     turned = abs(float(wrap_angle(away[2])))
-    return bool(np.hypot(*away[:2]) <= close[0] and turned <= close[1])
+    return bool(np.hypot(*away[:2]) <= SAME_MAXIMUM[0] and turned <= SAME_MAXIMUM[1])
