@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -30,11 +31,14 @@ _FACTORS = (0.0, 0.25, 0.5, 2.0, 4.0)
 
 @dataclass(frozen=True)
 class KnownFault:
-    """what: predicate of the event, "was not ...". blocks: which it is of. sound: no error."""
+    """what: predicate of the event, "was not ...". blocks: which it is of. sound: no error.
+
+    apply: does the event wrongly, given it again.
+    """
 
     what: str
     blocks: Blocks
-    apply: Callable[[Replay, Event], None]
+    apply: Callable[[Replay, Any], None]
     sound: bool = False
 
 
@@ -71,7 +75,7 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
         yield KnownFault(
             "the rejected measurement was fused all the same",
             event.blocks,
-            lambda replay, e: replay.fuse(_update(e), _gain(replay, _update(e))),
+            lambda replay, e: replay.fuse(e, _gain(replay, e)),
         )
         return
     yield KnownFault("the covariance was not updated", event.blocks, _skipped)
@@ -101,7 +105,7 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
         yield KnownFault(
             "the covariance is P - K H P, which holds for Kalman's gain alone",
             event.blocks,
-            lambda replay, e: _short(replay, _update(e), _recorded_gain(e)),
+            lambda replay, e: _short(replay, e, e.gain),
         )
     yield from _of_noise(event)
     if event.gain is None:
@@ -186,7 +190,7 @@ def _of_predict(event: Predict) -> Iterator[KnownFault]:
     yield KnownFault(
         "F was not applied to the covariance with other blocks",
         event.blocks,
-        _without_others(event),
+        _without_others,
     )
     yield KnownFault(
         "F was applied to the covariance with other blocks on one side of the diagonal alone",
@@ -253,17 +257,6 @@ def _of_pairs(event: Event, replay: Replay, wrong: Blocks | None) -> Iterator[Kn
             (a, b),
             _then(partial(_set, a=a, b=b, value=0.0)),
         )
-
-
-def _update(event: Event) -> Update:
-    assert isinstance(event, Update)  # noqa: S101 - a fault of an update is of updates
-    return event
-
-
-def _recorded_gain(event: Event) -> Array:
-    gain = _update(event).gain
-    assert gain is not None  # noqa: S101
-    return gain
 
 
 def _skipped(replay: Replay, event: Event) -> None:
@@ -337,9 +330,8 @@ def _independent(replay: Replay, but: str) -> None:
         _set(replay, a, b, 0.0)
 
 
-def _conditioned(replay: Replay, event: Event) -> None:
+def _conditioned(replay: Replay, event: Remove) -> None:
     """Remove blocks as if they were known: the Schur complement."""
-    assert isinstance(event, Remove)  # noqa: S101
     gone = replay.layout.columns(event.blocks)
     p = replay.covariance
     own = p[gone][:, gone]
@@ -347,11 +339,10 @@ def _conditioned(replay: Replay, event: Event) -> None:
     replay.remove(event.blocks)
 
 
-def _removed_instead(other: str) -> Callable[[Replay, Event], None]:
+def _removed_instead(other: str) -> Callable[[Replay, Remove], None]:
     """Remove another block's rows; the others then stand under the names before them."""
 
-    def apply(replay: Replay, event: Event) -> None:
-        assert isinstance(event, Remove)  # noqa: S101
+    def apply(replay: Replay, event: Remove) -> None:
         kept = np.delete(np.arange(replay.layout.size), replay.layout.entries(other))
         p = replay.covariance[np.ix_(kept, kept)]
         replay.remove(event.blocks)
@@ -375,21 +366,20 @@ def _short(replay: Replay, event: Update, gain: Array) -> None:
     replay.covariance = p - gain @ (event.jacobian @ p[at])
 
 
-def _without_noise_term(replay: Replay, event: Event) -> None:
-    update = _update(event)
+def _without_noise_term(replay: Replay, update: Update) -> None:
     gain = _gain(replay, update) if update.gain is None else update.gain
     replay.fuse(update._replace(noise=np.zeros_like(update.noise)), gain)
 
 
-def _without_r(replay: Replay, event: Event) -> None:
-    update, p = _update(event), replay.covariance
+def _without_r(replay: Replay, update: Update) -> None:
+    p = replay.covariance
     gain = _gain(replay, update) if update.gain is None else update.gain
     at, h = replay.layout.columns(update.blocks), update.jacobian
     replay.covariance = p - gain @ h @ p[at][:, at] @ h.T @ gain.T
 
 
-def _before_noise(replay: Replay, event: Event) -> None:
-    update, p = _update(event), replay.covariance
+def _before_noise(replay: Replay, update: Update) -> None:
+    p = replay.covariance
     assert replay.added is not None  # noqa: S101 - asked for before
     blocks, noise = replay.added
     before, at = p.copy(), replay.layout.columns(blocks)
@@ -400,8 +390,8 @@ def _before_noise(replay: Replay, event: Event) -> None:
     replay.covariance = p - gain @ s @ gain.T
 
 
-def _not_transposed(replay: Replay, event: Event) -> None:
-    update, p = _update(event), replay.covariance
+def _not_transposed(replay: Replay, update: Update) -> None:
+    p = replay.covariance
     gain = _gain(replay, update) if update.gain is None else update.gain
     keep = np.eye(len(p))
     keep[:, replay.layout.columns(update.blocks)] -= gain @ update.jacobian
@@ -409,9 +399,8 @@ def _not_transposed(replay: Replay, event: Event) -> None:
     replay.covariance = 0.5 * (wrong + wrong.T)
 
 
-def _other_noise(noise: Array, *, short: bool) -> Callable[[Replay, Event], None]:
-    def apply(replay: Replay, event: Event) -> None:
-        update = _update(event)
+def _other_noise(noise: Array, *, short: bool) -> Callable[[Replay, Update], None]:
+    def apply(replay: Replay, update: Update) -> None:
         gain = _gain(replay, update, noise)
         if short:
             _short(replay, update, gain)
@@ -421,18 +410,17 @@ def _other_noise(noise: Array, *, short: bool) -> Callable[[Replay, Event], None
     return apply
 
 
-def _schmidt(blocks: Blocks) -> Callable[[Replay, Event], None]:
-    def apply(replay: Replay, event: Event) -> None:
-        gain = _gain(replay, _update(event))
+def _schmidt(blocks: Blocks) -> Callable[[Replay, Update], None]:
+    def apply(replay: Replay, update: Update) -> None:
+        gain = _gain(replay, update)
         gain[replay.layout.columns(blocks)] = 0.0
-        replay.fuse(_update(event), gain)
+        replay.fuse(update, gain)
 
     return apply
 
 
-def _without_jacobian(block: str) -> Callable[[Replay, Event], None]:
-    def apply(replay: Replay, event: Event) -> None:
-        update = _update(event)
+def _without_jacobian(block: str) -> Callable[[Replay, Update], None]:
+    def apply(replay: Replay, update: Update) -> None:
         h, start = update.jacobian.copy(), 0
         for name in update.blocks:
             dim = replay.layout.dims[name]
@@ -444,29 +432,23 @@ def _without_jacobian(block: str) -> Callable[[Replay, Event], None]:
     return apply
 
 
-def _predicted(f: Array, noise: Array | None) -> Callable[[Replay, Event], None]:
-    def apply(replay: Replay, event: Event) -> None:
-        assert isinstance(event, Predict)  # noqa: S101
+def _predicted(f: Array, noise: Array | None) -> Callable[[Replay, Predict], None]:
+    def apply(replay: Replay, event: Predict) -> None:
         replay.predict(event.blocks, f, noise)
 
     return apply
 
 
-def _without_others(event: Predict) -> Callable[[Replay, Event], None]:
-    def apply(replay: Replay, now: Event) -> None:
-        assert isinstance(now, Predict)  # noqa: S101
-        before = replay.covariance.copy()
-        replay.apply(now)
-        others = [name for name in replay.layout.dims if name not in event.blocks]
-        for a in event.blocks:
-            for b in others:
+def _without_others(replay: Replay, event: Predict) -> None:
+    before = replay.covariance.copy()
+    replay.apply(event)
+    for a in event.blocks:
+        for b in replay.layout.dims:
+            if b not in event.blocks:
                 _set(replay, a, b, before[replay.layout.entries(a), replay.layout.entries(b)])
 
-    return apply
 
-
-def _one_sided(replay: Replay, event: Event) -> None:
-    assert isinstance(event, Predict)  # noqa: S101
+def _one_sided(replay: Replay, event: Predict) -> None:
     at = replay.layout.columns(event.blocks)
     others = np.delete(np.arange(replay.layout.size), at)
     before = replay.covariance[others][:, at]
@@ -476,9 +458,8 @@ def _one_sided(replay: Replay, event: Event) -> None:
     replay.covariance[others] = after
 
 
-def _without_noise(block: str) -> Callable[[Replay, Event], None]:
-    def apply(replay: Replay, event: Event) -> None:
-        assert isinstance(event, Predict)  # noqa: S101
+def _without_noise(block: str) -> Callable[[Replay, Predict], None]:
+    def apply(replay: Replay, event: Predict) -> None:
         noise, start = event.noise.copy(), 0
         for name in event.blocks:
             dim = replay.layout.dims[name]
@@ -491,9 +472,8 @@ def _without_noise(block: str) -> Callable[[Replay, Event], None]:
     return apply
 
 
-def _augmented(*, own: bool, noise: bool) -> Callable[[Replay, Event], None]:
-    def apply(replay: Replay, event: Event) -> None:
-        assert isinstance(event, Augment)  # noqa: S101
+def _augmented(*, own: bool, noise: bool) -> Callable[[Replay, Augment], None]:
+    def apply(replay: Replay, event: Augment) -> None:
         replay.augment(event)
         g, n = event.noise_jacobian, len(event.jacobian)
         at = replay.layout.columns(event.blocks)
