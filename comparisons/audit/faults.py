@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -31,14 +30,11 @@ _FACTORS = (0.0, 0.25, 0.5, 2.0, 4.0)
 
 @dataclass(frozen=True)
 class KnownFault:
-    """what: predicate of the event, "was not ...". blocks: which it is of. sound: no error.
-
-    apply: does the event wrongly, given it again.
-    """
+    """what: predicate of the event, "was not ...". blocks: which it is of. sound: no error."""
 
     what: str
     blocks: Blocks
-    apply: Callable[[Replay, Any], None]
+    apply: Callable[[Replay, Event], None]
     sound: bool = False
 
 
@@ -75,7 +71,7 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
         yield KnownFault(
             "the rejected measurement was fused all the same",
             event.blocks,
-            lambda replay, e: replay.fuse(e, _gain(replay, e)),
+            lambda replay, e: replay.fuse(_update(e), _gain(replay, _update(e))),
         )
         return
     yield KnownFault("the covariance was not updated", event.blocks, _skipped)
@@ -105,7 +101,7 @@ def _of_update(event: Update, replay: Replay) -> Iterator[KnownFault]:
         yield KnownFault(
             "the covariance is P - K H P, which holds for Kalman's gain alone",
             event.blocks,
-            lambda replay, e: _short(replay, e, e.gain),
+            lambda replay, e: _short(replay, _update(e), _recorded_gain(e)),
         )
     yield from _of_noise(event)
     if event.gain is None:
@@ -190,7 +186,7 @@ def _of_predict(event: Predict) -> Iterator[KnownFault]:
     yield KnownFault(
         "F was not applied to the covariance with other blocks",
         event.blocks,
-        _without_others,
+        _without_others(event),
     )
     yield KnownFault(
         "F was applied to the covariance with other blocks on one side of the diagonal alone",
@@ -257,6 +253,17 @@ def _of_pairs(event: Event, replay: Replay, wrong: Blocks | None) -> Iterator[Kn
             (a, b),
             _then(partial(_set, a=a, b=b, value=0.0)),
         )
+
+
+def _update(event: Event) -> Update:
+    assert isinstance(event, Update)  # noqa: S101 - a fault of an update is of updates
+    return event
+
+
+def _recorded_gain(event: Event) -> Array:
+    gain = _update(event).gain
+    assert gain is not None  # noqa: S101
+    return gain
 
 
 def _skipped(replay: Replay, event: Event) -> None:
@@ -330,8 +337,9 @@ def _independent(replay: Replay, but: str) -> None:
         _set(replay, a, b, 0.0)
 
 
-def _conditioned(replay: Replay, event: Remove) -> None:
+def _conditioned(replay: Replay, event: Event) -> None:
     """Remove blocks as if they were known: the Schur complement."""
+    assert isinstance(event, Remove)  # noqa: S101
     gone = replay.layout.columns(event.blocks)
     p = replay.covariance
     own = p[gone][:, gone]
@@ -339,10 +347,11 @@ def _conditioned(replay: Replay, event: Remove) -> None:
     replay.remove(event.blocks)
 
 
-def _removed_instead(other: str) -> Callable[[Replay, Remove], None]:
+def _removed_instead(other: str) -> Callable[[Replay, Event], None]:
     """Remove another block's rows; the others then stand under the names before them."""
 
-    def apply(replay: Replay, event: Remove) -> None:
+    def apply(replay: Replay, event: Event) -> None:
+        assert isinstance(event, Remove)  # noqa: S101
         kept = np.delete(np.arange(replay.layout.size), replay.layout.entries(other))
         p = replay.covariance[np.ix_(kept, kept)]
         replay.remove(event.blocks)
@@ -366,20 +375,21 @@ def _short(replay: Replay, event: Update, gain: Array) -> None:
     replay.covariance = p - gain @ (event.jacobian @ p[at])
 
 
-def _without_noise_term(replay: Replay, update: Update) -> None:
+def _without_noise_term(replay: Replay, event: Event) -> None:
+    update = _update(event)
     gain = _gain(replay, update) if update.gain is None else update.gain
     replay.fuse(update._replace(noise=np.zeros_like(update.noise)), gain)
 
 
-def _without_r(replay: Replay, update: Update) -> None:
-    p = replay.covariance
+def _without_r(replay: Replay, event: Event) -> None:
+    update, p = _update(event), replay.covariance
     gain = _gain(replay, update) if update.gain is None else update.gain
     at, h = replay.layout.columns(update.blocks), update.jacobian
     replay.covariance = p - gain @ h @ p[at][:, at] @ h.T @ gain.T
 
 
-def _before_noise(replay: Replay, update: Update) -> None:
-    p = replay.covariance
+def _before_noise(replay: Replay, event: Event) -> None:
+    update, p = _update(event), replay.covariance
     assert replay.added is not None  # noqa: S101 - asked for before
     blocks, noise = replay.added
     before, at = p.copy(), replay.layout.columns(blocks)
@@ -390,8 +400,8 @@ def _before_noise(replay: Replay, update: Update) -> None:
     replay.covariance = p - gain @ s @ gain.T
 
 
-def _not_transposed(replay: Replay, update: Update) -> None:
-    p = replay.covariance
+def _not_transposed(replay: Replay, event: Event) -> None:
+    update, p = _update(event), replay.covariance
     gain = _gain(replay, update) if update.gain is None else update.gain
     keep = np.eye(len(p))
     keep[:, replay.layout.columns(update.blocks)] -= gain @ update.jacobian
@@ -399,8 +409,9 @@ def _not_transposed(replay: Replay, update: Update) -> None:
     replay.covariance = 0.5 * (wrong + wrong.T)
 
 
-def _other_noise(noise: Array, *, short: bool) -> Callable[[Replay, Update], None]:
-    def apply(replay: Replay, update: Update) -> None:
+def _other_noise(noise: Array, *, short: bool) -> Callable[[Replay, Event], None]:
+    def apply(replay: Replay, event: Event) -> None:
+        update = _update(event)
         gain = _gain(replay, update, noise)
         if short:
             _short(replay, update, gain)
@@ -410,17 +421,18 @@ def _other_noise(noise: Array, *, short: bool) -> Callable[[Replay, Update], Non
     return apply
 
 
-def _schmidt(blocks: Blocks) -> Callable[[Replay, Update], None]:
-    def apply(replay: Replay, update: Update) -> None:
-        gain = _gain(replay, update)
+def _schmidt(blocks: Blocks) -> Callable[[Replay, Event], None]:
+    def apply(replay: Replay, event: Event) -> None:
+        gain = _gain(replay, _update(event))
         gain[replay.layout.columns(blocks)] = 0.0
-        replay.fuse(update, gain)
+        replay.fuse(_update(event), gain)
 
     return apply
 
 
-def _without_jacobian(block: str) -> Callable[[Replay, Update], None]:
-    def apply(replay: Replay, update: Update) -> None:
+def _without_jacobian(block: str) -> Callable[[Replay, Event], None]:
+    def apply(replay: Replay, event: Event) -> None:
+        update = _update(event)
         h, start = update.jacobian.copy(), 0
         for name in update.blocks:
             dim = replay.layout.dims[name]
@@ -432,23 +444,29 @@ def _without_jacobian(block: str) -> Callable[[Replay, Update], None]:
     return apply
 
 
-def _predicted(f: Array, noise: Array | None) -> Callable[[Replay, Predict], None]:
-    def apply(replay: Replay, event: Predict) -> None:
+def _predicted(f: Array, noise: Array | None) -> Callable[[Replay, Event], None]:
+    def apply(replay: Replay, event: Event) -> None:
+        assert isinstance(event, Predict)  # noqa: S101
         replay.predict(event.blocks, f, noise)
 
     return apply
 
 
-def _without_others(replay: Replay, event: Predict) -> None:
-    before = replay.covariance.copy()
-    replay.apply(event)
-    for a in event.blocks:
-        for b in replay.layout.dims:
-            if b not in event.blocks:
+def _without_others(event: Predict) -> Callable[[Replay, Event], None]:
+    def apply(replay: Replay, now: Event) -> None:
+        assert isinstance(now, Predict)  # noqa: S101
+        before = replay.covariance.copy()
+        replay.apply(now)
+        others = [name for name in replay.layout.dims if name not in event.blocks]
+        for a in event.blocks:
+            for b in others:
                 _set(replay, a, b, before[replay.layout.entries(a), replay.layout.entries(b)])
 
+    return apply
 
-def _one_sided(replay: Replay, event: Predict) -> None:
+
+def _one_sided(replay: Replay, event: Event) -> None:
+    assert isinstance(event, Predict)  # noqa: S101
     at = replay.layout.columns(event.blocks)
     others = np.delete(np.arange(replay.layout.size), at)
     before = replay.covariance[others][:, at]
@@ -458,8 +476,9 @@ def _one_sided(replay: Replay, event: Predict) -> None:
     replay.covariance[others] = after
 
 
-def _without_noise(block: str) -> Callable[[Replay, Predict], None]:
-    def apply(replay: Replay, event: Predict) -> None:
+def _without_noise(block: str) -> Callable[[Replay, Event], None]:
+    def apply(replay: Replay, event: Event) -> None:
+        assert isinstance(event, Predict)  # noqa: S101
         noise, start = event.noise.copy(), 0
         for name in event.blocks:
             dim = replay.layout.dims[name]
@@ -472,8 +491,9 @@ def _without_noise(block: str) -> Callable[[Replay, Predict], None]:
     return apply
 
 
-def _augmented(*, own: bool, noise: bool) -> Callable[[Replay, Augment], None]:
-    def apply(replay: Replay, event: Augment) -> None:
+def _augmented(*, own: bool, noise: bool) -> Callable[[Replay, Event], None]:
+    def apply(replay: Replay, event: Event) -> None:
+        assert isinstance(event, Augment)  # noqa: S101
         replay.augment(event)
         g, n = event.noise_jacobian, len(event.jacobian)
         at = replay.layout.columns(event.blocks)
