@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +12,11 @@ from comparisons.arrays import Array
 from comparisons.checks.grade import joint_rows
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.logs.log import Log
-from comparisons.logs.odometry import RelativePoses
+from comparisons.faults.catalogue import catalogue, families
+from comparisons.faults.fault import Fault, Feed
+from comparisons.logs.log import LandmarkMeasurements, Log
 
 Export = Callable[[ExternalEstimate], ExternalEstimate]
-Feed = Callable[[Log], Log]
 
 
 def _held(given: ExternalEstimate) -> tuple[Array, Array]:
@@ -294,95 +293,50 @@ EXPORTS: dict[str, Export] = {
 """What exports do to a sound filter's estimate."""
 
 
-def measurements(**columns: Callable[[Array], Array]) -> Feed:
-    """Other columns of the measurements."""
-
-    def change(log: Log) -> Log:
-        own: dict[str, Any] = {
-            name: of(getattr(log.measurements, name)) for name, of in columns.items()
-        }
-        return replace(log, measurements=replace(log.measurements, **own))
-
-    return change
+def named(words: str) -> Feed:
+    """A fault of the catalogue, by how its words begin."""
+    return lambda log: _feed(next(one for one in catalogue(log) if one.what.startswith(words)), log)
 
 
-def kept(rows: Callable[[Log], NDArray[Any]]) -> Feed:
+def times(words: str, number: float) -> Feed:
+    """A fault with a number, by how its words begin."""
+
+    def feed(log: Log) -> Log:
+        family = next(one for one in families(log) if one.what.startswith(words))
+        return _feed(family.member(number), log)
+
+    return feed
+
+
+def _feed(fault: Fault, log: Log) -> Log:
+    if fault.feed is None:
+        raise ValueError(f"{fault.what}: is not of the log")
+    return fault.feed(log)
+
+
+def kept(rows: Callable[[LandmarkMeasurements], NDArray[np.bool_]]) -> Feed:
     """Some of the measurements only."""
-
-    def change(log: Log) -> Log:
-        which, seen = rows(log), vars(log.measurements)
-        own: dict[str, Any] = {
-            name: column[which] for name, column in seen.items() if isinstance(column, np.ndarray)
-        }
-        return replace(log, measurements=replace(log.measurements, **own))
-
-    return change
-
-
-def odometry(**columns: Callable[[Array], Array]) -> Feed:
-    """Other speeds or turns of the wheel odometry; `turn` is of steering angles or yaw rates."""
-
-    def change(log: Log) -> Log:
-        own: dict[str, Any] = vars(log.odometry)
-        second = "steering_rad" if "steering_rad" in own else "yaw_rate_radps"
-        names = {"speed": "speed_mps", "turn": second}
-        changed: dict[str, Any] = {names[key]: of(own[names[key]]) for key, of in columns.items()}
-        return replace(log, odometry=replace(log.odometry, **changed))
-
-    return change
-
-
-def noise(**factors: float) -> Feed:
-    """Other noise of the odometry, by factors on its figures."""
-
-    def change(log: Log) -> Log:
-        if isinstance(log.odometry, RelativePoses):
-            raise ValueError(f"{log.name}: has no wheel odometry")
-        own = {name: f * getattr(log.odometry.noise, name) for name, f in factors.items()}
-        changed = replace(log.odometry.noise, **own)
-        return replace(log, odometry=replace(log.odometry, noise=changed))
-
-    return change
-
-
-def _of_one(log: Log) -> NDArray[np.bool_]:
-    landmark = log.measurements.landmark
-    others: NDArray[np.bool_] = landmark != np.unique(landmark)[0]
-    return others
-
-
-def _delayed(column: Array) -> Array:
-    return np.concatenate((column[:1], column[:1], column[:-2]))
+    return lambda log: replace(log, measurements=log.measurements.chosen(rows(log.measurements)))
 
 
 FEEDS: dict[str, Feed] = {
-    "R 3 times": measurements(
-        sigma_range_m=lambda s: 3.0**0.5 * s, sigma_bearing_rad=lambda s: 3.0**0.5 * s
-    ),
-    "R a third": measurements(
-        sigma_range_m=lambda s: s / 3.0**0.5, sigma_bearing_rad=lambda s: s / 3.0**0.5
-    ),
-    "the range's sigma doubled": measurements(sigma_range_m=lambda s: 2.0 * s),
-    "Q 3 times": noise(sigma_speed_mps=3.0**0.5, sigma_turn=3.0**0.5),
-    "Q a third": noise(sigma_speed_mps=3.0**-0.5, sigma_turn=3.0**-0.5),
-    "every second measurement left out": kept(
-        lambda log: np.arange(len(log.measurements.time_s))[::2]
-    ),
-    "one landmark ignored": kept(_of_one),
-    "measurements of the last 5 s left out": kept(
-        lambda log: log.measurements.time_s < log.measurements.time_s[-1] - 5.0
-    ),
-    "measurements beyond 15 m left out": kept(lambda log: log.measurements.range_m < 15.0),
-    "range 1 % too long": measurements(range_m=lambda r: 1.01 * r),
-    "range 5 cm too long": measurements(range_m=lambda r: r + 0.05),
-    "bearing off by 0.5 degrees": measurements(bearing_rad=lambda b: b + np.deg2rad(0.5)),
-    "speed 1 % too high": odometry(speed=lambda v: 1.01 * v),
-    "turn 2 % too strong": odometry(turn=lambda t: 1.02 * t),
-    "turn off by 0.2 degrees": odometry(turn=lambda t: t + np.deg2rad(0.2)),
-    "odometry two samples late": odometry(speed=_delayed, turn=_delayed),
-    "prior's covariance 100 times": lambda log: replace(
-        log, prior=replace(log.prior, covariance=100.0 * log.prior.covariance)
-    ),
+    "R 3 times": times("R is", 3.0),
+    "R a third": times("R is", 1.0 / 3.0),
+    "the range's sigma doubled": times("R of the range is", 4.0),
+    "Q 3 times": times("the controls' part of Q is", 3.0),
+    "Q a third": times("the controls' part of Q is", 1.0 / 3.0),
+    "every second measurement left out": named("every second measurement is left out, the second"),
+    "one landmark ignored": kept(lambda seen: seen.landmark != seen.landmark.min()),
+    "measurements of the last 5 s left out": kept(lambda seen: seen.time_s < seen.time_s[-1] - 5.0),
+    "measurements beyond 15 m left out": kept(lambda seen: seen.range_m < 15.0),
+    "range 1 % too long": times("the ranges are", 1.01),
+    "range 5 cm too long": times("the ranges have a bias", 0.05),
+    "bearing off by 0.5 degrees": times("the bearings have a bias", float(np.deg2rad(0.5))),
+    "speed 1 % too high": times("the speed is", 1.01),
+    "turn 2 % too strong": times("the turn is", 1.02),
+    "turn off by 0.2 degrees": times("the turn has a bias", float(np.deg2rad(0.2))),
+    "odometry two samples late": named("the odometry is used 2 samples late, the first twice"),
+    "prior's covariance 100 times": times("the prior's covariance is", 100.0),
     "prior's heading off by 1 degree": lambda log: replace(
         log, prior=replace(log.prior, pose=log.prior.pose + (0.0, 0.0, np.deg2rad(1.0)))
     ),

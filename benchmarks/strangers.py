@@ -2,13 +2,15 @@
 
 A drive is simulated and written as a log folder. A filter reads the folder and writes an estimate
 folder. `Ekf` is the textbook's filter: one update by all known landmarks of a scan, linearised at
-the predicted state, then the new ones are initialised. Every other filter replaces a method of it.
+the predicted state, then the new ones are initialised, then positions are fused. Every other filter
+replaces a method of it.
 """
 
 from __future__ import annotations
 
 import csv
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -144,7 +146,8 @@ def measured(pose: Array, point: Array) -> Array:
 class Log:
     """A log folder's content. z: range, bearing; sigma: theirs; meta: log.toml; row: in the file.
 
-    used_s: when each measurement is used, which is when it was made.
+    used_s: when each measurement is used, which is when it was made. fixed_s: times of positions;
+    fix, fix_noise: these and their R.
     """
 
     meta: dict[str, Any]
@@ -155,6 +158,9 @@ class Log:
     sigma: Array
     label: Array
     row: Array
+    fixed_s: Array
+    fix: Array
+    fix_noise: Array
 
 
 def read_log(folder: Path) -> Log:
@@ -166,6 +172,11 @@ def read_log(folder: Path) -> Log:
         return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
 
     odometry, seen = table("odometry.csv"), table("measurements.csv")
+    names = ("time_s", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
+    fixes = {name: np.zeros(0) for name in names}
+    if (folder / "positions.csv").exists():
+        fixes = table("positions.csv")
+    noise = np.array([fixes[name] for name in (names[3], names[4], names[4], names[5])])
     meta = tomllib.loads((folder / "log.toml").read_text())
     turn = "steering_rad" if meta["odometry"]["kind"] == "steering" else "yaw_rate_radps"
     return Log(
@@ -177,11 +188,18 @@ def read_log(folder: Path) -> Log:
         sigma=np.column_stack((seen["sigma_range_m"], seen["sigma_bearing_rad"])),
         label=seen["landmark"].astype(int),
         row=np.arange(len(seen["time_s"])),
+        fixed_s=fixes["time_s"],
+        fix=np.column_stack((fixes["x_m"], fixes["y_m"])),
+        fix_noise=noise.T.reshape(-1, 2, 2),
     )
 
 
 class Ekf:
-    """The textbook's filter. x: pose and landmarks, p: covariance, rows of both by v and index."""
+    """The textbook's filter. x: pose and landmarks, p: covariance, rows of both by v and index.
+
+    departed, arrived, lasted_s: of the last step. now: the measurement at hand. began: where each
+    landmark did, by its label.
+    """
 
     traced: ClassVar[bool] = True
     kind: ClassVar[str] = "ekf"
@@ -199,6 +217,8 @@ class Ekf:
             [noise["variance_rate_position"]] * 2 + [noise["variance_rate_heading"]]
         )
         self.v, self.index = np.arange(3), dict[int, Array]()
+        self.departed = self.arrived = self.x[:3].copy()
+        self.lasted_s, self.now, self.began = 1.0, 0, dict[int, Array]()
         self.calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
         self.path: list[tuple[float, Array, Array]] = []
         self.note("prior", {"pose": 3}, self.p.copy(), point=self.x.copy())
@@ -215,6 +235,10 @@ class Ekf:
         """Return the covariance of speed and turn."""
         return covariance
 
+    def cast(self, *matrices: Array) -> Iterator[Array]:
+        """Yield matrices as the filter keeps numbers."""
+        return (one.astype(self.dtype) for one in matrices)
+
     def note(self, call: str, *matrices: Any, **more: Any) -> None:
         """Keep what a recorder will be told: what was linearised where."""
         self.calls.append((call, matrices, more))
@@ -229,9 +253,14 @@ class Ekf:
         b = dt * np.array([[c, -0.5 * d * s], [s, 0.5 * d * c], [0.0, 1.0]])
         return pose + [d * c, d * s, dt * u[1]], f, b
 
+    def driven(self, number: int) -> Array:
+        """Return speed and turn of a sample."""
+        u: Array = self.log.u[number]
+        return u
+
     def control(self, number: int) -> tuple[Array, Array]:
         """Return speed and yaw rate of a sample, with their covariance."""
-        u, noise = self.log.u[number], self.control_noise
+        u, noise = self.driven(number), self.control_noise
         if self.log.meta["odometry"]["kind"] == "steering":
             base = self.log.meta["odometry"]["vehicle"]["wheelbase_m"]
             j = np.array([[1.0, 0.0], [np.tan(u[1]), u[0] / np.cos(u[1]) ** 2]])
@@ -254,7 +283,8 @@ class Ekf:
         before = self.x[self.v]
         u, noise = self.control(number)
         arrived, f, b = self.motion(before, u, dt)
-        q = self.process(b, noise, dt)
+        self.departed, self.arrived, self.lasted_s = before, arrived, dt
+        f, q = self.cast(f, self.process(b, noise, dt))
         self.x[self.v] = arrived
         self.carry(f, q)
         self.note("at", end_s)
@@ -273,6 +303,15 @@ class Ekf:
         nu = z - expected
         return np.array([nu[0], wrapped(nu[1])])
 
+    def seen(self, k: int) -> Array:
+        """Return range and bearing of a measurement."""
+        z: Array = self.log.z[k]
+        return z
+
+    def first_seen(self, k: int) -> Array:
+        """Return range and bearing of a measurement that initialises a landmark."""
+        return self.seen(k)
+
     def noise(self, k: int) -> Array:
         """Return R of a measurement."""
         return np.diag(self.log.sigma[k] ** 2)
@@ -287,9 +326,10 @@ class Ekf:
         r = np.zeros((2 * len(ks),) * 2)
         for at, k in enumerate(ks):
             rows, index = slice(2 * at, 2 * at + 2), self.index[self.log.label[k]]
+            self.now = k
             expected, hv, hl = self.expected(x[self.v], x[index])
             h[rows, self.v], h[rows, index] = hv, hl
-            nu[rows], r[rows, rows] = self.residual(self.log.z[k], expected), self.noise(k)
+            nu[rows], r[rows, rows] = self.residual(self.seen(k), expected), self.noise(k)
         return h, nu, r
 
     def note_update(self, ks: Array, x: Array, h: Array, nu: Array, r: Array) -> None:
@@ -302,7 +342,7 @@ class Ekf:
 
     def update(self, ks: Array) -> None:
         """Update by measurements of known landmarks, at once."""
-        h, nu, r = self.linearised(ks, self.x)
+        h, nu, r = self.cast(*self.linearised(ks, self.x))
         self.note_update(ks, self.x, h, nu, r)
         self.correct(h, nu, r)
 
@@ -312,7 +352,6 @@ class Ekf:
 
     def correct(self, h: Array, nu: Array, r: Array) -> None:
         """Use x + K nu and P - K H P, symmetrised."""
-        h, nu, r = (one.astype(self.dtype) for one in (h, nu, r))
         gain = self.gain(h, r)
         self.x = self.x + gain @ nu
         self.p = self.reduced(gain, h, r)
@@ -331,11 +370,13 @@ class Ekf:
 
     def initialise(self, k: int) -> None:
         """Append a landmark."""
-        n, pose, r = len(self.x), self.x[self.v], self.first_noise(k)
-        point, gx, gz = self.place(pose, self.log.z[k])
+        n, pose = len(self.x), self.x[self.v]
+        parts = *self.place(pose, self.first_seen(k)), self.first_noise(k)
+        point, gx, gz, r = self.cast(*parts)
         g: Array = np.vstack((np.eye(n), np.zeros((2, n)))).astype(self.dtype)
         g[n:, self.v] = gx
         label = int(self.log.label[k])
+        self.began[label] = point
         told = {"point": pose, "after": point, "numbers": self.log.row[k]}
         self.note("augment", f"landmark {label}", gx, gz, r, ["pose"], **told)
         self.x, self.p = np.append(self.x, point).astype(self.dtype), g @ self.p @ g.T
@@ -354,6 +395,27 @@ class Ekf:
         """Return the measurements of a scan, as they are used."""
         return ks
 
+    # Positions
+
+    def position(self, g: int) -> tuple[Array, Array]:
+        """Return a position and its R."""
+        return self.log.fix[g], self.log.fix_noise[g]
+
+    def arm(self, pose: Array) -> Array:
+        """Return the way from the vehicle to the antenna."""
+        lever: Array = rotation(pose[2]) @ self.log.meta["positions"]["antenna_m"]
+        return lever
+
+    def fix(self, g: int) -> None:
+        """Update by a position."""
+        pose, (place, r) = self.x[self.v], self.position(g)
+        arm, h = self.arm(pose), np.zeros((2, len(self.x)))
+        h[:, self.v] = np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]]])
+        h, nu, r = self.cast(h, place - pose[:2] - arm, r)
+        told = {"point": pose, "numbers": g}
+        self.note("update", "positions", nu, h[:, self.v], r, ["pose"], **told)
+        self.correct(h, nu, r)
+
     # Run and output
 
     def pose(self) -> tuple[Array, Array]:
@@ -367,7 +429,7 @@ class Ekf:
 
     def instants(self) -> Array:
         """Return the times to predict to."""
-        return np.unique(np.concatenate((self.log.odometry_s, self.log.used_s)))
+        return np.unique(np.concatenate((self.log.odometry_s, self.log.used_s, self.log.fixed_s)))
 
     def keeps(self, scan: bool) -> bool:
         """Return whether a pose is put out at an instant, with measurements or without."""
@@ -385,6 +447,8 @@ class Ekf:
             ks = self.chosen(np.flatnonzero(log.used_s == t))
             if len(ks):
                 self.fuse(ks)
+            for g in np.flatnonzero(log.fixed_s == t):
+                self.fix(int(g))
             if t == times[-1] or self.keeps(len(ks) > 0):
                 self.path.append((t, *map(np.array, self.pose())))
         return self
@@ -626,6 +690,32 @@ class UntilLastScan(Decimated):
         times = super().instants()
         kept: Array = times[times <= self.log.used_s[-1]]
         return kept
+
+
+class Car(Ekf):
+    """Speed of a wheel, a sensor beside the axle, steps along the departing heading (Nieto 2.5)."""
+
+    def control(self, number: int) -> tuple[Array, Array]:
+        """Return speed and steering angle of a sample, with their covariance."""
+        return self.driven(number), self.control_noise
+
+    def velocity(self, u: Array, **other: float) -> Array:
+        """Return the sensor's speed forward and left, and the turn. other: measures of the car."""
+        car = self.log.meta["odometry"]["vehicle"] | other
+        bend = np.tan(u[1]) / car["wheelbase_m"]
+        speed = u[0] / (1.0 - bend * car["encoder_offset_m"])
+        side = speed * bend * car["sensor_forward_m"]
+        return np.array([speed * (1.0 - bend * car["sensor_left_m"]), side, speed * bend])
+
+    def motion(self, pose: Array, u: Array, dt: float) -> tuple[Array, Array, Array]:
+        """Return the pose after dt, F and B; B by differences of exact steps in the complex."""
+        face, f = np.eye(3), np.eye(3)
+        face[:2, :2] = rotation(pose[2])
+        moved = dt * face @ self.velocity(u)
+        f[:2, 2] = -moved[1], moved[0]
+        steps = 1e-200j * np.eye(2)
+        slopes = [Car.velocity(self, u + step).imag / 1e-200 for step in steps]
+        return pose + moved, f, dt * face @ np.column_stack(slopes)
 
 
 class Arc(Ekf):

@@ -42,8 +42,9 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
+from comparisons.faults.algebra import other_gain
 from comparisons.faults.catalogue import NAMED
-from comparisons.faults.fault import with_state
+from comparisons.faults.fault import Done, after
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -55,7 +56,6 @@ from ekf_reference.core.measurements import (
     REJECTED,
     Measurements,
 )
-from ekf_reference.core.state import Correction, KalmanState
 
 QUICK_S = 30.0
 
@@ -96,62 +96,23 @@ def of_run(run: FilterRun | None, time_s: Array) -> ExternalEstimate:
     )
 
 
-class JosephState(KalmanState):
-    """Joseph's form of the covariance's update."""
-
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        """(I - W H) P (I - W H)^T + W R W^T."""
-        n = self._layout.size
-        p = self._covariance[:n, :n].copy()
-        done = super().update(columns, jacobian, innovation, noise)
-        w = done.gain_root.T @ done.inverse_root
-        keep = np.eye(n)
-        np.subtract.at(keep.T, columns, (w @ jacobian).T)
-        self._covariance[:n, :n] = keep @ p @ keep.T + w @ noise @ w.T
-        return done
+def by_information(done: Done, columns: Index, h: Array, nu: Array, r: Array) -> None:
+    """Update by inverses, P^-1 + H^T R^-1 H."""
+    whole = np.zeros((len(h), len(done.p)))
+    np.add.at(whole.T, columns, h.T)
+    found = np.linalg.inv(np.linalg.inv(done.before) + whole.T @ np.linalg.inv(r) @ whole)
+    done.p[:] = 0.5 * (found + found.T)
 
 
-class InformationState(KalmanState):
-    """The update by inverses, P^-1 + H^T R^-1 H."""
-
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        """Add information, then invert."""
-        n = self._layout.size
-        p = self._covariance[:n, :n].copy()
-        done = super().update(columns, jacobian, innovation, noise)
-        h = np.zeros((len(jacobian), n))
-        np.add.at(h.T, columns, jacobian.T)
-        found = np.linalg.inv(np.linalg.inv(p) + h.T @ np.linalg.inv(noise) @ h)
-        self._covariance[:n, :n] = 0.5 * (found + found.T)
-        return done
-
-
-class SingleState(KalmanState):
-    """The covariance is kept in single precision."""
-
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        """Update, then round."""
-        done = super().update(columns, jacobian, innovation, noise)
-        self._covariance = self._covariance.astype(np.float32).astype(float)
-        return done
+def rounded(done: Done, *_: Array) -> None:
+    """Keep the covariance in single precision."""
+    done.p[:] = done.p.astype(np.float32)
 
 
 class IteratedThrice(filter_variants.IteratedEkf):
     """An iterated EKF that stops after three rounds."""
 
     most_iterations = 3
-
-
-class WideUnscented(filter_variants.UnscentedEkf):
-    """Sigma points at the full spread, as of the cubature filter."""
-
-    alpha = 1.0
 
 
 class EarlyInitialising(Ekf):
@@ -211,21 +172,21 @@ class Cases:
         )
 
     def _filters(self) -> Iterator[Case]:
-        def kept_in(state: type[KalmanState]) -> Callable[[], ExternalEstimate]:
-            return partial(self._filtered, with_state(state))
-
         yield Case("the reference EKF", True, lambda: self.right, True)
         yield Case("compressed", True, lambda: self._filtered(filter="compressed"), True)
-        yield Case("Joseph form", True, kept_in(JosephState), True)
-        yield Case("information form", True, kept_in(InformationState), True)
-        yield Case("computed in single precision", True, kept_in(SingleState))
+        for name, plant, like in (
+            ("Joseph form", other_gain(1.0), True),
+            ("information form", after("update", by_information), True),
+            ("computed in single precision", after("update", rounded), False),
+        ):
+            yield Case(name, True, partial(self._filtered, plant), like)
         for name, kind in (
             ("sequential", filter_variants.SequentialEkf),
             ("sequential, backward", filter_variants.BackwardEkf),
             ("iterated", filter_variants.IteratedEkf),
             ("unscented", filter_variants.UnscentedEkf),
             ("iterated three times", IteratedThrice),
-            ("unscented, wide", WideUnscented),
+            ("unscented, wide", filter_variants.WideUnscentedEkf),
             ("landmarks initialised before the update", EarlyInitialising),
         ):
             yield Case(name, True, partial(self._variant, kind), True)

@@ -3,10 +3,10 @@
     python -m benchmarks.trust_hints [--quick] [--log FOLDER] [--list] [--only WORD]
                                      [--held-out]
 
-A foreign filter (comparisons.experiments.foreign) is given one fault at a time, its trace is
-checked, and the hint is judged: right, general (none, or the general advice), or wrong. A part of a
-hint that is neither the fault nor a consequence of it makes the whole hint wrong. --log adds a real
-log, such as the car park's; --list prints every hint.
+A stranger's filter (benchmarks.strangers) is given one fault at a time, its trace is checked, and
+the hint is judged: right, general (none, or the general advice), or wrong. A part of a hint that is
+neither the fault nor a consequence of it makes the whole hint wrong. --log adds a real log, such as
+the car park's; --list prints every hint.
 """
 
 from __future__ import annotations
@@ -25,18 +25,26 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fault_logs import open_case
-from benchmarks.foreign_faults import FAULTS, HELD_OUT, Fault
-from benchmarks.foreign_filter import Foreign, in_single
+from benchmarks.stranger_faults import FORGETFUL, HELD_OUT, HINTS, Fault
+from benchmarks.strangers import Car, Ekf, Single, read_log
+from benchmarks.strangers import Log as Read
 from benchmarks.trust_row import Row, print_table
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.arrays import Array
+from comparisons.audit.run_trace import write_event
 from comparisons.checks.causes import ALGEBRA_HINT, FITTED, MODEL_HINT
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import read_external
+from comparisons.estimates.trace_file import TRACE
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.external_trace import TraceCheck, check_trace
 from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.trace.events import Event
+from comparisons.trace.reader import Trace
+from comparisons.trace.recorder import Recorder
 from graphslam.smoother import SmootherOptions
 
 IN_SINGLE = "computes in single precision"
@@ -44,51 +52,79 @@ IN_SINGLE = "computes in single precision"
 
 @dataclass(frozen=True)
 class Case:
-    """A log, and a sound foreign filter for it. kinds: of faults that it can show."""
+    """A log, prepared and as a stranger reads it, and a sound filter. kinds: of faults it shows."""
 
     name: str
     prepared: Prepared[SolveConfig]
-    sound: Foreign
+    log: Read
+    sound: type[Ekf]
     kinds: tuple[str, ...]
 
 
 def case(name: str, log: Log, choices: EkfConfig, *kinds: str) -> Case:
-    """With the reference filter's association."""
+    """Return a case of a log with labels."""
     prepared: Prepared[SolveConfig] = prepare(log, CheckConfig(gps=choices.gps), choices)
-    p = prepared
-    landmark_index = run_ekf(p.log, p.timeline, p.ekf, p.positions).landmark_index
-    return Case(
-        name,
-        p,
-        Foreign(
-            log=p.log, timeline=p.timeline, landmark_index=landmark_index, positions=p.positions
-        ),
-        ("any", *kinds),
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        write_log_folder(log, Path(folder) / "log")
+        read = read_log(Path(folder) / "log")
+    steers = isinstance(log.odometry, SteeringOdometry)
+    return Case(name, prepared, read, Car if steers else Ekf, ("any", *["car"] * steers, *kinds))
 
 
-def simulated(seed: int = 4) -> Case:
-    """A loop of 60 s with positions; its vehicle steers."""
-    return case("simulated loop", *open_case("positions", seed), "car", "positions")
+def simulated(seed: int = 4, loop_s: float = 60.0) -> Case:
+    """Return a loop with positions; its vehicle steers."""
+    return case("simulated loop", *open_case("positions", seed, loop_s), "positions")
 
 
 def recorded(folder: str) -> Case:
-    """A log of a folder."""
-    log = open_log(folder, None, 1, SimulationChoices())
-    steers = hasattr(log.odometry, "vehicle")
-    return case(Path(folder).name, replace(log, positions=None), EkfConfig(),
-                *(("car",) if steers else ()))  # fmt: skip
+    """Return a log of a folder, labelled as the reference filter associates."""
+    log = replace(open_log(folder, None, 1, SimulationChoices()), positions=None)
+    p: Prepared[SolveConfig] = prepare(log, CheckConfig(), EkfConfig())
+    index = run_ekf(p.log, p.timeline, p.ekf, p.positions).landmark_index
+    seen = p.log.measurements.chosen(index >= 0)
+    labelled = replace(p.log, measurements=replace(seen, landmark=index[index >= 0]))
+    return case(Path(folder).name, labelled, EkfConfig(association="known"))
 
 
-def checked(one: Foreign, prepared: Prepared[SolveConfig], *, stored_single: bool = False
-            ) -> TraceCheck:  # fmt: skip
+def checked(kind: type[Ekf], one: Case, *, stored_single: bool = False) -> TraceCheck:
     """Run a filter, hand in what it leaves, check that."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        one.run(folder)
+        folder = Path(name) / "mine"
+        kind(one.log).run().write(folder, traced=True)
         if stored_single:
             in_single(folder)
-        return check_trace(read_external(folder), prepared, SmootherOptions())
+        return check_trace(read_external(folder), one.prepared, SmootherOptions())
+
+
+def _rounded(event: Event) -> dict[str, Array]:
+    """Return an event's numbers in single precision; numbers of measurements stay whole."""
+    return {
+        name: value.astype(np.float32)
+        for name, value in event._asdict().items()
+        if isinstance(value, np.ndarray) and name != "numbers"
+    }
+
+
+def in_single(folder: Path) -> None:
+    """Store in single precision what a folder holds in double."""
+    with np.load(folder / "covariances.npz") as archive:
+        arrays = {key: a.astype(np.float32) for key, a in archive.items()}
+    np.savez(folder / "covariances.npz", **arrays)
+    events = list(Trace(folder / TRACE))
+    (folder / TRACE).unlink()
+    with Recorder(folder / TRACE) as record:
+        for event in events:
+            if event.time_s is not None:
+                record.at(event.time_s)
+            write_event(event._replace(**_rounded(event)), record)  # type: ignore[arg-type]
+    for name, separator in (("trajectory.tum", " "), ("landmarks.csv", ",")):
+        lines = []
+        for line in (folder / name).read_text(encoding="utf-8").splitlines():
+            first, *rest = line.split(separator)
+            if not first[0].isalpha():
+                rest = [repr(float(np.float32(value))) for value in rest]
+            lines.append(separator.join((first, *rest)))
+        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def hint_parts(check: TraceCheck) -> list[str]:
@@ -115,7 +151,7 @@ def judge_hints(
         for fault in faults:
             if fault.log not in one.kinds:
                 continue
-            check = checked(fault.plant(one.sound), one.prepared)
+            check = checked(fault.plant(one.sound), one)
             gaps = [cause.gap for cause in check.verdict.causes]
             caught = bool({"data", "algebra", "model"} & set(gaps))
             how = fault.judge(hint_parts(check)) if caught else "unseen"
@@ -136,13 +172,6 @@ class Precisions:
     total: int = 0
 
 
-def forgets_map(one: Foreign, p: Array, before: int) -> Array:
-    """Return the covariance without that of the vehicle with the map, a hundredth of it."""
-    p[:3, 3:] *= 0.99
-    p[3:, :3] *= 0.99
-    return p
-
-
 def judge_precisions(cases: Iterable[Case], *, listed: bool = False) -> Precisions:
     """Count what is called by its name.
 
@@ -151,13 +180,13 @@ def judge_precisions(cases: Iterable[Case], *, listed: bool = False) -> Precisio
     """
     found = Precisions()
     for one in cases:
-        single = replace(one.sound, dtype=np.float32)
+        single = type("InSingle", (Single, one.sound), {})
         causes = [
             [c for c in check.verdict.causes if c.gap in ("data", "algebra", "model")]
             for check in (
-                checked(one.sound, one.prepared, stored_single=True),
-                checked(single, one.prepared),
-                checked(replace(one.sound, keep=forgets_map), one.prepared, stored_single=True),
+                checked(one.sound, one, stored_single=True),
+                checked(single, one),
+                checked(FORGETFUL(one.sound), one, stored_single=True),
             )
         ]
         stored, computed, dropped = causes
@@ -175,7 +204,7 @@ def judge_precisions(cases: Iterable[Case], *, listed: bool = False) -> Precisio
 
 def sound_hints(cases: Iterable[Case]) -> tuple[int, int]:
     """Count hints on sound filters, and these."""
-    found = [len(hint_parts(checked(one.sound, one.prepared))) for one in cases]
+    found = [len(hint_parts(checked(one.sound, one))) for one in cases]
     return sum(map(bool, found)), len(found)
 
 
@@ -183,7 +212,7 @@ def rows(quick: bool = False, folder: str = "") -> list[Row]:
     """Return the table's rows. quick: a part of the faults, one loop. folder: of a real log."""
     cases = [simulated(), *([recorded(folder)] if folder else [])]
     step = 8 if quick else 1
-    found = judge_hints(cases, FAULTS[::step])
+    found = judge_hints(cases, HINTS[::step])
     held = judge_hints(cases, HELD_OUT[:: min(step, 2)])
     loops = [simulated(seed) for seed in range(1 if quick else 20)]
     precision = judge_precisions([*loops, *cases[1:]])
@@ -225,7 +254,7 @@ def main() -> None:
     options = parser.parse_args()
     cases = [simulated(), *([recorded(options.log)] if options.log else [])]
     faults = [
-        fault for fault in (HELD_OUT if options.held_out else FAULTS) if options.only in fault.name
+        fault for fault in (HELD_OUT if options.held_out else HINTS) if options.only in fault.name
     ]
     if options.list:
         print(judge_hints(cases, faults, listed=True))

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import slamcheck
-from benchmarks.stranger_faults import FAULTS, naming
+from benchmarks.stranger_faults import CAUSES, naming
 from benchmarks.strangers import (
     SAME,
     SOUND,
@@ -173,7 +173,7 @@ def sound_part(trial: Trial, options: argparse.Namespace) -> Iterator[str]:
 def faults_part(trial: Trial, options: argparse.Namespace) -> Iterator[str]:
     """Faults in two motion models, with a trace and without."""
     counts: dict[str, Counter[str]] = {}
-    every = [fault for fault in FAULTS if options.only in fault.name]
+    every = [fault for fault in CAUSES if options.only in fault.name]
     for log in logs(trial, FOR_FAULTS, options):
         for base, motion in ((Ekf, "mid"), (Arc, "arc")):
             right = base(read_log(log)).run()

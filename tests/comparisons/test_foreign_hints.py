@@ -2,91 +2,60 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from benchmarks.fault_logs import open_case
-from benchmarks.foreign_faults import FAULTS, Fault
-from benchmarks.foreign_filter import Foreign, in_single
-from comparisons.adapters.ekf_run import run_ekf
-from comparisons.checks.causes import ALGEBRA_HINT, FITTED
+from benchmarks.stranger_faults import FORGETFUL, HINTS, Fault
+from benchmarks.strangers import Single
+from benchmarks.trust_hints import IN_SINGLE, Case, checked, hint_parts, simulated
+from comparisons.checks.causes import ALGEBRA_HINT
 from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
-from comparisons.config import CheckConfig, SolveConfig
-from comparisons.estimates.external import read_external
 from comparisons.estimates.stored_precision import SINGLE, restored, stored_rounding
-from comparisons.pipeline.external_trace import TraceCheck, check_trace
-from comparisons.pipeline.prepare import Prepared, prepare
-from graphslam.smoother import SmootherOptions
+from comparisons.pipeline.external_trace import TraceCheck
 from tests.helpers import Array
-
-Ready = tuple[Prepared[SolveConfig], Foreign]
-
-
-def prepared(loop_s: float) -> Ready:
-    log, choices = open_case("positions", seed=4, loop_s=loop_s)
-    p: Prepared[SolveConfig] = prepare(log, CheckConfig(gps=choices.gps), choices)
-    landmark_index = run_ekf(p.log, p.timeline, p.ekf, p.positions).landmark_index
-    return p, Foreign(
-        log=p.log, timeline=p.timeline, landmark_index=landmark_index, positions=p.positions
-    )
 
 
 @pytest.fixture(scope="module")
-def ready() -> Ready:
-    return prepared(30.0)
-
-
-def checked(one: Foreign, ready: Ready, folder: Path, *, stored: bool = False) -> TraceCheck:
-    one.run(folder)
-    if stored:
-        in_single(folder)
-    return check_trace(read_external(folder), ready[0], SmootherOptions())
+def ready() -> Case:
+    return simulated(loop_s=30.0)
 
 
 def said(check: TraceCheck) -> list[str]:
-    hints = [c.hint for c in check.verdict.causes if c.gap in ("algebra", "model")]
-    return [part for hint in hints for part in hint.removeprefix(FITTED).split("; ")]
+    return [
+        cause.hint for cause in check.verdict.causes if cause.gap in ("data", "algebra", "model")
+    ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", FAULTS[::9], ids=lambda fault: fault.name)
-def test_a_fault_is_named(fault: Fault, ready: Ready, tmp_path: Path) -> None:
-    parts = said(checked(fault.plant(ready[1]), ready, tmp_path))
+@pytest.mark.parametrize("fault", HINTS[::9], ids=lambda fault: fault.name)
+def test_a_fault_is_named(fault: Fault, ready: Case) -> None:
+    parts = hint_parts(checked(fault.plant(ready.sound), ready))
     assert fault.judge(parts) == "right", parts
 
 
-def test_a_sound_filter_is_told_nothing(ready: Ready, tmp_path: Path) -> None:
-    assert said(checked(ready[1], ready, tmp_path)) == []
+def test_a_sound_filter_is_told_nothing(ready: Case) -> None:
+    assert said(checked(ready.sound, ready)) == []
 
 
-def test_storing_in_single_precision_is_no_fault(ready: Ready, tmp_path: Path) -> None:
-    check = checked(ready[1], ready, tmp_path, stored=True)
+def test_storing_in_single_precision_is_no_fault(ready: Case) -> None:
+    check = checked(ready.sound, ready, stored_single=True)
     assert check.agreement.algebra.sigma > 1e-6
     assert said(check) == []
 
 
 @pytest.mark.slow
-def test_computing_in_single_precision_is_named(tmp_path: Path) -> None:
+def test_computing_in_single_precision_is_named() -> None:
     """Of a drive long enough to tell it from storing."""
-    long = prepared(85.0)
-    single = replace(long[1], dtype=np.float32)
-    parts = said(checked(single, long, tmp_path))
+    long = simulated(loop_s=85.0)
+    single = type("InSingle", (Single, long.sound), {})
+    parts = said(checked(single, long))
     assert parts
-    assert all("in single precision" in p for p in parts)
+    assert all(IN_SINGLE in part for part in parts)
 
 
-def test_a_dropped_covariance_is_no_matter_of_precision(ready: Ready, tmp_path: Path) -> None:
-    def forget(one: Foreign, p: Array, before: int) -> Array:
-        p[:3, 3:] *= 0.99
-        p[3:, :3] *= 0.99
-        return p
-
-    check = checked(replace(ready[1], keep=forget), ready, tmp_path, stored=True)
-    (part,) = said(check)
-    assert part == ALGEBRA_HINT
+def test_a_dropped_covariance_is_no_matter_of_precision(ready: Case) -> None:
+    check = checked(FORGETFUL(ready.sound), ready, stored_single=True)
+    assert said(check) == [ALGEBRA_HINT]
 
 
 def test_precision_is_recognised_by_every_number() -> None:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import slamcheck
+from benchmarks.stranger_faults import Plant, instead, late_odometry, noisy, scaled, spread
+from benchmarks.strangers import Arc, Array, ByRow, Ekf, read_log
 from comparisons.checks.causes import Cause
+from comparisons.faults.fault import Method
 from comparisons.fingerprints import search
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import ExternalCheck
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
-from tests.comparisons.textbook_ekf import Array, TextbookEkf, run
 
 SEED = 3
 
@@ -36,87 +39,61 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def judged(kind: type[TextbookEkf], folder: Path, out: Path) -> ExternalCheck:
-    run(kind, folder, out)
+class Newcomer(ByRow, Arc):
+    """Uses one measurement after the other, and leaves no trace."""
+
+
+def judged(kind: type[Ekf], folder: Path, out: Path) -> ExternalCheck:
+    kind(read_log(folder)).run().write(out, traced=False)
     return slamcheck.check(slamcheck.load_log(folder), out, require="like")
 
 
 def test_a_sound_filter_is_equal_on_its_own_arc(folder: Path, tmp_path: Path) -> None:
-    found = judged(TextbookEkf, folder, tmp_path / "mine")
+    found = judged(Newcomer, folder, tmp_path / "mine")
     assert (found.outcome, found.grade.value) == ("agree", "equal")
     assert "along the arc" in found.remarks[0]
 
 
-class HalfR(TextbookEkf):
-    def r(self, sigma: Array) -> Array:
-        return 0.5 * super().r(sigma)
+def apart_from_the_map(own: Method, ekf: Ekf, k: int) -> None:
+    own(k)
+    ekf.p[-2:, 3:-2] = ekf.p[3:-2, -2:] = 0.0
 
 
-class FourQ(TextbookEkf):
-    def q(self, v: Array, dt: float) -> Array:
-        return 4.0 * (v @ self.m @ v.T) + dt * self.drift
+def unwrapped(own: Method, ekf: Ekf, pose: Array, point: Array) -> Any:
+    (x, y), found = point - pose[:2], own(pose, point)
+    return (np.array([found[0][0], np.arctan2(y, x) - pose[2]]), *found[1:])
 
 
-class NoCross(TextbookEkf):
-    def cross(self, g: Array) -> Array:
-        full = super().cross(g)
-        full[:, 3:] = 0.0
-        return full
-
-
-class Unwrapped(TextbookEkf):
-    def innovation(self, z: Array, expected: Array) -> Array:
-        return z - expected
-
-
-class Late(TextbookEkf):
-    late = 1
-
-
-class SigmaInR(TextbookEkf):
-    def r(self, sigma: Array) -> Array:
-        return np.diag(sigma)
-
-
-class ThirdOfR(TextbookEkf):
-    """No round number."""
-
-    def r(self, sigma: Array) -> Array:
-        return 0.317 * super().r(sigma)
-
-
-FAULTS = {
-    HalfR: "R is 0.5 times the log's",
-    FourQ: "the controls' part of Q is 4 times the log's",
-    NoCross: "P between a new landmark and the map is left zero",
-    Unwrapped: "the innovation z - h(x) is not wrapped",
-    Late: "the odometry is used 1 sample late, the first twice",
-    SigmaInR: "R holds sigma",
-    ThirdOfR: "R is 0.317 times the log's",
+FAULTS: dict[str, Plant] = {
+    "R is 0.5 times the log's": scaled("noise", 0.5),
+    "the controls' part of Q is 4 times the log's": spread(lambda ekf, q, dt: 4.0 * q),
+    "P between a new landmark and the map is left zero": instead(initialise=apart_from_the_map),
+    "the innovation z - h(x) is not wrapped": instead(
+        expected=unwrapped, residual=lambda own, ekf, z, expected: z - expected
+    ),
+    "the odometry is used 1 sample late, the first twice": instead(predict=late_odometry),
+    "R holds sigma": noisy(lambda ekf, k, r: np.sqrt(r)),
+    "R is 0.317 times the log's": scaled("noise", 0.317),
 }
 
 
-@pytest.mark.parametrize("kind", FAULTS)
-def test_each_fault_is_the_first_sentence(
-    kind: type[TextbookEkf], folder: Path, tmp_path: Path
-) -> None:
-    found = judged(kind, folder, tmp_path / "mine")
+@pytest.mark.parametrize("words", FAULTS)
+def test_each_fault_is_the_first_sentence(words: str, folder: Path, tmp_path: Path) -> None:
+    found = judged(FAULTS[words](Newcomer), folder, tmp_path / "mine")
     assert found.outcome == "disagree"
     first = found.causes[0]
     assert first.gap == "fault"
-    assert first.evidence.startswith(FAULTS[kind])
+    assert first.evidence.startswith(words)
     assert "equals the estimate" in first.evidence
 
 
-class Strange(TextbookEkf):
+def shortened(own: Method, ekf: Ekf, z: Array, expected: Array) -> Any:
     """A fault that no catalogue has: every range is shortened by its bearing."""
-
-    def innovation(self, z: Array, expected: Array) -> Array:
-        return super().innovation(z - (0.3 * abs(z[1]), 0.0), expected)
+    return own(z - (0.3 * abs(z[1]), 0.0), expected)
 
 
 def test_a_fault_that_nobody_knows_is_given_no_name(folder: Path, tmp_path: Path) -> None:
-    found = judged(Strange, folder, tmp_path / "mine")
+    found = judged(instead(residual=shortened)(Newcomer), folder, tmp_path / "mine")
     assert found.outcome == "disagree"
     assert all(one.gap != "fault" for one in found.causes)
     assert any(said.startswith("the poses first differ from") for said in found.remarks)
