@@ -13,7 +13,7 @@ import html
 import inspect
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
@@ -29,7 +29,7 @@ from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured
-from comparisons.experiments.montecarlo.models import MonteCarloResult
+from comparisons.experiments.montecarlo.folder import MonteCarloResult
 from comparisons.experiments.reproduction.interface import ReproductionResult
 from comparisons.extensions.dense_maps.result import DenseResult
 from comparisons.extensions.fastslam.result import FastSlamResult
@@ -142,7 +142,7 @@ def _type(kind: Any, names: dict[type, str]) -> str:
         return f"list of {_type(parts[0], names)}"
     if origin is tuple:
         return f"{len(parts)} of {_type(parts[0], names)}"
-    if origin is dict:
+    if origin in (dict, Mapping):
         return "object" if parts[1] is Any else f"object of {_type(parts[1], names)}"
     return " or ".join(_type(one, names) for one in parts) or _JSON.get(kind, "any")
 

@@ -128,7 +128,6 @@ def montecarlo(**values: Any) -> None:
         check_folder(folder)
         from comparisons.experiments.montecarlo.folder import (
             RESULT,
-            build_montecarlo_result,
             montecarlo_summary,
             write_montecarlo,
         )
@@ -139,9 +138,8 @@ def montecarlo(**values: Any) -> None:
             theirs = 1 if given.workers is None else given.workers
             external = External(commands, given.reuse, theirs)
             outcome = run_study(study, folder, ours, given.scheduler, progress, external)
-            result = build_montecarlo_result(outcome)
             progress("report", 0, 0)
-            write_montecarlo(outcome, result, folder)
+            write_montecarlo(outcome, folder)
             if given.keep is not None:
                 keep_log(study, folder, given.keep)
         print_result(montecarlo_summary(outcome), folder / RESULT, output)

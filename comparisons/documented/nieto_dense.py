@@ -29,10 +29,9 @@ ROWS = (
         absent="0.5 m, 1.5 m on scan landmarks alone",
         also=("ekf_reference.dense.conditions:Conditions.known_apart_m",),
         reason="0 leaves 61 % of the returns of scan-loop (6 drives of one loop) without a region "
-        "instead of 31 %, 53 % instead of 29 % on occupancy-loop (8), and the map is no "
-        "closer to the surfaces (median 0.24 m either way, 0.28 instead of 0.25): "
-        "landmarks near a well known vehicle are well known against each other and correlate "
-        "little" + _BY,
+        "instead of 31 %, 53 % instead of 29 % on occupancy-loop (8), and the map is no closer to "
+        "the surfaces (median 0.24 m either way, 0.28 instead of 0.25): landmarks near a well "
+        "known vehicle are well known against each other and correlate little" + _BY,
     ),
     Documented(
         place="N 3.5",

@@ -123,9 +123,8 @@ _OBSERVATION = (
             "ekf_reference.scan_landmarks.templates:View.share",
         ),
         absent="0.5 (whole-scan), 0.9 (per-segment)",
-        reason="the view changes sooner than one object's: whole scan, 0.9 gives 57 "
-        "landmarks and an ATE of 0.20 m, 0.5 gives 42 and 0.15 m (the first 60 s of Table 5.1's "
-        "drive, seed 0)",
+        reason="the view changes sooner than one object's: whole scan, 0.9 gives 57 landmarks and "
+        "an ATE of 0.20 m, 0.5 gives 42 and 0.15 m (the first 60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
         place="N 5.7",

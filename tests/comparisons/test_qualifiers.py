@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.checks import truth_by_labels
 from comparisons.checks.consistency.consistency import Consistency, inconsistencies, limit
 from comparisons.checks.qualifiers import (
     TRUTH_GAP,
@@ -24,7 +25,6 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.transforms.time_window import cut_log
-from comparisons.checks import truth_by_labels
 from comparisons.pipeline import second_association
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result

@@ -50,11 +50,22 @@ class EstimatorError(Exception):
 
 
 @dataclass(frozen=True)
-class Failure:
-    """A run that an external filter failed on. log: folder of the log that is kept, if it is."""
+class FailedRun:
+    """A run in which an external filter failed.
+
+    Attributes:
+        seed: seed of the run.
+        reason: what happened.
+    """
 
     seed: int
     reason: str
+
+
+@dataclass(frozen=True)
+class Failure(FailedRun):
+    """With the end of what it wrote on standard error, and the folder of a log that is kept."""
+
     output: str = ""
     log: Path | None = None
 

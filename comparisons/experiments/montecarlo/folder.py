@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
 
 from comparisons.atomic import write_whole
 from comparisons.experiments.montecarlo.chunk_files import CONFIG, LOGS
-from comparisons.experiments.montecarlo.models import (
-    ConsistencyResult,
-    FailureResult,
-    LastPosesResult,
-    MonteCarloFilterResult,
-    MonteCarloResult,
-    PairResult,
-)
+from comparisons.experiments.montecarlo.external import FailedRun
 from comparisons.experiments.montecarlo.page import study_page
 from comparisons.experiments.montecarlo.plots import curves_figure
 from comparisons.experiments.montecarlo.statistics import (
     DOF,
+    ERRORS,
     LEVEL,
     FilterFigures,
+    FilterResult,
     Pair,
-    inside_at_end,
     per_run,
 )
 from comparisons.experiments.montecarlo.study import Outcome
-from comparisons.figures import finite
 from comparisons.report.picture import save
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
@@ -43,40 +42,76 @@ _PLACES = {
 }
 
 
-def build_montecarlo_result(outcome: Outcome) -> MonteCarloResult:
-    """The figures, without what depends on the machine."""
-    study = outcome.study
-    return MonteCarloResult(
-        config=study.config.model_dump(mode="json"),
-        scenario=study.name,
-        description=study.scenario.description,
-        sha256=study.sha256,
-        runs=study.config.runs,
-        steps=study.scenario.steps,
-        recorded_steps=len(outcome.time_s),
-        duration_s=study.scenario.steps * study.scenario.step_s,
-        landmarks=outcome.landmarks,
-        level=LEVEL,
-        filters={name: _filter(figures) for name, figures in outcome.figures.items()},
-        pairs=[_pair(pair) for pair in outcome.pairs],
-        final_map=outcome.final_map,
-        failures={
-            name: [FailureResult(seed=one.seed, reason=one.reason) for one in failed]
-            for name, failed in outcome.failures.items()
-        },
-    )
+@dataclass(frozen=True, kw_only=True)
+class MonteCarloResult:
+    """`montecarlo.json`: a Monte Carlo study, the same bytes however the work was spread.
+
+    Attributes:
+        config: all settings; they repeat the study.
+        scenario: name of the scenario.
+        description: what it is.
+        sha256: hash of the scenario.
+        runs: number of runs.
+        steps: steps of a run.
+        recorded_steps: steps at which figures were recorded.
+        duration_s: duration of a run.
+        landmarks: landmarks of the scenario.
+        level: level of bands and intervals.
+        filters: each filter, by name.
+        pairs: each pair of filters.
+        final_map: figures of landmarks are of the last step alone, since an external filter takes
+            part.
+        failures: failed runs of external filters, by name.
+    """
+
+    config: dict[str, Any]
+    scenario: str
+    description: str
+    sha256: str
+    runs: int
+    steps: int
+    recorded_steps: int
+    duration_s: float
+    landmarks: int
+    level: float
+    filters: Mapping[str, FilterResult]
+    pairs: list[Pair]
+    final_map: bool
+    failures: Mapping[str, tuple[FailedRun, ...]]
+
+    @classmethod
+    def of(cls, outcome: Outcome) -> MonteCarloResult:
+        """Without what depends on the machine."""
+        study, scenario = outcome.study, outcome.study.scenario
+        return cls(
+            config=study.config.model_dump(mode="json"),
+            scenario=study.name,
+            description=scenario.description,
+            sha256=study.sha256,
+            runs=study.config.runs,
+            steps=scenario.steps,
+            recorded_steps=len(outcome.time_s),
+            duration_s=scenario.steps * scenario.step_s,
+            landmarks=outcome.landmarks,
+            level=LEVEL,
+            filters=outcome.figures,
+            pairs=outcome.pairs,
+            final_map=outcome.final_map,
+            failures=outcome.failures,
+        )
 
 
-def write_montecarlo(outcome: Outcome, result: MonteCarloResult, folder: Path) -> None:
+def write_montecarlo(outcome: Outcome, folder: Path) -> None:
     """Write the settings, the figures, those of each run, page and picture, each whole."""
-    config = outcome.study.config.toml()
-    write_whole(folder / CONFIG, lambda part: part.write_text(config, encoding="utf-8"))
-    text = result.model_dump_json(indent=2) + "\n"
-    write_whole(folder / RESULT, lambda part: part.write_text(text, encoding="utf-8"))
-    page = study_page(outcome, remarks(outcome))
-    write_whole(folder / "report.html", lambda part: part.write_text(page, encoding="utf-8"))
-    rows = _run_rows(outcome)
-    write_whole(folder / "runs.csv", lambda part: part.write_text(rows, encoding="utf-8"))
+    result = TypeAdapter(MonteCarloResult).dump_json(MonteCarloResult.of(outcome), indent=2)
+    texts = {
+        CONFIG: outcome.study.config.toml(),
+        RESULT: result.decode() + "\n",
+        "report.html": study_page(outcome, remarks(outcome)),
+        "runs.csv": _run_rows(outcome),
+    }
+    for name, text in texts.items():
+        write_whole(folder / name, partial(Path.write_text, data=text, encoding="utf-8"))
     write_whole(folder / "curves.png", lambda part: save(curves_figure(outcome), part))
 
 
@@ -86,7 +121,7 @@ def _run_rows(outcome: Outcome) -> str:
     for name, figures in outcome.figures.items():
         kept = figures.kept
         run = per_run(kept)
-        columns = [run[f"{what}_rmse"] for what in ("position", "heading", "landmarks")]
+        columns = [run[f"{what}_rmse"] for what in ERRORS]
         columns += [run["pose_nees"], kept.last.pose_nees]
         for seed, row in enumerate(zip(*(one.tolist() for one in columns), strict=True)):
             lines.append(",".join([str(seed), name, *(_cell(value) for value in row)]))
@@ -165,8 +200,7 @@ def _rows(outcome: Outcome) -> list[Row]:
                 )
             )
         for what, value in figures.rmse.items():
-            unit = "rad" if what == "heading" else "m"
-            rows.append(Row(group, f"error of {what} (RMSE)", f"{value:.4f} {unit}"))
+            rows.append(Row(group, f"error of {what} (RMSE)", f"{value:.4f} {ERRORS[what]}"))
     return rows
 
 
@@ -194,39 +228,3 @@ def remarks(outcome: Outcome) -> list[str]:
 
 def _interval(band: tuple[float, float]) -> str:
     return f"{band[0]:.2f} to {band[1]:.2f}"
-
-
-def _filter(figures: FilterFigures) -> MonteCarloFilterResult:
-    inside, of, band = inside_at_end(figures.kept)
-    return MonteCarloFilterResult(
-        lost=figures.lost,
-        consistency={
-            name: ConsistencyResult(
-                anees=finite(c.mean),
-                band=(finite(c.band[0]), finite(c.band[1])),
-                place=c.place,
-                share_above=finite(c.share_above),
-            )
-            for name, c in figures.consistency.items()
-        },
-        rmse_position_m=finite(figures.rmse["position"]),
-        rmse_heading_rad=finite(figures.rmse["heading"]),
-        rmse_landmark_m=finite(figures.rmse["landmarks"]),
-        last_pose_inside=LastPosesResult(inside=inside, of=of, band=band),
-    )
-
-
-def _pair(pair: Pair) -> PairResult:
-    low, high = pair.interval
-    return PairResult(
-        first=pair.first,
-        second=pair.second,
-        what=pair.what,
-        mean=finite(pair.mean),
-        interval=(finite(low), finite(high)),
-        runs=pair.runs,
-        lower=pair.lower,
-        higher=pair.higher,
-        family_interval=(finite(pair.family_interval[0]), finite(pair.family_interval[1])),
-        sign_p=finite(pair.sign_p),
-    )

@@ -8,14 +8,13 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.plots import colour_of
-from comparisons.experiments.montecarlo.statistics import DOF, LEVEL, Pair, inside_at_end, per_run
+from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, LEVEL, Pair, per_run
 from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import again, document, number, script, sortable, table
 from comparisons.report.marks import Band, Curve, Panel
 
 _SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
-_UNITS = {"position": "m", "heading": "rad", "landmarks": "m"}
 _LEVEL = f"{100 * LEVEL:.0f} %"
 _WHAT = {
     "pose_nees": "NEES of the pose",
@@ -73,18 +72,18 @@ def _consistency(outcome: Outcome) -> str:
     rows: list[tuple[str, ...]] = []
     bad: list[int] = []
     for name, figures in outcome.figures.items():
-        inside, of, band = inside_at_end(figures.kept)
         cells = [
             "none"
             if c.place == "not given"
             else f"{number(c.mean)} ({number(c.band[0])} to {number(c.band[1])})"
             for c in figures.consistency.values()
         ]
-        last = f"{inside} of {of} ({band[0]} to {band[1]})" if of else "none"
+        last, band = figures.last_pose_inside, figures.last_pose_inside.band
+        inside = f"{last.inside} of {last.of} ({band[0]} to {band[1]})" if last.of else "none"
         place = figures.consistency["pose"].place
         if place == "above":
             bad.append(len(rows))
-        rows.append((name, *cells, last, _PLACES[place]))
+        rows.append((name, *cells, inside, _PLACES[place]))
     head = ("filter", *(f"{block} ({dof} dof)" for block, dof in DOF.items()))
     return _wide(table((*head, "last poses inside", "pose NEES"), rows, bad))
 
@@ -149,15 +148,13 @@ def _panels(outcome: Outcome) -> list[Panel]:
             Panel(
                 title=f"mean NEES of {block} ({dof} dof)",
                 x_label="time [s]",
-                curves=_curves(
-                    time_s, {name: f.consistency[block].curve for name, f in figures.items()}
-                ),
+                curves=_curves(time_s, {name: f.nees_curve[block] for name, f in figures.items()}),
                 bands=(band,) if np.isfinite(widest).all() else (),
                 logarithmic=True,
                 level=float(dof),
             )
         )
-    for what, unit in _UNITS.items():
+    for what, unit in ERRORS.items():
         panels.append(
             Panel(
                 title=f"RMSE of {what} [{unit}]",

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from comparisons.arrays import Array
-from comparisons.experiments.montecarlo.statistics import DOF
+from comparisons.experiments.montecarlo.statistics import DOF, ERRORS
 from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.report.picture import blank
 
@@ -28,14 +28,6 @@ def colour_of(name: str, names: Iterable[str]) -> str:
     return COLOURS.get(name) or _OTHERS[others.index(name) % len(_OTHERS)]
 
 
-def draw_anees(
-    axis: Axes, time_s: Array, curves: dict[str, Array], band: tuple[float, float]
-) -> None:
-    """ANEES over time of each filter (T,), and the band."""
-    axis.axhspan(*band, color="#8fb996", alpha=0.35, linewidth=0)
-    draw_curves(axis, time_s, curves)
-
-
 def draw_curves(axis: Axes, time_s: Array, curves: dict[str, Array]) -> None:
     """One line per filter; the ideal one dashed, since it needs the truth."""
     for name, curve in curves.items():
@@ -51,11 +43,11 @@ def curves_figure(outcome: Outcome) -> Figure:
     time, by_filter = outcome.time_s, outcome.figures
     for axis, block in zip(above, DOF, strict=True):
         band = next(iter(by_filter.values())).consistency[block].band
-        curves = {name: f.consistency[block].curve for name, f in by_filter.items()}
-        draw_anees(axis, time, curves, band)
+        curves = {name: f.nees_curve[block] for name, f in by_filter.items()}
+        axis.axhspan(*band, color="#8fb996", alpha=0.35, linewidth=0)
+        draw_curves(axis, time, curves)
         axis.set_title(f"ANEES of {block}, 95 % band", fontsize=10)
-    units = {"position": "m", "heading": "rad", "landmarks": "m"}
-    for axis, (what, unit) in zip(below[1:], units.items(), strict=True):
+    for axis, (what, unit) in zip(below[1:], ERRORS.items(), strict=True):
         draw_curves(axis, time, {name: f.rmse_curve[what] for name, f in by_filter.items()})
         axis.set_title(f"RMSE of {what} [{unit}]", fontsize=10)
         axis.set_xlabel("time [s]")

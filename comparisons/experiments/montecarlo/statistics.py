@@ -17,7 +17,8 @@ from comparisons.experiments.montecarlo.runs import Records
 
 LEVEL = 0.95
 DOF = {"pose": 3, "position": 2, "heading": 1, "landmarks": 2}
-ERRORS = ("position", "heading", "landmarks")
+ERRORS = {"position": "m", "heading": "rad", "landmarks": "m"}
+"""What errors are of, and their units."""
 
 Place = Literal["below", "inside", "above", "not given"]
 
@@ -31,40 +32,96 @@ def anees_band(runs: int, dof: int, level: float = LEVEL) -> tuple[float, float]
 
 @dataclass(frozen=True)
 class Consistency:
-    """Of one block of the state. curve: (T,) mean over the runs. mean: of the curve.
+    """Average NEES over runs and time, of one block of the state.
 
-    place: of the mean in the band of one step; not given: an external filter left no covariances.
-    A mean over steps (or landmarks) spreads less than that, so outside is outside at the stated
-    level, and inside is the weaker statement.
-    share_above: of the steps whose own mean lies above the band.
+    A mean over steps (or landmarks) spreads less than the band of one step, so outside is outside
+    at the stated level, and inside is the weaker statement.
+
+    Attributes:
+        anees: average normalised estimation error squared.
+        band: its two-sided band at the study's level.
+        place: where it is relative to the band; not given: an external filter left no covariances.
+        share_above: share of the steps whose own average over the runs is above the band.
     """
 
-    curve: Array
-    mean: float
+    anees: float
     band: tuple[float, float]
     place: Place
     share_above: float
 
+    @property
+    def mean(self) -> float:
+        """The average."""
+        return self.anees
+
 
 @dataclass(frozen=True)
-class FilterFigures:
-    """lost: runs that broke down; they count nowhere else. rmse_curve: (T,) by ERRORS."""
+class LastPoses:
+    """NEES of the runs' last poses. Both bands are exact: chi-square of 3, and the binomial.
+
+    Attributes:
+        inside: runs whose value is within its band.
+        of: runs that have a value.
+        band: band of the number of such runs.
+    """
+
+    inside: int
+    of: int
+    band: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterResult:
+    """One filter of the study.
+
+    Attributes:
+        lost: runs in which it was lost; they count nowhere else.
+        consistency: by pose, position, heading and landmarks.
+        rmse_position_m: root mean square error of the positions.
+        rmse_heading_rad: root mean square error of the headings.
+        rmse_landmark_m: root mean square error of the landmarks.
+        last_pose_inside: NEES of the last poses.
+    """
 
     lost: int
     consistency: dict[str, Consistency]
-    rmse: dict[str, float]
+    rmse_position_m: float
+    rmse_heading_rad: float
+    rmse_landmark_m: float
+    last_pose_inside: LastPoses
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """By ERRORS."""
+        found = (self.rmse_position_m, self.rmse_heading_rad, self.rmse_landmark_m)
+        return dict(zip(ERRORS, found, strict=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterFigures(FilterResult):
+    """With what is drawn: nees_curve and rmse_curve (T,) by DOF and by ERRORS, over the runs."""
+
+    nees_curve: dict[str, Array]
     rmse_curve: dict[str, Array]
     kept: Tally
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """First filter minus second, per run, over the runs that neither lost.
+    """Two filters compared run by run: first minus second, over the runs that neither lost.
 
-    mean and interval: of the run's mean NEES of the pose, or of the run's RMSE, by Student's t.
-    lower, higher: runs in which the first has the lower or higher figure. family_interval and
-    sign_p: the interval, and the two-sided sign test's p, by Bonferroni over both tests of all
-    pairs, so that at the stated level none of them is wrong.
+    Attributes:
+        first: name of the first filter.
+        second: name of the second filter.
+        what: quantity of a run that is compared, its mean NEES of the pose or an RMSE.
+        mean: average difference.
+        interval: confidence interval of the average, by Student's t.
+        runs: runs that both completed.
+        lower: runs in which the first is lower.
+        higher: runs in which the first is higher.
+        family_interval: the interval, corrected for the number of pairs (Bonferroni, over both
+            tests of all pairs, so that at the stated level none of them is wrong).
+        sign_p: chance of such numbers if neither is lower (sign test), corrected alike.
     """
 
     first: str
@@ -149,23 +206,30 @@ def _joined(parts: list[Records]) -> Records:
 
 def figures_of(kept: Tally) -> FilterFigures:
     """One filter's figures over all its runs."""
-    nees = zip(DOF, kept.step_mean[:4], kept.step_runs[:4], strict=True)
+    nees = dict(zip(DOF, kept.step_mean[:4], strict=True))
     square = dict(zip(ERRORS, kept.step_mean[4:], strict=True))
 
     def counted(name: str, curve: Array) -> Array:
         return curve[-1:] if kept.final_map and name == "landmarks" else curve
 
-    def consistency(name: str, curve: Array, runs: int) -> Consistency:
-        found = _consistency(curve, counted(name, curve), runs, DOF[name])
+    def consistency(name: str, runs: int) -> Consistency:
+        found = _consistency(counted(name, nees[name]), runs, DOF[name])
         given = runs or kept.lost == len(kept.run_mean.pose_nees)
         return found if given else replace(found, place="not given")
 
+    position, heading, landmark = (
+        float(np.sqrt(_mean(counted(name, curve)))) for name, curve in square.items()
+    )
     return FilterFigures(
-        kept.lost,
-        {name: consistency(name, curve, runs) for name, curve, runs in nees},
-        {name: float(np.sqrt(_mean(counted(name, curve)))) for name, curve in square.items()},
-        {name: np.sqrt(curve) for name, curve in square.items()},
-        kept,
+        lost=kept.lost,
+        consistency={n: consistency(n, runs) for n, runs in zip(DOF, kept.step_runs, strict=False)},
+        rmse_position_m=position,
+        rmse_heading_rad=heading,
+        rmse_landmark_m=landmark,
+        last_pose_inside=_last_poses(kept),
+        nees_curve=nees,
+        rmse_curve={name: np.sqrt(curve) for name, curve in square.items()},
+        kept=kept,
     )
 
 
@@ -222,24 +286,21 @@ def _interval(difference: Array, level: float) -> tuple[float, tuple[float, floa
     return mean, (mean - spread, mean + spread)
 
 
-def _consistency(curve: Array, counted: Array, runs: int, dof: int) -> Consistency:
+def _consistency(counted: Array, runs: int, dof: int) -> Consistency:
     mean = float(_mean(counted))
     band = anees_band(runs, dof) if runs else (np.nan, np.nan)
     place: Place = "above" if not mean <= band[1] else "below" if mean < band[0] else "inside"
     reported = counted[np.isfinite(counted)]
     share = float((reported > band[1]).mean()) if len(reported) else np.nan
-    return Consistency(curve, mean, band, place, share)
+    return Consistency(mean, band, place, share)
 
 
-def inside_at_end(kept: Tally) -> tuple[int, int, tuple[int, int]]:
-    """Runs whose last pose has its NEES in its band, runs that have one, and that count's band.
-
-    Both bands are exact: chi-square of 3, and the binomial of independent runs.
-    """
+def _last_poses(kept: Tally) -> LastPoses:
     nees = kept.last.pose_nees[np.isfinite(kept.last.pose_nees)]
     low, high = stats.chi2.ppf((0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL), DOF["pose"])
     least, most = stats.binom.interval(LEVEL, len(nees), LEVEL) if len(nees) else (0, 0)
-    return int(((nees >= low) & (nees <= high)).sum()), len(nees), (int(least), int(most))
+    inside = int(((nees >= low) & (nees <= high)).sum())
+    return LastPoses(inside, len(nees), (int(least), int(most)))
 
 
 def _mean(values: Array, axis: int | None = None) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from comparisons.experiments.montecarlo.statistics import ERRORS
 from comparisons.report.tables import Columns, Tables
 
 if TYPE_CHECKING:
@@ -28,8 +29,7 @@ def _filters(outcome: Outcome) -> Columns:
             low, high = found.band
             row |= {f"nees_{block}": found.mean, f"nees_{block}_low": low}
             row |= {f"nees_{block}_high": high, f"nees_{block}_place": found.place}
-        units = {"position": "m", "heading": "rad", "landmarks": "m"}
-        row |= {f"rmse_{what}_{units[what]}": value for what, value in figures.rmse.items()}
+        row |= {f"rmse_{what}_{ERRORS[what]}": value for what, value in figures.rmse.items()}
         rows.append(row)
     return rows
 
@@ -46,5 +46,7 @@ def _nees(outcome: Outcome) -> Columns:
         }
         for name, figures in outcome.figures.items()
         for block, found in figures.consistency.items()
-        for time_s, nees in zip(outcome.time_s.tolist(), found.curve.tolist(), strict=True)
+        for time_s, nees in zip(
+            outcome.time_s.tolist(), figures.nees_curve[block].tolist(), strict=True
+        )
     ]

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction.decorrelation_example import DecorrelationExample
+from comparisons.experiments.reproduction.drawing import chart, frame, plan
 from comparisons.experiments.reproduction.neglected_change import NeglectedChange
 from comparisons.report.figures.style import draw_reference
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
@@ -29,9 +30,8 @@ def draw_region(axis: Axes, example: DecorrelationExample) -> None:
     axis.plot(*np.stack((point, distant)).T, "--", color=SCANS_COLOUR, label="to landmark $j$")
     axis.plot(*point, "o", color=WORLD_COLOUR, markersize=5)
     shown = np.concatenate((example.triangle[0], point[None], distant[None]))
-    low, high = shown.min(axis=0) - _AROUND_M, shown.max(axis=0) + _AROUND_M
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    _label(axis, "east [m]", "north [m]")
+    frame(axis, shown, _AROUND_M)
+    plan(axis, "", legend="best")
 
 
 def draw_base_correlation(axis: Axes, time_s: Array, coefficients: Array) -> None:
@@ -39,34 +39,39 @@ def draw_base_correlation(axis: Axes, time_s: Array, coefficients: Array) -> Non
     for corner, colour in enumerate(_CORNER_COLOURS):
         axis.plot(time_s, coefficients[:, corner, 0], "-", color=colour, label=f"L{corner + 1}")
         axis.plot(time_s, coefficients[:, corner, 1], "--", color=colour)
-    _label(axis, "time [s]", "correlation, base and point")
+    chart(axis, "", "time [s]", "correlation, base and point")
 
 
 def draw_decorrelation(axis: Axes, time_s: Array, world: Array, local: Array) -> None:
     """Coefficients (T, 2, 2) of a distant landmark with the point (Fig. 3.5 c)."""
-    axis.plot(time_s, world[:, 0, 0], "-", color=WORLD_COLOUR, label="in the world")
-    axis.plot(time_s, world[:, 1, 1], "--", color=WORLD_COLOUR)
-    axis.plot(time_s, local[:, 0, 0], "-", color=LOCAL_COLOUR, label="in its region")
-    axis.plot(time_s, local[:, 1, 1], "--", color=LOCAL_COLOUR)
+    ours = (np.diagonal(of, axis1=1, axis2=2) for of in (world, local))
+    _draw_both(axis, time_s, *ours)
     axis.set_ylim(-0.02, 1.02)
-    _label(axis, "time [s]", "correlation, $j$ and point")
+    chart(axis, "", "time [s]", "correlation, $j$ and point")
 
 
 def draw_sigma(axis: Axes, time_s: Array, world_m: Array, local_m: Array) -> None:
     """Standard deviations (T, 2) of the point (Fig. 3.5 d)."""
-    axis.plot(time_s, world_m[:, 0], "-", color=WORLD_COLOUR, label="in the world")
-    axis.plot(time_s, world_m[:, 1], "--", color=WORLD_COLOUR)
-    axis.plot(time_s, local_m[:, 0], "-", color=LOCAL_COLOUR, label="in its region")
-    axis.plot(time_s, local_m[:, 1], "--", color=LOCAL_COLOUR)
+    _draw_both(axis, time_s, world_m, local_m)
     axis.set_ylim(bottom=0.0)
-    _label(axis, "time [s]", "standard deviation [m]")
+    chart(axis, "", "time [s]", "standard deviation [m]")
+
+
+def _draw_both(axis: Axes, time_s: Array, world: Array, local: Array) -> None:
+    """(T, 2) each: solid in east or along axis a, dashed in north or along axis b."""
+    for value, colour, name in (
+        (world, WORLD_COLOUR, "in the world"),
+        (local, LOCAL_COLOUR, "in its region"),
+    ):
+        axis.plot(time_s, value[:, 0], "-", color=colour, label=name)
+        axis.plot(time_s, value[:, 1], "--", color=colour)
 
 
 def draw_displacement(axis: Axes, time_s: Array, world_m: Array, local_m: Array) -> None:
     """How far the point has moved, (T,) each (Nieto 2005, Fig. 3.12 a)."""
     axis.plot(time_s, world_m, "-", color=WORLD_COLOUR, label="in the world")
     axis.plot(time_s, local_m, "--", color=LOCAL_COLOUR, label="in its region")
-    _label(axis, "time [s]", "change of place [m]")
+    chart(axis, "", "time [s]", "change of place [m]")
 
 
 def draw_wandering(axis: Axes, point: Array, true_point: Array | None) -> None:
@@ -76,7 +81,7 @@ def draw_wandering(axis: Axes, point: Array, true_point: Array | None) -> None:
     if true_point is not None:
         draw_reference(axis, true_point[None], "*", "truth")
     axis.set_aspect("equal", adjustable="datalim")
-    _label(axis, "east [m]", "north [m]")
+    chart(axis, "", "east [m]", "north [m]")
 
 
 def draw_changes(axis: Axes, expected: Array, found: Array, wanted: str) -> None:
@@ -88,7 +93,7 @@ def draw_changes(axis: Axes, expected: Array, found: Array, wanted: str) -> None
             color=LOCAL_COLOUR, markerfacecolor="none", label=name,
         )  # fmt: skip
     axis.set_aspect("equal", adjustable="datalim")
-    _label(axis, "predicted change [m]", wanted)
+    chart(axis, "", "predicted change [m]", wanted)
 
 
 def draw_bound(axis: Axes, sigma_m: Array, size_m: Array) -> None:
@@ -101,7 +106,7 @@ def draw_bound(axis: Axes, sigma_m: Array, size_m: Array) -> None:
         )
     axis.set_xlim(left=0.0)
     axis.set_ylim(bottom=0.0)
-    _label(axis, "sigma of the error layer [m]", "observed change [m]")
+    chart(axis, "", "sigma of the error layer [m]", "observed change [m]")
 
 
 def decorrelation_figure(example: DecorrelationExample) -> Figure:
@@ -147,10 +152,3 @@ def neglected_figure(changes: NeglectedChange) -> Figure:
     second.set_title(f"correlation {changes.explained:.2f}", fontsize=10)
     third.set_title(f"{changes.within_two_sigmas:.0%} within 2 sigma", fontsize=10)
     return figure
-
-
-def _label(axis: Axes, x: str, y: str) -> None:
-    axis.set_xlabel(x)
-    axis.set_ylabel(y)
-    axis.grid(visible=True, color="#eeeeee")
-    axis.legend(fontsize=8, loc="best")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 
 from comparisons.arrays import Array
 from comparisons.report.figures.style import draw_landmarks, draw_reference, draw_trajectory
@@ -10,25 +13,47 @@ from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, 
 
 TRUE_PATH_COLOUR = "#bbbbbb"
 SIGMAS = 3.0
+Place = Literal["best", "center", "lower left", "lower right", "lower center"]
+"""Of a legend."""
 
 
-def plan(axis: Axes, title: str) -> None:
-    """A map's labels, with a title."""
+def plan(axis: Axes, title: str, *, legend: Place | None = None, columns: int = 1) -> None:
+    """A map's labels, with a title. legend: where, if there is one."""
     axis.set_aspect("equal")
-    axis.set_title(title, fontsize=10)
-    axis.set_xlabel("east [m]")
-    axis.set_ylabel("north [m]")
-    axis.grid(visible=True, color="#eeeeee")
+    chart(axis, title, "east [m]", "north [m]", legend=legend, columns=columns)
 
 
-def chart(axis: Axes, title: str, x: str, y: str, *, legend: bool = True) -> None:
-    """A curve's labels."""
+def chart(
+    axis: Axes, title: str, x: str, y: str, *, legend: Place | None = "best", columns: int = 1
+) -> None:
+    """A curve's labels. legend: where, in so many columns, if there is one."""
     axis.set_title(title, fontsize=10)
     axis.set_xlabel(x)
     axis.set_ylabel(y)
     axis.grid(visible=True, color="#eeeeee")
-    if legend:
-        axis.legend(fontsize=8, loc="best")
+    if legend is not None:
+        axis.legend(fontsize=8, loc=legend, ncols=columns)
+
+
+def frame(axis: Axes, point: Array, margin_m: float) -> None:
+    """Show what lies around points (N, 2)."""
+    low, high = point.min(axis=0) - margin_m, point.max(axis=0) + margin_m
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def draw_lines(
+    axis: Axes,
+    line: Array,
+    colour: str,
+    label: str = "",
+    width: float | None = None,
+    order: int = 2,
+) -> None:
+    """Lines through points (L, P, 2) each, such as outlines of ellipses; width: as usual."""
+    lines = LineCollection(list(line), colors=colour, linewidths=width, zorder=order)
+    if label:
+        lines.set_label(label)
+    axis.add_collection(lines)
 
 
 def draw_slam(

@@ -307,8 +307,7 @@ def draw_7(canvas: Canvas, found: Covered) -> None:
     heard = np.where(found.heard[:, None], found.path, np.nan)
     axis.plot(*heard.T, color=EKF_COLOUR, linewidth=3.0, alpha=0.6, label="GPS reports")
     draw_reference(axis, found.trees, "*", "trees")
-    plan(axis, "GPS and trees")
-    axis.legend(fontsize=8)
+    plan(axis, "GPS and trees", legend="best")
 
 
 def draw_8(canvas: Canvas, found: Aided) -> None:
@@ -336,8 +335,7 @@ def draw_9(canvas: Canvas, found: Aided) -> None:
         axis.plot(*found.fix_m.T, ".", color=SMOOTHER_COLOUR, markersize=4, label="GPS")
     right.plot(*found.parts.T, "o-", color=SCANS_COLOUR, markersize=4, label="first position")
     plan(left, f"{found.time_s[found.first] - found.time_s[0]:.0f} s of SLAM alone, then GPS")
-    plan(right, "where GPS begins")
-    right.legend(fontsize=8)
+    plan(right, "where GPS begins", legend="best")
 
 
 FIGURES: tuple[AnyFigure, ...] = (

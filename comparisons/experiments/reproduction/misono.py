@@ -239,8 +239,7 @@ def draw_journeys(axis: Axes, found: Journeys, title: str) -> None:
 def _course(axis: Axes, title: str) -> None:
     axis.plot(*WaypointRun().waypoint.T, "*", color="#444444", label="waypoints")
     axis.plot(0.0, 0.0, "s", color="#444444", label="base")
-    plan(axis, title)
-    axis.legend(fontsize=8)
+    plan(axis, title, legend="best")
 
 
 FIGURES: tuple[AnyFigure, ...] = (

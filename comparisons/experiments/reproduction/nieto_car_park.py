@@ -9,10 +9,11 @@ walls are drawn a second time, metres beside the first.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure as Canvas
 from scipy.spatial import cKDTree
 
@@ -22,10 +23,9 @@ from comparisons.checks.accuracy import match_by_distance
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
-from comparisons.experiments.reproduction.drawing import SIGMAS, plan
+from comparisons.experiments.reproduction.drawing import SIGMAS, Place, draw_lines, frame, plan
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
-    Claim,
     Claims,
     Experiment,
     Figure,
@@ -254,11 +254,6 @@ def claims_3_22(found: CarPark) -> Claims:
     )
 
 
-def claims_3_23(found: CarPark) -> Claims:
-    """The closing, by points."""
-    return _closing_claims(found, "points")
-
-
 def claims_4_14(found: CarPark) -> Claims:
     """The closing, by cells; and how they compare with raw points."""
     cells, points = (
@@ -303,18 +298,13 @@ def _closing_claims(found: CarPark, layer: str) -> Claims:
     )
 
 
-def claims_4_15(found: CarPark) -> Claims:
-    """The final grid with cells of 0.4 m."""
-    yield _near_image(found, "the grid's occupied cells", "occupancy", found.fine, CELL_M)
-
-
-def _near_image(
-    found: CarPark, what: str, layer: str, mapping: DenseMapping, limit_m: float
-) -> Claim:
-    return at_most(
+def _near_image(found: CarPark, what: str, layer: str, *, fine: bool = False) -> Claims:
+    """Of a layer of the coarse map, or of the fine one."""
+    mapping, cell_m = (found.fine, CELL_M) if fine else (found.coarse, COARSE_M)
+    yield at_most(
         f"{what} lie on the laser image (median distance; limit: a cell)",
-        float(np.median(found.off(occupied(mapping.layers[layer])))),
-        limit_m,
+        np.median(found.off(occupied(mapping.layers[layer]))),
+        cell_m,
         "m",
     )
 
@@ -324,17 +314,10 @@ def placed_template(one: Found) -> Array:
     return to_world(one.place, one.template.shape.mean)
 
 
-def claims_6_1(found: CarPark) -> Claims:
-    """Corners of the grid of 0.4 m."""
-    return _corner_claims(found.searched_fine.corner, found.fine, CELL_M)
-
-
-def claims_6_17(found: CarPark) -> Claims:
-    """Corners of the grid of 0.5 m."""
-    return _corner_claims(found.searched.corner, found.coarse, COARSE_M)
-
-
-def _corner_claims(corner: Array, mapping: DenseMapping, cell_m: float) -> Claims:
+def _corner_claims(found: CarPark, *, fine: bool = False) -> Claims:
+    """Corners of the grid of 0.5 m, or of 0.4 m."""
+    mapping, cell_m = (found.fine, CELL_M) if fine else (found.coarse, COARSE_M)
+    corner = (found.searched_fine if fine else found.searched).corner
     held = occupied(mapping.layers["occupancy"])
     away = cKDTree(held).query(corner)[0] if len(corner) else np.array([np.nan])
     yield at_least("corners are found in the grid that no single scan shows", len(corner), 2)
@@ -355,21 +338,6 @@ def claims_6_11(found: CarPark) -> Claims:
         0.1,
         "m",
     )
-
-
-def claims_6_12(found: CarPark) -> Claims:
-    """Raw observations."""
-    yield _near_image(found, "raw observations", "points", found.coarse, COARSE_M)
-
-
-def claims_6_13(found: CarPark) -> Claims:
-    """The grid with cells of 0.5 m."""
-    yield _near_image(found, "the grid's occupied cells", "occupancy", found.coarse, COARSE_M)
-
-
-def claims_6_14(found: CarPark) -> Claims:
-    """Gaussians."""
-    yield _near_image(found, "the Gaussians' means", "sog", found.coarse, COARSE_M)
 
 
 def claims_6_15(found: CarPark) -> Claims:
@@ -419,12 +387,10 @@ CAR_PARK = Experiment("the car park, dense maps", car_park, FOLDER)
 _MARGIN_M = 6.0
 
 
-def _frame(axis: Axes, found: CarPark, title: str) -> None:
+def _frame(axis: Axes, found: CarPark, title: str, *, legend: Place | None = None) -> None:
     """The same part of the park in all figures: where the vehicle and the landmarks are."""
-    shown = np.vstack((found.aided_path, found.landmark))
-    low, high = shown.min(axis=0) - _MARGIN_M, shown.max(axis=0) + _MARGIN_M
-    plan(axis, title)
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    plan(axis, title, legend=legend)
+    frame(axis, np.vstack((found.aided_path, found.landmark)), _MARGIN_M)
 
 
 def draw_3_20(canvas: Canvas, found: CarPark) -> None:
@@ -439,8 +405,7 @@ def draw_3_20(canvas: Canvas, found: CarPark) -> None:
     outline = ellipses(found.landmark, found.blocks, SIGMAS)
     draw_landmarks(right, found.landmark, outline, SMOOTHER_COLOUR, "o", "landmarks, 3 sigma")
     for axis, title in ((left, "(a) dead reckoning"), (right, "(b) feature SLAM")):
-        _frame(axis, found, title)
-        axis.legend(fontsize=8, loc="lower left")
+        _frame(axis, found, title, legend="lower left")
 
 
 def draw_3_22(canvas: Canvas, found: CarPark) -> None:
@@ -466,19 +431,10 @@ def _closing(canvas: Canvas, found: CarPark, layer: str) -> None:
     _frame(right, found, "(b) in the end")
 
 
-def draw_3_23(canvas: Canvas, found: CarPark) -> None:
-    """Raw points before and after."""
-    _closing(canvas, found, "points")
-
-
-def draw_4_14(canvas: Canvas, found: CarPark) -> None:
-    """Cells before and after."""
-    _closing(canvas, found, "occupancy")
-
-
-def _grid(canvas: Canvas, found: CarPark, samples: Samples, cell_m: float) -> Axes:
-    """All cells by their occupancy, in one subplot."""
-    axis = canvas.add_subplot()
+def _grid(canvas: Canvas, found: CarPark, *, fine: bool = False) -> None:
+    """All cells of 0.5 m by their occupancy, or of 0.4 m, in one subplot."""
+    mapping, cell_m = (found.fine, CELL_M) if fine else (found.coarse, COARSE_M)
+    axis, samples = canvas.add_subplot(), mapping.layers["occupancy"]
     order = np.argsort(samples.occupancy, kind="stable")
     east, north = samples.point[order].T
     drawn = axis.scatter(
@@ -487,12 +443,6 @@ def _grid(canvas: Canvas, found: CarPark, samples: Samples, cell_m: float) -> Ax
     )  # fmt: skip
     canvas.colorbar(drawn, ax=axis, label="occupancy", shrink=0.8)
     _frame(axis, found, f"occupancy, cells of {cell_m:g} m")
-    return axis
-
-
-def draw_4_15(canvas: Canvas, found: CarPark) -> None:
-    """The grid of 0.4 m."""
-    _grid(canvas, found, found.fine.layers["occupancy"], CELL_M)
 
 
 def draw_6_1(canvas: Canvas, found: CarPark) -> None:
@@ -502,11 +452,10 @@ def draw_6_1(canvas: Canvas, found: CarPark) -> None:
     for axis in (left, right):
         draw_occupied(axis, found.fine.layers["occupancy"])
         axis.plot(*corner.T, "+", color=EKF_COLOUR, markersize=7, label="corners")
-    _frame(left, found, "(a) what the grid holds occupied, and corners")
+    _frame(left, found, "(a) what the grid holds occupied, and corners", legend="best")
     _frame(right, found, "(b) the upper part")
     north = corner[:, 1].max()
     right.set_ylim(north - 16.0, north + 3.0)
-    left.legend(fontsize=8)
 
 
 def draw_6_11(canvas: Canvas, found: CarPark) -> None:
@@ -515,8 +464,7 @@ def draw_6_11(canvas: Canvas, found: CarPark) -> None:
     draw_cloud(axis, found.image)
     axis.plot(*found.gps.T, "-", color=TRUTH_COLOUR, linewidth=1.2, label="GPS")
     axis.plot(*found.gps[0], "^", color=EKF_COLOUR, label="start")
-    _frame(axis, found, "laser image by SLAM and GPS")
-    axis.legend(fontsize=8, loc="lower left")
+    _frame(axis, found, "laser image by SLAM and GPS", legend="lower left")
 
 
 def draw_6_12(canvas: Canvas, found: CarPark) -> None:
@@ -525,11 +473,6 @@ def draw_6_12(canvas: Canvas, found: CarPark) -> None:
     draw_regions(axis, found.coarse.placed.triangle)
     draw_occupied(axis, found.coarse.layers["points"])
     _frame(axis, found, "raw observations in local regions")
-
-
-def draw_6_13(canvas: Canvas, found: CarPark) -> None:
-    """The grid of 0.5 m."""
-    _grid(canvas, found, found.coarse.layers["occupancy"], COARSE_M)
 
 
 def draw_6_14(canvas: Canvas, found: CarPark) -> None:
@@ -541,8 +484,7 @@ def draw_6_14(canvas: Canvas, found: CarPark) -> None:
 
 def _gaussians(axis: Axes, found: CarPark) -> None:
     held = found.ellipses
-    outline = ellipses(held.mean, held.covariance, 1.0, 16)
-    axis.add_collection(LineCollection(list(outline), colors=EKF_COLOUR, linewidths=0.6))
+    draw_lines(axis, ellipses(held.mean, held.covariance, 1.0, 16), EKF_COLOUR, width=0.6)
 
 
 def draw_6_15(canvas: Canvas, found: CarPark) -> None:
@@ -557,7 +499,8 @@ def draw_6_15(canvas: Canvas, found: CarPark) -> None:
 
 def draw_6_17(canvas: Canvas, found: CarPark) -> None:
     """Corners over the grid of 0.5 m."""
-    axis = _grid(canvas, found, found.coarse.layers["occupancy"], COARSE_M)
+    _grid(canvas, found)
+    axis = canvas.axes[0]
     axis.plot(*found.searched.corner.T, "+", color=EKF_COLOUR, markersize=7, label="corners")
     axis.legend(fontsize=8)
 
@@ -591,9 +534,8 @@ def draw_6_18(canvas: Canvas, found: CarPark) -> None:
     for one in s.found:
         x, y = placed_template(one).T
         right.plot(x, y, ".", markersize=3)
-    _frame(left, found, "(a) pairs of corners")
+    _frame(left, found, "(a) pairs of corners", legend="lower left")
     _frame(right, found, "(b) templates of the high level landmarks")
-    left.legend(fontsize=8, loc="lower left")
 
 
 _TWO = (12.0, 7.0)
@@ -615,24 +557,28 @@ FIGURES: tuple[AnyFigure, ...] = (
         name="N3.23", title="Car park: raw returns before and after a loop closes",
         says="The error before the closing is easily observed, and the map is corrected by "
         "it." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_3_23, claims=claims_3_23, size=_TWO,
+        experiment=CAR_PARK, draw=partial(_closing, layer="points"),
+        claims=partial(_closing_claims, layer="points"), size=_TWO,
     ),
     Figure(
         name="N4.14", title="Car park: an occupancy grid before and after a loop closes",
         says="Some 3 m of error before the closing are reduced substantially; the accuracy is that "
         "of the raw observations." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_4_14, claims=claims_4_14, size=_TWO,
+        experiment=CAR_PARK, draw=partial(_closing, layer="occupancy"),
+        claims=claims_4_14, size=_TWO,
     ),
     Figure(
         name="N4.15", title="Car park: final occupancy grid",
         says="The final grid, with cells of 0.4 m, shows the environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_4_15, claims=claims_4_15, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=partial(_grid, fine=True),
+        claims=partial(_near_image, what="the grid's occupied cells", layer="occupancy", fine=True),
+        size=(7.5, 7.0),
     ),
     Figure(
         name="N6.1", title="Car park: corners of the occupancy grid",
         says="A corner detector finds in the map what cannot be identified from one vantage "
         "point." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_1, claims=claims_6_1, size=_TWO,
+        experiment=CAR_PARK, draw=draw_6_1, claims=partial(_corner_claims, fine=True), size=_TWO,
     ),
     Figure(
         name="N6.11", title="Car park: trajectory and laser image",
@@ -642,18 +588,22 @@ FIGURES: tuple[AnyFigure, ...] = (
     Figure(
         name="N6.12", title="Car park: raw observations in local regions",
         says="Raw observations fused into the regions are a map of the environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_12, claims=claims_6_12, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=draw_6_12,
+        claims=partial(_near_image, what="raw observations", layer="points"), size=(7.5, 7.0),
     ),
     Figure(
         name="N6.13", title="Car park: occupancy layer with cells of 0.5 m",
         says="The occupancy layer is another map of the same environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_13, claims=claims_6_13, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=_grid,
+        claims=partial(_near_image, what="the grid's occupied cells", layer="occupancy"),
+        size=(7.5, 7.0),
     ),
     Figure(
         name="N6.14", title="Car park: sum of Gaussians with d_min of 0.5 m",
         says="Gaussians, observed ones fused with the map's where nearer than d_min, represent the "
         "same environment." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_14, claims=claims_6_14, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=draw_6_14,
+        claims=partial(_near_image, what="the Gaussians' means", layer="sog"), size=(7.5, 7.0),
     ),
     Figure(
         name="N6.15", title="Car park: the sum of Gaussians as a surface",
@@ -669,7 +619,7 @@ FIGURES: tuple[AnyFigure, ...] = (
     Figure(
         name="N6.17", title="Car park: corners of the occupancy layer",
         says="The corner detector marks corners of buildings and cars." + OTHER_LOG,
-        experiment=CAR_PARK, draw=draw_6_17, claims=claims_6_17, size=(7.5, 7.0),
+        experiment=CAR_PARK, draw=draw_6_17, claims=_corner_claims, size=(7.5, 7.0),
     ),
     Figure(
         name="N6.18", title="Car park: high level landmarks",

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from scipy.spatial import cKDTree
 
@@ -21,7 +20,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.drawing import plan
+from comparisons.experiments.reproduction.drawing import chart, draw_lines, frame, plan
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
@@ -288,8 +287,7 @@ _FORMS = ("the thesis' form", "joined segments (ours)")
 def _both(canvas: Canvas, found: CarParkScans) -> tuple[tuple[Axes, CarParkRun, str], ...]:
     """Two plans of the same part of the park."""
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
-    low, high = found.reference.min(axis=0) - _MARGIN_M, found.reference.max(axis=0) + _MARGIN_M
-    left.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    frame(left, found.reference, _MARGIN_M)
     runs = (found.published, found.joined)
     return tuple(zip((left, right), runs, _FORMS, strict=True))
 
@@ -301,11 +299,8 @@ def draw_5_10(canvas: Canvas, found: CarParkScans) -> None:
         axis.plot(*found.gps.T, "-", color=TRUTH_COLOUR, linewidth=1.0, label="GPS")
         axis.plot(*run.path.T, "-", color=EKF_COLOUR, linewidth=1.0, label="Scan-SLAM")
         _templates(axis, run)
-        outline = LineCollection(
-            list(ellipses(run.held.place[:, :2], run.held.covariance, _SIGMA)),
-            colors=SMOOTHER_COLOUR, linewidths=1.0, label="landmarks, 1 sigma", zorder=4,
-        )  # fmt: skip
-        axis.add_collection(outline)
+        outline = ellipses(run.held.place[:, :2], run.held.covariance, _SIGMA)
+        draw_lines(axis, outline, SMOOTHER_COLOUR, "landmarks, 1 sigma", 1.0, 4)
         off = np.median(run.path_gps)
         plan(
             axis, f"{form}: {len(run.held.landmark_index)} landmarks, {off:.2f} m from GPS (median)"
@@ -321,9 +316,7 @@ def draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
     """Templates and their axes."""
     for axis, run, form in _both(canvas, found):
         _templates(axis, run)
-        frames = LineCollection(list(axes_at(run.held.place, 3.0)), colors=EKF_COLOUR)
-        frames.set(label="axes", linewidths=1.0, zorder=4)
-        axis.add_collection(frames)
+        draw_lines(axis, axes_at(run.held.place, 3.0), EKF_COLOUR, "axes", 1.0, 4)
         plan(axis, f"{form}: {len(run.held.landmark_index)} landmarks")
     canvas.axes[0].legend(fontsize=8, loc="lower left")
 
@@ -336,9 +329,9 @@ def draw_5_12(canvas: Canvas, found: CarParkScans) -> None:
         axis.plot(*one.scan.T, ".", color=SMOOTHER_COLOUR, markersize=4, label="scan")
         axis.plot(*one.template.T, "o", color=EKF_COLOUR, markersize=4, markerfacecolor="none",
                   markeredgewidth=0.7, label="template")  # fmt: skip
-        plan(axis, f"{form}: {one.off_m:.2f} m from the nearest returns (median)")
-        axis.set(xlabel="ahead [m]", ylabel="left [m]")
-        axis.legend(fontsize=8, loc="best")
+        axis.set_aspect("equal")
+        title = f"{form}: {one.off_m:.2f} m from the nearest returns (median)"
+        chart(axis, title, "ahead [m]", "left [m]")
 
 
 FIGURES: tuple[AnyFigure, ...] = (

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import partial, wraps
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
@@ -26,7 +25,7 @@ from comparisons.checks.consistency.nees import map_errors
 from comparisons.config import MapConfig, Preset
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
-from comparisons.experiments.reproduction.drawing import draw_slam, plan
+from comparisons.experiments.reproduction.drawing import draw_lines, draw_slam, plan
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claims,
@@ -621,17 +620,14 @@ def _map(
     plan(axis, title)
 
 
-def _before_and_after(canvas: Canvas, m: ClosedMap, layer: str) -> None:
+def _before_and_after(canvas: Canvas, maps: Maps, layer: str) -> None:
+    """A layer before and after the closing."""
+    m = maps.closed[0]
     left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
     b, now = m.before, m.mapping
     title = f"before the loop closes, {b.time_s:.0f} s"
     _map(left, m, b.layers[layer], b.triangle, b.landmark, title)
     _map(right, m, now.layers[layer], now.placed.triangle, now.dense.landmark, "after")
-
-
-def draw_3_17(canvas: Canvas, maps: Maps) -> None:
-    """Raw returns before and after."""
-    _before_and_after(canvas, maps.closed[0], "points")
 
 
 def draw_3_18(canvas: Canvas, maps: Maps) -> None:
@@ -652,8 +648,7 @@ def draw_4_2(canvas: Canvas, maps: Maps) -> None:
     draw_surfaces(axis, maps.closed[0].segment)
     blocks = landmark_blocks(e.joint_covariance)
     draw_slam(axis, poses.pose[:, :2], e.pose[:, :2], true, e.landmark, blocks)
-    plan(axis, "after the loop")
-    axis.legend(fontsize=8)
+    plan(axis, "after the loop", legend="best")
 
 
 def draw_4_3(canvas: Canvas, maps: Maps) -> None:
@@ -718,8 +713,7 @@ def draw_4_12(canvas: Canvas, maps: Maps) -> None:
     """One-sigma ellipses of all Gaussians."""
     m, axis = maps.closed[0], canvas.add_subplot()
     held = m.ellipses
-    outline = ellipses(held.mean, held.covariance, 1.0, 12)
-    axis.add_collection(LineCollection(list(outline), colors=SMOOTHER_COLOUR, linewidths=0.3))
+    draw_lines(axis, ellipses(held.mean, held.covariance, 1.0, 12), SMOOTHER_COLOUR, width=0.3)
     draw_surfaces(axis, m.segment)
     axis.autoscale_view()
     plan(axis, "Gaussians, 1 sigma")
@@ -739,7 +733,8 @@ FIGURES: tuple[AnyFigure, ...] = (
         name="N3.17", title="Raw returns in local regions, before and after a loop closes",
         says="The dense map errs most at the left, and is corrected together with the landmarks "
         "when the loop closes.",
-        experiment=RAW, draw=draw_3_17, claims=claims_3_17, size=(12.0, 6.0),
+        experiment=RAW, draw=partial(_before_and_after, layer="points"),
+        claims=claims_3_17, size=(12.0, 6.0),
     ),
     Figure(
         name="N3.18", title="Close-up: objects and landmarks err alike",

@@ -136,8 +136,8 @@ def draw(canvas: Canvas, found: Clouds) -> None:
     axis.plot(
         *most.landmark.T, "*", color=_STARS, markersize=4, linestyle="none", label="landmarks"
     )
-    plan(axis, f"FastSLAM 2.0, {most.particles} particles: {most.median_m:.2f} m from GPS")
-    axis.legend(fontsize=8, loc="best")
+    title = f"FastSLAM 2.0, {most.particles} particles: {most.median_m:.2f} m from GPS"
+    plan(axis, title, legend="best")
     _draw_depletion(canvas.add_subplot(grid[1]), found)
 
 

@@ -19,7 +19,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
+from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, draw_lines, frame, plan
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claims,
@@ -288,9 +288,8 @@ def claims_6_6(found: HighLevelDrives) -> Claims:
     ratio = [d.error_m / d.without_m for d in found.each]
     landmarks = len(found.each[0].landmark)
     yield at_most(
-        "the templates are pieces of the objects (median distance of a template's points "
-        "from the surfaces, once the point landmarks are moved onto the true ones; median of "
-        "all templates)",
+        "the templates are pieces of the objects (median distance of a template's points from the "
+        "surfaces, once the point landmarks are moved onto the true ones; median of all templates)",
         np.median(off) if off else np.nan,
         0.5,
         "m",
@@ -322,11 +321,9 @@ def draw_6_4(canvas: Canvas, found: Pairs) -> None:
     axis, one = canvas.add_subplot(), found.each[0]
     draw_surfaces(axis, found.segment)
     _draw_search(axis, one)
-    both = one.search.candidate.reshape(-1, 2)
-    low, high = both.min(axis=0) - _BESIDE_M, both.max(axis=0) + _BESIDE_M
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    plan(axis, "corners, rectangles around pairs, and the Gaussians in them")
-    axis.legend(fontsize=8, loc="lower center", ncols=2)
+    frame(axis, one.search.candidate.reshape(-1, 2), _BESIDE_M)
+    title = "corners, rectangles around pairs, and the Gaussians in them"
+    plan(axis, title, legend="lower center", columns=2)
 
 
 def draw_6_5(canvas: Canvas, found: HighLevelDrives) -> None:
@@ -338,18 +335,13 @@ def draw_6_5(canvas: Canvas, found: HighLevelDrives) -> None:
     _draw_search(left, first)
     left.plot(*first.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
     left.plot(*first.pose[:2], ">", color=EKF_COLOUR, markersize=7, label="vehicle")
-    plan(left, f"(a) the first search, {first.time_s:.0f} s")
-    left.legend(fontsize=8, loc="lower right")
+    plan(left, f"(a) the first search, {first.time_s:.0f} s", legend="lower right")
     _draw_end(right, d)
     right.plot(*d.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
-    places = d.run.place[d.run.landmark_index >= 0][
-        np.argsort(d.run.landmark_index[d.run.landmark_index >= 0]), :2
-    ]
-    outline = LineCollection(list(ellipses(places, d.sigma, 1.0)), colors=EKF_COLOUR)
-    outline.set_label("1 sigma")
-    right.add_collection(outline)
-    plan(right, "(b) after the loop, in the end")
-    right.legend(fontsize=8, loc="lower right")
+    known = d.run.landmark_index >= 0
+    places = d.run.place[known][np.argsort(d.run.landmark_index[known]), :2]
+    draw_lines(right, ellipses(places, d.sigma, 1.0), EKF_COLOUR, "1 sigma")
+    plan(right, "(b) after the loop, in the end", legend="lower right")
 
 
 def draw_6_6(canvas: Canvas, found: HighLevelDrives) -> None:
@@ -360,8 +352,8 @@ def draw_6_6(canvas: Canvas, found: HighLevelDrives) -> None:
         label = "templates" if points is d.placed[0] else None
         axis.plot(*points.T, ".", color=DENSE_COLOUR, markersize=2.5, label=label, zorder=4)
     axis.plot(*d.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
-    plan(axis, "templates of high level landmarks, their axes and rectangles")
-    axis.legend(fontsize=8, loc="lower right")
+    title = "templates of high level landmarks, their axes and rectangles"
+    plan(axis, title, legend="lower right")
 
 
 def _draw_search(axis: Axes, one: Searched) -> None:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure as Canvas
 
 from comparisons.arrays import Array
 from comparisons.config import MapConfig
-from comparisons.experiments.reproduction.drawing import plan
+from comparisons.experiments.reproduction.drawing import frame, plan
 from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore, score_dynamic
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
@@ -162,8 +162,7 @@ def _draw(axis: Axes, found: Motions, title: str) -> None:
     draw_occupied(axis, motion.occupied)
     axis.plot(*motion.dynamic.T, ".", color=_DYNAMIC_COLOUR, markersize=2, zorder=4)
     axis.plot(*motion.landmark.T, "+", color=TRUTH_COLOUR, markersize=5)
-    east, north = np.vstack((motion.dynamic, motion.landmark)).T
-    axis.set(xlim=(east.min() - 3, east.max() + 3), ylim=(north.min() - 3, north.max() + 3))
+    frame(axis, np.vstack((motion.dynamic, motion.landmark)), 3.0)
     plan(axis, title)
 
 

@@ -13,7 +13,13 @@ from comparisons.arrays import Array
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.basin import ConvergenceBasin, Seen, basin
-from comparisons.experiments.reproduction.drawing import SIGMAS, TRUE_PATH_COLOUR, chart, plan
+from comparisons.experiments.reproduction.drawing import (
+    SIGMAS,
+    TRUE_PATH_COLOUR,
+    chart,
+    frame,
+    plan,
+)
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claims,
@@ -230,6 +236,7 @@ SCAN_MAPS = Experiment("section 6.2.1", scan_maps)
 
 
 _AXIS_COLOUR = "#17a2b8"
+_BESIDE_M = 3.0
 _KINDS = ((EKF_COLOUR, "template"), (SMOOTHER_COLOUR, "with map"))
 
 
@@ -257,9 +264,8 @@ def claims_6_7(found: ScanMaps) -> Claims:
         1.0,
     )
     yield at_least(
-        "the maps hold much more than the landmarks' templates by themselves (surface that "
-        "lies within 0.5 m of the one over that of the other, the least of the layers and "
-        "drives)",
+        "the maps hold much more than the landmarks' templates by themselves (surface that lies "
+        "within 0.5 m of the one over that of the other, the least of the layers and drives)",
         min(more),
         2.0,
         why="scan landmarks stand on the surfaces and 20 m apart, so that regions end at them: "
@@ -302,9 +308,7 @@ def draw_6_7(canvas: Canvas, found: ScanMaps) -> None:
         draw_regions(axis, one.mapping.placed.triangle)
         draw_occupied(axis, one.mapping.layers[name])
         plan(axis, title)
-    corner = one.segment.reshape(-1, 2)
-    low, high = corner.min(axis=0) - 3.0, corner.max(axis=0) + 3.0
-    axes[0, 0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    frame(axes[0, 0], one.segment.reshape(-1, 2), _BESIDE_M)
 
 
 def _paths(axis: Axes, one: ScanMap) -> None:
@@ -314,8 +318,7 @@ def _paths(axis: Axes, one: ScanMap) -> None:
         axis.plot(*truth.pose[:, :2].T, "-", color=TRUE_PATH_COLOUR, label="true path")
     path = estimate.pose[:, :2]
     axis.plot(*path.T, "--", color=EKF_COLOUR, linewidth=0.9, label="estimated path")
-    axis.legend(fontsize=8, loc="best")
-    plan(axis, "(a) objects alone, no point landmark")
+    plan(axis, "(a) objects alone, no point landmark", legend="best")
 
 
 def _landmarks(axis: Axes, one: ScanMap) -> None:
@@ -351,8 +354,7 @@ def _template(axis: Axes, one: Surrounded, *, with_map: bool) -> None:
         axis.add_patch(Polygon(one.rectangle, fill=False, edgecolor="#777777", linewidth=0.8))
     axis.plot(*one.template.T, ".", color=EKF_COLOUR, markersize=3, label="template")
     axis.plot((3.0, 0.0, 0.0), (0.0, 0.0, 3.0), "-", color=_AXIS_COLOUR, linewidth=1.5)
-    low, high = one.rectangle.min(axis=0) - 3.0, one.rectangle.max(axis=0) + 3.0
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    frame(axis, one.rectangle, _BESIDE_M)
     axis.set_aspect("equal")
     title = "(b) with the dense map around it" if with_map else "(a) a landmark's template"
     chart(axis, title, "ahead [m]", "left [m]")

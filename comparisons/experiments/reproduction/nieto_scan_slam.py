@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
@@ -21,7 +20,7 @@ from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import RunConfig
 from comparisons.documented.preset import published
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.drawing import SIGMAS, plan
+from comparisons.experiments.reproduction.drawing import SIGMAS, draw_lines, frame, plan
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claim,
@@ -245,7 +244,8 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
     ate_m, wheels_m = (float("nan") if e is None or e.ate_m is None else e.ate_m for e in errors)
     true = log.truth.poses.at(run.estimate.time_s[run.pose_landmarks.pose])
     landmark_indices = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
-    old = landmark_indices[landmark_indices < len(closing.before)]
+    still = np.isin(closing.landmark_index, landmark_indices)
+    old = closing.landmark_index[still]
     then = estimate.time_s < closing.time_s
     off = estimate.pose[-1] - log.truth.poses.at(estimate.time_s[-1:])[0]
     return ScanDrive(
@@ -254,7 +254,9 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         path=estimate.pose[:, :2],
         true_path=log.truth.poses.pose[:, :2],
         closing_s=closing.time_s,
-        before=scan_map(found, run, true, old, closing.before[old], source.covariance[old, :2, :2]),
+        before=scan_map(
+            found, run, true, old, closing.before[still], source.covariance[old, :2, :2]
+        ),
         path_before=estimate.pose[then, :2],
         after=scan_map(
             found, run, true, landmark_indices, estimate.pose_landmarks, place_covariances(estimate)
@@ -453,27 +455,20 @@ def draw_5_9(canvas: Canvas, found: ScanDrives) -> None:
     _draw(axis, d, d.after, d.path, axis_m=2.0, dot=4.0)
     there = d.segment.reshape(-1, 2)
     there = there[(there[:, 0] < CORNER_M[0]) & (there[:, 1] > CORNER_M[1])]
-    low, high = there.min(axis=0) - _BESIDE_M, there.max(axis=0) + _BESIDE_M
-    plan(axis, "the left top, with 3-sigma ellipses of the axes")
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axis.legend(fontsize=8, loc="lower right")
+    plan(axis, "the left top, with 3-sigma ellipses of the axes", legend="lower right")
+    frame(axis, there, _BESIDE_M)
 
 
 def _draw(
     axis: Axes, d: ScanDrive, held: ScanMap, path: Array, axis_m: float = 4.0, dot: float = 1.0
 ) -> None:
-    objects = LineCollection(list(d.segment.reshape(-1, 2, 2)), colors=_OBJECT_COLOUR)
-    objects.set(label="objects", linewidths=1.2, zorder=1)
-    axis.add_collection(objects)
+    draw_lines(axis, d.segment.reshape(-1, 2, 2), _OBJECT_COLOUR, "objects", 1.2, 1)
     axis.plot(*d.true_path.T, "-", color=TRUTH_COLOUR, linewidth=1.0, label="true path")
     axis.plot(*path.T, "--", color=EKF_COLOUR, linewidth=1.0, label="estimated path")
     axis.plot(*held.placed.T, ".", color="#111111", markersize=dot, label="templates", zorder=3)
-    frames = LineCollection(list(axes_at(held.place, axis_m)), colors=SMOOTHER_COLOUR)
-    frames.set(label="axes", linewidths=1.2, zorder=4)
-    axis.add_collection(frames)
-    outline = LineCollection(list(ellipses(held.place[:, :2], held.covariance, SIGMAS)))
-    outline.set(color=SMOOTHER_COLOUR, label="3 sigma", linewidths=0.8, zorder=4)
-    axis.add_collection(outline)
+    draw_lines(axis, axes_at(held.place, axis_m), SMOOTHER_COLOUR, "axes", 1.2, 4)
+    outline = ellipses(held.place[:, :2], held.covariance, SIGMAS)
+    draw_lines(axis, outline, SMOOTHER_COLOUR, "3 sigma", 0.8, 4)
 
 
 def axes_at(place: Array, length_m: float) -> Array:

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks.consistency.nees import PoseErrors, pose_errors
 from comparisons.estimates.estimate import landmark_blocks
-from comparisons.experiments.reproduction.drawing import chart, draw_error, draw_slam, mark, plan
+from comparisons.experiments.reproduction.drawing import (
+    Place,
+    chart,
+    draw_error,
+    draw_slam,
+    mark,
+    plan,
+)
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claims,
@@ -410,18 +417,20 @@ def claims_3_4(loops: Loops) -> Claims:
 _LONGER = 10.0
 
 
-def _moment(axis: Axes, d: LoopDrive, m: Moment, title: str) -> None:
+def _moment(
+    axis: Axes, d: LoopDrive, m: Moment, title: str, *, legend: Place | None = None
+) -> None:
     until = d.poses.time_s <= m.time_s
     draw_slam(axis, d.true_path[until], d.pose[until, :2], m.true, m.landmark, m.blocks)
-    plan(axis, title)
+    plan(axis, title, legend=legend)
 
 
 def draw_2_8(canvas: Canvas, loops: Loops) -> None:
     """Before and after the closing."""
     d, axes = loops.drives[0], canvas.subplots(1, 2, sharex=True, sharey=True)
-    _moment(axes[0], d, d.before, f"before the loop closes, {d.before.time_s:.1f} s")
+    title = f"before the loop closes, {d.before.time_s:.1f} s"
+    _moment(axes[0], d, d.before, title, legend="center")
     _moment(axes[1], d, d.after, f"after, {d.after.time_s:.1f} s")
-    axes[0].legend(fontsize=8, loc="center")
 
 
 def draw_2_9(canvas: Canvas, loops: Loops) -> None:
@@ -469,18 +478,17 @@ def draw_2_12(canvas: Canvas, found: Fixed) -> None:
     axes[2].plot(found.time_s, found.mean_correlation, color=SMOOTHER_COLOUR)
     for time in found.fix_s.tolist():
         mark(axes[2], time, "")
-    chart(axes[2], "positions (dotted)", "time [s]", "mean coefficient", legend=False)
+    chart(axes[2], "positions (dotted)", "time [s]", "mean coefficient", legend=None)
 
 
 def draw_3_4(canvas: Canvas, loops: Loops) -> None:
     """Ellipses before the closing, and where it takes the landmarks."""
     d, axes = loops.drives[0], canvas.subplots(1, 2, sharex=True, sharey=True)
-    _moment(axes[0], d, d.before, "neighbours are alike in their uncertainty")
+    _moment(axes[0], d, d.before, "neighbours are alike in their uncertainty", legend="center")
     _moment(axes[1], d, d.after, f"and in how the closing moves them ({_LONGER:g} times)")
     for start, end in zip(d.before.landmark, d.after.landmark, strict=False):
         shown = start + _LONGER * (end - start)
         axes[1].plot(*np.stack((start, shown)).T, "-", color=SMOOTHER_COLOUR, linewidth=1.2)
-    axes[0].legend(fontsize=8, loc="center")
 
 
 FIGURES: tuple[AnyFigure, ...] = (

@@ -1,11 +1,11 @@
-"""A filter's run from within: stop after every scan and look, or put something beside it."""
+"""A filter's run from within: stop after every scan and look."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from comparisons.adapters.ekf_factory import build_ekf, settle
-from comparisons.adapters.filter_loop import Beside, NoObserver, run_filter_loop
+from comparisons.adapters.filter_loop import run_filter_loop
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
@@ -16,21 +16,13 @@ from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.core.trace import Trace
 
 
-def watched_run(
-    log: Log,
-    choices: EkfConfig | None = None,
-    trace: Trace | None = None,
-    predicted: Callable[[Ekf], None] = lambda ekf: None,
-    positions: Positions | None = None,
-) -> Iterator[tuple[float, Ekf]]:
-    """Yield the one filter after every scan with measurements, and the scan's time [s].
+def watched_run(log: Log, positions: Positions | None = None) -> Iterator[tuple[float, Ekf]]:
+    """Yield the one full filter after every scan with measurements, and the scan's time [s].
 
-    choices: the full filter by default. predicted: shown the filter before it fuses. positions:
-    to be fused. Surveyed landmarks are not used. Raises FilterDivergedError.
+    positions: to be fused. Surveyed landmarks are not used. Raises FilterDivergedError.
     """
-    ekf = build_ekf(log, settle(choices or EkfConfig(), log), trace or Trace())
-    beside = Beside(watching=_Shown(predicted))
-    for state in run_filter_loop(ekf, log, build_timeline(log, positions), positions, beside):
+    ekf = build_ekf(log, settle(EkfConfig(), log), Trace())
+    for state in run_filter_loop(ekf, log, build_timeline(log, positions), positions):
         if state.fault is not None:
             raise FilterDivergedError(state.fault)
         if len(state.landmark_indices):
@@ -46,14 +38,3 @@ def truth_in_order(log: Log) -> tuple[Poses, Array]:
     if poses is None or true is None or not log.measurements.labelled:
         raise InputError(f"{log.name}: true poses, true landmarks and labels are needed")
     return poses, true.places_of(log.measurements.labels_in_order)
-
-
-class _Shown(NoObserver):
-    """Shows the filter to someone before it fuses."""
-
-    def __init__(self, predicted: Callable[[Ekf], None]) -> None:
-        self._predicted = predicted
-
-    def on_predict(self, ekf: Ekf) -> None:
-        """Show it."""
-        self._predicted(ekf)

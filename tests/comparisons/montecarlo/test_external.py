@@ -23,7 +23,7 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.experiments.montecarlo.config import MonteCarloConfig
 from comparisons.experiments.montecarlo.external import Command, EstimatorError, errors_of
 from comparisons.experiments.montecarlo.external import parse_commands as parse
-from comparisons.experiments.montecarlo.folder import build_montecarlo_result, write_montecarlo
+from comparisons.experiments.montecarlo.folder import write_montecarlo
 from comparisons.experiments.montecarlo.study import (
     External,
     Study,
@@ -377,7 +377,7 @@ def test_the_page_shows_every_filter_and_every_two(scenario: Path, tmp_path: Pat
         return overconfident(ekf(log))
 
     outcome = run_study(study, tmp_path, external=External({"mine": mine}))
-    write_montecarlo(outcome, build_montecarlo_result(outcome), tmp_path)
+    write_montecarlo(outcome, tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "mine: 1 of 8 runs failed" in page
     assert "seed 2: RuntimeError: &lt;b&gt;no&lt;/b&gt;" in page

@@ -86,8 +86,8 @@ def test_chunks_tally_like_one() -> None:
     assert one.lost == two.lost == 1
     assert one.rmse == pytest.approx(two.rmse)
     assert one.consistency["landmarks"].mean == pytest.approx(two.consistency["landmarks"].mean)
-    assert np.isnan(one.consistency["landmarks"].curve[0])
-    assert np.isfinite(one.consistency["landmarks"].curve[1:]).all()
+    assert np.isnan(one.nees_curve["landmarks"][0])
+    assert np.isfinite(one.nees_curve["landmarks"][1:]).all()
 
 
 def test_recorded_steps() -> None:
