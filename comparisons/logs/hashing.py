@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import fields
 
 import numpy as np
 
@@ -40,7 +41,8 @@ def log_hash(log: Log) -> str:
         if record is None:
             digest.update(b"absent")
             continue
-        for name, value in sorted(vars(record).items()):
+        for name in sorted(field.name for field in fields(record)):  # type: ignore[arg-type]
+            value = getattr(record, name)
             if (
                 name == "intensity"
                 and isinstance(record, LandmarkMeasurements)

@@ -213,3 +213,11 @@ def test_missing_streams(tmp_path: Path) -> None:
     (tmp_path / "log" / "measurements.csv").unlink()
     with pytest.raises(InputError, match=r"measurements\.csv: no such file"):
         read_log_folder(tmp_path / "log")
+
+
+def test_what_a_stream_remembers_beside_its_records_is_no_part_of_the_hash() -> None:
+    """A cached property was: the hash depended on what had been asked of the log before."""
+    log = simulated()
+    before = log_hash(log)
+    vars(log.measurements)["remembered"] = True
+    assert log_hash(log) == before
