@@ -14,8 +14,9 @@ import numpy as np
 
 from graphslam.arrays import Array, Index
 
-Integration = Literal["euler", "middle", "arc"]
-"""A sample's displacement along the departing heading, along the middle one, or on a circle."""
+Integration = Literal["euler", "middle", "arc"] | int
+"""A sample's displacement along the departing heading, along the middle one, or on a circle; a
+number: in so many equal steps, each along its departing heading."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,8 @@ def _integrated(
     """Integrate samples in another way; `taken`: share of the turn at which they have the heading.
 
     As complex numbers: a displacement z at the departing heading becomes z f(turn), where f is 1,
-    exp(i turn / 2), or the mean of exp(i s turn) over s from 0 to 1.
+    exp(i turn / 2), the mean m(turn) of exp(i s turn) over s from 0 to 1, or in n steps the mean
+    over their beginnings, m(turn) / m(turn / n).
     """
     turn = displacement[:, 2]
     straight = (displacement[:, 0] + 1j * displacement[:, 1]) * np.exp(-1j * taken * turn)
@@ -159,8 +161,12 @@ def _integrated(
     if integration == "middle":
         factor = np.exp(0.5j * turn)
         by_turn = 0.5j * factor
-    elif integration == "arc":
+    elif integration != "euler":
         factor, by_turn = _mean_turn(turn)
+        if isinstance(integration, int):
+            part, by_part = _mean_turn(turn / integration)
+            factor = factor / part
+            by_turn = (by_turn - factor * by_part / integration) / part
     way = straight * factor
     by_control = by_straight * factor[:, None] + (straight * by_turn)[:, None] * jacobian[:, 2]
     moved, changed = displacement.copy(), jacobian.copy()

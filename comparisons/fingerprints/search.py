@@ -21,8 +21,8 @@ from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import Family, Fault
 from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import Integration, RelativePoses, own_integration
-from comparisons.pipeline.estimate_motion import WORDS
+from comparisons.logs.odometry import Named, RelativePoses, own_integration
+from comparisons.pipeline.estimate_motion import in_words
 from comparisons.pipeline.prepare import Prepared, Progress
 from comparisons.pipeline.references import ORDERS, filter_named
 from ekf_reference.core.ekf import Ekf
@@ -256,6 +256,6 @@ def _integrated(log: Log) -> Iterator[tuple[str, Log]]:
     yield "", log
     if not isinstance(log.odometry, RelativePoses):
         ours = log.integration or own_integration(log.odometry)
-        for other in get_args(Integration):
+        for other in get_args(Named):
             if other != ours:
-                yield f"its steps lead {WORDS[other]}", replace(log, integration=other)
+                yield f"its steps lead {in_words(other)}", replace(log, integration=other)

@@ -11,8 +11,9 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.validation import check, increasing, positive_definite, within
 
-Integration = Literal["euler", "middle", "arc"]
-"""How a sample's motion is integrated: see docs/models.md."""
+Named = Literal["euler", "middle", "arc"]
+Integration = Named | int
+"""How a sample's motion is integrated: see docs/models.md. A number: in so many Euler steps."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration
 from comparisons.logs.stamps import at_instants
-from comparisons.pipeline.estimate_motion import WORDS, integrations_of
+from comparisons.pipeline.estimate_motion import in_words, integrations_of
 from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace
 from comparisons.pipeline.prepare import Progress, no_progress
 from comparisons.pipeline.references import (
@@ -215,7 +215,7 @@ class _Job:
         if not others:
             return first
         again = self.graded(first.given, others[0])
-        steps = " or ".join(WORDS[one] for one in others)
+        steps = " or ".join(in_words(one) for one in others)
         said = f"the estimate's steps lead {steps}; so do those of references and smoother"
         return replace(again, remarks=(said, *again.remarks))
 

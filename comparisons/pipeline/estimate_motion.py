@@ -17,15 +17,17 @@ from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.fingerprints.companion import Companion, Left
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import Integration, RelativePoses, own_integration
+from comparisons.logs.odometry import Integration, Named, RelativePoses, own_integration
 from comparisons.pipeline.prepare import Prepared
 from comparisons.pipeline.references import ORDERS, filter_named
 
-WORDS: dict[Integration, str] = {
+_WORDS: dict[Integration, str] = {
     "euler": "along the heading at their start",
     "middle": "along the heading in their middle",
     "arc": "along the arc of constant speed and turn",
 }
+_MOST_STEPS = 1000
+"""More Euler steps a sample than these are an arc."""
 _NEARER = 0.01
 """Share of a trace's distance from our integration that another may leave: a fault leaves more."""
 _HALF = 0.5
@@ -48,12 +50,13 @@ def integrations_of(
     if isinstance(log.odometry, RelativePoses):
         return ()
     ours = log.integration or own_integration(log.odometry)
-    others: list[Integration] = [one for one in get_args(Integration) if one != ours]
+    others: list[Integration] = [one for one in get_args(Named) if one != ours]
     if given.trace is not None:
         arrays, timeline = given.trace.trace, prepared.timeline
         count = len(arrays.departed)
         if count and count <= len(timeline.control):
             moved = _moved(arrays.departed, arrays.arrived)
+            others += _euler_steps(log, timeline, moved)
             apart = {one: _apart(log, timeline, moved, one) for one in (ours, *others)}
             return _nearer(apart, ours, _NEARER)
     if nearest is None or nearest.reference.smoothed:
@@ -92,6 +95,32 @@ def _moved(departed: Array, arrived: Array) -> Array:
     """(N, 3) displacements in the departing frame."""
     way = (arrived - departed)[:, :2] @ (1.0, 1j) * np.exp(-1j * departed[:, 2])
     return np.column_stack((way.real, way.imag, arrived[:, 2] - departed[:, 2]))
+
+
+def in_words(integration: Integration) -> str:
+    """Return how steps are integrated, after `the estimate's steps lead`."""
+    if isinstance(integration, int):
+        return f"in {integration} steps each, along the heading at the start of each"
+    return _WORDS[integration]
+
+
+def _euler_steps(log: Log, timeline: Timeline, moved: Array) -> list[Integration]:
+    """Return in how many Euler steps a sample was moved on (N, 3), if the turns tell.
+
+    n of them lead along the heading after (n - 1) / 2 n of the turn.
+    """
+    start = motion_samples(replace(log, integration="euler"), timeline).displacement[: len(moved)]
+    turns = np.abs(start[:, 2]) >= np.median(np.abs(start[:, 2]))
+    way, ours = ((one[turns, :2] @ (1.0, 1j)) for one in (moved, start))
+    turn = start[turns, 2]
+    known = (np.abs(ours) > 0.0) & (turn != 0.0)
+    if not known.any():
+        return []
+    share = float(np.median(np.angle(way[known] / ours[known]) / turn[known]))
+    left = 1.0 - 2.0 * share
+    if not 1.0 / _MOST_STEPS < left < 0.75:
+        return []
+    return [round(1.0 / left)]
 
 
 def _apart(log: Log, timeline: Timeline, moved: Array, integration: Integration) -> float:

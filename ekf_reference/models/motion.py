@@ -14,11 +14,9 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array
 
-Integration = Literal["euler", "middle", "arc"]
+Integration = Literal["euler", "middle", "arc"] | int
 """Where a step's displacement leads: along the heading at its start, along that in its middle, or
-on the circle that constant speed and turn describe."""
-HEADING_AT: dict[Integration, float] = {"euler": 0.0, "middle": 0.5, "arc": 0.5}
-"""Share of the turn after which the displacement's heading is taken."""
+on the circle that constant speed and turn describe. A number: in so many equal Euler steps."""
 
 
 class MotionStep(NamedTuple):
@@ -175,7 +173,8 @@ class IntegratedModel:
 
     model: the sound one. own: how it integrates. integration: how to integrate in its place.
     With the turn t of a step the displacement d becomes s(t) R(k t) d, k the difference of the
-    shares of the turn, s the chord over its arc, sin(t / 2) / (t / 2), of an arc and 1 otherwise.
+    shares of the turn, s the chord over its arc, sin(t / 2) / (t / 2), of an arc, s(t) / s(t / n)
+    of n Euler steps, and 1 otherwise.
     """
 
     model: MotionModel
@@ -186,8 +185,8 @@ class IntegratedModel:
         """Turn and shorten the model's displacement, and the Jacobians with it."""
         _, by_pose, by_control = step = self.model.step(T_world_vehicle, control, duration_s)
         turn = float(step.pose[2] - T_world_vehicle[2])
-        share = HEADING_AT[self.integration] - HEADING_AT[self.own]
-        chord, by_turn = _chord(turn) if self.integration == "arc" else (1.0, 0.0)
+        share = _heading_at(self.integration) - _heading_at(self.own)
+        chord, by_turn = _shortened(turn, self.integration)
         cos, sin = math.cos(share * turn), math.sin(share * turn)
         rotation = np.array([[cos, -sin], [sin, cos]])
         way = rotation @ (by_pose[1, 2], -by_pose[0, 2])
@@ -197,6 +196,25 @@ class IntegratedModel:
         jacobian[:2] = chord * rotation @ by_control[:2] + np.outer(across, by_control[2])
         east, north = moved.tolist()
         return MotionStep.by(T_world_vehicle, east, north, turn, jacobian)
+
+
+def _heading_at(integration: Integration) -> float:
+    """Return the share of the turn after which the displacement's heading is taken."""
+    if isinstance(integration, int):
+        return 0.5 - 0.5 / integration
+    return 0.0 if integration == "euler" else 0.5
+
+
+def _shortened(turn: float, integration: Integration) -> tuple[float, float]:
+    """Return what is left of a displacement's length, and its derivative by the turn."""
+    if integration in ("euler", "middle"):
+        return 1.0, 0.0
+    chord, by_turn = _chord(turn)
+    if isinstance(integration, int):
+        part, by_part = _chord(turn / integration)
+        chord /= part
+        by_turn = (by_turn - chord * by_part / integration) / part
+    return chord, by_turn
 
 
 def _chord(turn: float) -> tuple[float, float]:

@@ -11,7 +11,7 @@ import pytest
 
 import slamcheck
 from benchmarks.stranger_faults import Plant, instead, late_odometry, noisy, scaled, spread
-from benchmarks.strangers import Arc, Array, ByRow, Ekf, read_log
+from benchmarks.strangers import Arc, Array, ByRow, Ekf, Euler, read_log
 from comparisons.checks.causes import Cause
 from comparisons.faults.fault import Method
 from comparisons.fingerprints import search
@@ -52,6 +52,16 @@ def test_a_sound_filter_is_equal_on_its_own_arc(folder: Path, tmp_path: Path) ->
     found = judged(Newcomer, folder, tmp_path / "mine")
     assert (found.outcome, found.grade.value) == ("agree", "equal")
     assert "along the arc" in found.remarks[0]
+
+
+def test_a_filter_of_short_euler_steps_is_equal_by_its_trace(folder: Path, tmp_path: Path) -> None:
+    """Steps of at most 10 ms, some to a sample: neither Euler's step nor an arc."""
+    log = slamcheck.load_log(folder)
+    Euler(read_log(folder)).run().write(tmp_path / "mine", traced=True)
+    found = slamcheck.check(log, tmp_path / "mine", require="like")
+    assert found.outcome == "agree", found.causes
+    count = int(np.ceil(np.median(np.diff(log.odometry.time_s)) / 0.01))
+    assert f"steps lead in {count} steps each" in found.remarks[0]
 
 
 def apart_from_the_map(own: Method, ekf: Ekf, k: int) -> None:

@@ -7,6 +7,7 @@ from ekf_reference.core.geometry import Array
 from ekf_reference.models.motion import (
     AckermannModel,
     IntegratedModel,
+    Integration,
     MotionModel,
     RelativePoseModel,
     UnicycleModel,
@@ -24,6 +25,8 @@ MODELS: dict[str, tuple[MotionModel, int]] = {
     "ackermann, middle": (IntegratedModel(UTE, "euler", "middle"), 2),
     "unicycle, euler": (IntegratedModel(UnicycleModel(), "middle", "euler"), 2),
     "unicycle, arc": (IntegratedModel(UnicycleModel(), "middle", "arc"), 2),
+    "unicycle, 10 steps": (IntegratedModel(UnicycleModel(), "middle", 10), 2),
+    "ackermann, 3 steps": (IntegratedModel(UTE, "euler", 3), 2),
 }
 
 
@@ -137,3 +140,16 @@ def test_middle_of_the_middle_is_the_model_itself() -> None:
     again = IntegratedModel(UnicycleModel(), "middle", "middle").step(pose, control, 0.5)
     for one, other in zip(own, again, strict=True):
         assert np.abs(one - other).max() < 1e-14
+
+
+@pytest.mark.parametrize(("model", "own"), [(UTE, "euler"), (UnicycleModel(), "middle")])
+@pytest.mark.parametrize("count", [1, 2, 10, 50])
+def test_several_euler_steps_are_chained(model: MotionModel, own: Integration, count: int) -> None:
+    control, pose = np.array((3.0, 0.25)), np.array((2.0, -1.0, 0.7))
+    short, chained = IntegratedModel(model, own, "euler"), pose
+    for _ in range(count):
+        chained = short.step(chained, control, 0.8 / count).pose
+    once = IntegratedModel(model, own, count).step(pose, control, 0.8).pose
+    np.testing.assert_allclose(once, chained, rtol=0, atol=1e-13)
+    other = IntegratedModel(model, own, count + 1).step(pose, control, 0.8).pose
+    assert np.abs(other - chained).max() > 1e-5, "a number of steps that is one off passes"
