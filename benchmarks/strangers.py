@@ -337,8 +337,8 @@ class Ekf:
         labels = dict.fromkeys(self.log.label[ks].tolist())
         rows = np.concatenate((self.v, *(self.index[label] for label in labels)))
         blocks = ["pose", *(f"landmark {label}" for label in labels)]
-        told = {"point": x[rows], "numbers": self.log.row[ks]}
-        self.note("update", "landmarks", nu, h[:, rows], r, blocks, **told)
+        beside = {"point": x[rows], "numbers": self.log.row[ks]}
+        self.note("update", "landmarks", nu, h[:, rows], r, blocks, **beside)
 
     def update(self, ks: Array) -> None:
         """Update by measurements of known landmarks, at once."""
@@ -377,8 +377,8 @@ class Ekf:
         g[n:, self.v] = gx
         label = int(self.log.label[k])
         self.began[label] = point
-        told = {"point": pose, "after": point, "numbers": self.log.row[k]}
-        self.note("augment", f"landmark {label}", gx, gz, r, ["pose"], **told)
+        beside = {"point": pose, "after": point, "numbers": self.log.row[k]}
+        self.note("augment", f"landmark {label}", gx, gz, r, ["pose"], **beside)
         self.x, self.p = np.append(self.x, point).astype(self.dtype), g @ self.p @ g.T
         self.p[n:, n:] += gz @ r @ gz.T
         self.index[label] = np.array([n, n + 1])
@@ -412,8 +412,8 @@ class Ekf:
         arm, h = self.arm(pose), np.zeros((2, len(self.x)))
         h[:, self.v] = np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]]])
         h, nu, r = self.cast(h, place - pose[:2] - arm, r)
-        told = {"point": pose, "numbers": g}
-        self.note("update", "positions", nu, h[:, self.v], r, ["pose"], **told)
+        beside = {"point": pose, "numbers": g}
+        self.note("update", "positions", nu, h[:, self.v], r, ["pose"], **beside)
         self.correct(h, nu, r)
 
     # Run and output

@@ -89,25 +89,34 @@ def modules(*packages: str) -> dict[str, Path]:
 
 def loads(nodes: list[ast.stmt]) -> Iterator[str]:
     """Names that are imported when a module is, those for type checkers left out."""
-    yield from _imports(nodes, into=())
-
-
-def reaches(nodes: list[ast.stmt]) -> Iterator[str]:
-    """Names that are imported when a module is, or when something in it runs."""
-    yield from _imports(nodes, into=(ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.With))
-
-
-def _imports(nodes: list[ast.stmt], into: tuple[type[ast.AST], ...]) -> Iterator[str]:
     for node in nodes:
-        if isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.If) and "TYPE_CHECKING" not in ast.dump(node.test):
-            yield from _imports(node.body + node.orelse, into)
-        elif isinstance(node, (ast.Try, *into)):
-            yield from _imports(vars(node)["body"], into)
+        yield from named(node)
+        if isinstance(node, ast.If) and not for_types(node):
+            yield from loads(node.body + node.orelse)
+        elif isinstance(node, ast.Try):
+            yield from loads(node.body)
+
+
+def reaches(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    """Names that are imported when a module is, or when something in it runs."""
+    for node in nodes:
+        yield from named(node)
+        if not for_types(node):
+            yield from reaches(ast.iter_child_nodes(node))
+
+
+def named(node: ast.AST) -> Iterator[str]:
+    """Modules, and names in them, of an import; nothing of another statement."""
+    if isinstance(node, ast.ImportFrom) and node.module:
+        yield node.module
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+    elif isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+
+
+def for_types(node: ast.AST) -> bool:
+    """Whether only type checkers read what is in a statement."""
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
 
 
 def graph(
@@ -280,9 +289,8 @@ def reached(edges: dict[str, set[str]], starts: Iterable[str]) -> set[str]:
 def mentions(source: str) -> Iterator[str]:
     """Modules that a module imports anywhere, names as a string, or is a part of."""
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            yield from loads([node])
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield from named(node)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value.partition(":")[0]
 
 

@@ -23,7 +23,7 @@ class SpuriousShareResult(Model):
 
     Attributes:
         time_s: its time.
-        landmark: the landmark of it that told most, in words; both of a merge.
+        landmark: the landmark of it that added most, in words; both of a merge.
         information: what it added [1/rad^2].
     """
 

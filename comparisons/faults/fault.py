@@ -124,7 +124,7 @@ def moving(step: Method) -> Plant:
 
 
 def remembering(other: Callable[[], Plant]) -> Plant:
-    """A fault that remembers something: begun anew in each filter."""
+    """A fault that remembers something: made anew for each filter."""
     return lambda ekf: other()(ekf)
 
 

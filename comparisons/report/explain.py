@@ -30,10 +30,10 @@ def overview() -> str:
 
 def explanation(name: str) -> str:
     """Return what a check asks, needs and finds, and what a cause means. Raises InputError."""
-    key = name.removesuffix(" gap").replace(" ", "_") if name not in EXPLANATIONS else name
-    wanted = {name, key, name.replace(" ", "_").replace("-", "_")}
-    parts = ["\n".join(_of_check(one)) for one in CHECKS if one.name in wanted]
-    parts += ["\n".join(_of_cause(one)) for one in EXPLANATIONS if one in wanted]
+    asked = _spoken(name)
+    parts = ["\n".join(_of_check(one)) for one in CHECKS if _spoken(one.name) == asked]
+    asked = asked.removesuffix(" gap")
+    parts += ["\n".join(_of_cause(one)) for one in EXPLANATIONS if one == asked]
     if not parts:
         known = ", ".join(dict.fromkeys((*(one.name for one in CHECKS), *EXPLANATIONS)))
         raise InputError(f"{name[:80]}: no check or cause is called so, expected one of {known}")
@@ -41,7 +41,7 @@ def explanation(name: str) -> str:
 
 
 def _of_check(one: Check) -> Iterator[str]:
-    yield f"{one.name.replace('_', ' ')} (a check)"
+    yield f"{_spoken(one.name)} (a check)"
     yield _wrapped(f"  asks:   {_question(one)}", 10)
     yield _wrapped(f"  needs:  {one.needs}", 10)
     yield _wrapped(f"  errs:   {one.errs}", 10)
@@ -57,6 +57,10 @@ def _of_cause(name: str) -> Iterator[str]:
     yield f"{cause_name(name)} (a cause): {found.title}"
     yield _wrapped(f"  {found.meaning}", 2)
     yield _wrapped(f"  {found.check}", 2)
+
+
+def _spoken(key: str) -> str:
+    return key.replace("_", " ").replace("-", " ")
 
 
 def _question(one: Check) -> str:
