@@ -110,7 +110,11 @@ def run_page(
         words=_WORDS[result.verdict],
         facts=[
             *_facts(result, [*a, *scan]),
-            *((name[:1].upper() + name[1:], words) for name, words in finding_lines(c)),
+            *(
+                (name[:1].upper() + name[1:], words)
+                for name, words in finding_lines(c)
+                if not (inconsistent and name == "consistency")  # a note says it
+            ),
         ],
         about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
         notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),

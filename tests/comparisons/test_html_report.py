@@ -205,6 +205,8 @@ def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -
     assert "The filter is inconsistent" not in before
     assert '<span class="verdict unverified">agree, filter inconsistent<' in after
     assert "The filter is inconsistent: NIS of &lt;b&gt; 3." in after
+    assert "<dt>Consistency</dt>" in before
+    assert "<dt>Consistency</dt>" not in after, "the same figures twice"
 
 
 def test_figures_are_those_of_the_terminal(comparison: Comparison, report: Path) -> None:
