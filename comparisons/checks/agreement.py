@@ -6,7 +6,7 @@ E - F1 is the filter's algebra, F1 - F2 the model, F2 - S the linearisation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigvalsh
@@ -62,6 +62,12 @@ class Allowed:
     covariance: float = ROUNDING
     stored: bool = False
 
+    def at_least(self, lost: float) -> Allowed:
+        """Return what this explains as well in both; NaN explains nothing."""
+        if not lost > ROUNDING:
+            return self
+        return replace(self, sigma=max(self.sigma, lost), covariance=max(self.covariance, lost))
+
     def times(self, factor: float) -> Allowed:
         """Return so many times as much."""
         return Allowed(factor * self.sigma, factor * self.covariance, self.stored)
@@ -75,24 +81,41 @@ EXACT = Allowed()
 """What rounding explains where everything is done and stored in double precision."""
 
 
-def rounding_of(prior: Array, last: Array) -> Allowed:
-    """What double precision explains where a wide prior is left beside narrow relations.
+def rounding_of(prior: Array, last: Gaussian) -> Allowed:
+    """What double precision explains where numbers far apart stand side by side.
 
-    A filter subtracts from variances as large as the prior's, and loses `LOST` of them; what it
-    knows best is left with that error. Of each state this is its variance over what is left of it
-    once all others are known.
+    A filter subtracts from variances as large as the prior's, see `lost_of`. Positions lose as much
+    of their distance from the origin.
 
     Args:
         prior: (3, 3) of the first pose.
+        last: S, the last pose and all landmarks.
+    """
+    places = np.ones(len(last.mean), dtype=bool)
+    places[last.layout.angles] = False
+    with np.errstate(invalid="ignore", divide="ignore"):
+        far = np.abs(last.mean) / np.sqrt(np.diag(last.covariance))
+    lost = lost_of(max(prior[0, 0], prior[1, 1]), prior[2, 2], last.covariance)
+    return EXACT.at_least(lost).at_least(LOST * float(far[places].max()))
+
+
+def lost_of(position: float, heading: float, last: Array) -> float:
+    """What a filter loses of what it knows best, relative, once it knew as little as this.
+
+    It loses `LOST` of the variances that it subtracts from, and is left with that error: of each
+    state this is its variance over what is left of it once all others are known.
+
+    Args:
+        position: Variance.
+        heading: Variance.
         last: (n, n) of the last pose and all landmarks, S's.
     """
-    large = np.maximum(np.diag(last), max(prior[0, 0], prior[1, 1]))
-    large[2] = max(last[2, 2], prior[2, 2])
+    large = np.maximum(np.diag(last), position)
+    large[2] = max(last[2, 2], heading)
     try:
-        lost = LOST * float(np.max(large * np.diag(np.linalg.inv(last))))
+        return LOST * float(np.max(large * np.diag(np.linalg.inv(last))))
     except np.linalg.LinAlgError:
-        return EXACT
-    return EXACT if not lost > ROUNDING else Allowed(lost, lost)
+        return 0.0
 
 
 @dataclass(frozen=True)

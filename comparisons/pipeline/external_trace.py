@@ -168,7 +168,7 @@ def _diagnosis(
         return learnt(run_events(run))
 
     ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
-    algebra = model = gaps.rounding
+    algebra, model = gaps.algebra_rounding, gaps.rounding
     covariance = stored_rounding(ekf.joint_covariance) > 0.0
     if rounding or covariance:
         algebra = algebra.plus(allowed_of_estimate(Gaussian.of(ekf), sigma, covariance=covariance))

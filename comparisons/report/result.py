@@ -118,7 +118,7 @@ def _agreement(c: Comparison) -> AgreementResult:
         model_gap_covariance=finite(a.model.covariance),
         linearisation_gap_sigma=finite(a.linearisation.sigma),
         linearisation_gap_covariance=finite(a.linearisation.covariance),
-        algebra_limit_sigma=c.gaps.rounding.sigma,
+        algebra_limit_sigma=c.gaps.algebra_rounding.sigma,
         model_limit_sigma=c.gaps.rounding.sigma,
         optimism=finite(a.whole.least),
         pessimism=finite(a.whole.largest),
