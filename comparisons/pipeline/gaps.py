@@ -86,9 +86,9 @@ class Gaps:
         sound recursion through the same matrices loses is no fault of a filter.
         """
         allowed, last = self.rounding, self.smoothed.joint_covariance
-        x, y, heading = np.einsum("kii->i", self.run.trace.q).tolist()
+        noise = np.einsum("kii->i", self.run.trace.q)
         sound = self.agreement.algebra.explained_by(allowed)
-        if sound or not lost_of(max(x, y), heading, last) > ROUNDING:
+        if sound or not lost_of(noise[:2].max(), noise[2:].max(), last) > ROUNDING:
             return allowed
         from comparisons.audit.own_filter import rounded_covariance
 
