@@ -12,7 +12,8 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Any, TypeVar, get_type_hints
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, SkipValidation
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, TypeAdapter
+from pydantic_core import CoreSchema, core_schema
 
 T = TypeVar("T")
 _FORMER = {
@@ -29,7 +30,7 @@ _WORDS = re.compile(rf"(?<![a-z])(?<!loop_)({'|'.join(_FORMER)})")
 
 
 class Model(BaseModel):
-    """Nothing but the fields that are written down."""
+    """Nothing but the fields that are stored down."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -55,8 +56,23 @@ def _read(value: Any) -> Any:
 
 Figure = Annotated[float, BeforeValidator(_read), PlainSerializer(finite, float | None)]
 """A number that result files hold as null where it is infinite or no number."""
-Aside = Annotated[T, Field(exclude=True), SkipValidation()]
-"""What a finding holds and result files leave out."""
+
+
+class _Unread:
+    """Of a field whose type is nobody's business but its owner's."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.any_schema()
+
+
+Aside = Annotated[T, Field(exclude=True), _Unread()]
+"""What a finding holds and result files leave out: of any type."""
+
+
+def stored(found: object, kind: type | None = None) -> Any:
+    """Return what a result file keeps of a dataclass, or of the one above it that is named."""
+    adapter: TypeAdapter[Any] = TypeAdapter(kind or type(found))
+    return adapter.dump_python(found, mode="json")
 
 
 def kept_fields(kind: type) -> Mapping[str, Any]:

@@ -29,7 +29,7 @@ class Finding:
     """What a check found. This one is empty; a check's own overrides what it needs."""
 
     entries: Mapping[str, Any] = {}
-    """Entries of `result.json`, by key: models or dataclasses that describe every field."""
+    """Entries of `result.json`, by key: dataclasses that describe every field that is kept."""
     causes: Sequence[Cause] = ()
     """Reasons to disagree. They count where the algebra and the models agree, and the smoother's
     optimum was verified."""

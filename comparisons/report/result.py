@@ -5,7 +5,7 @@ from __future__ import annotations
 from comparisons.checks.agreement import block_agrees
 from comparisons.checks.check import value_of
 from comparisons.checks.position_gate import PositionsFinding
-from comparisons.figures import finite, package_versions
+from comparisons.figures import finite, package_versions, stored
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.ladder import ladder
@@ -30,7 +30,11 @@ from comparisons.words import Row
 def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
     """Return the findings of a run, read being the time that reading the log took."""
     c, fixes = comparison, value_of(comparison.findings, PositionsFinding)
-    entries = {key: entry for found in c.findings.values() for key, entry in found.entries.items()}
+    entries = {
+        key: entry if key in Result.model_fields else stored(entry)
+        for found in c.findings.values()
+        for key, entry in found.entries.items()
+    }
     return Result(
         schema_version=SCHEMA,
         config=c.prepared.config.model_dump(mode="json"),

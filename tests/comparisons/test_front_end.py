@@ -15,11 +15,6 @@ from comparisons.config import FrontEndConfig, OdometryConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
 from comparisons.extensions.scan_motion.extension import ScanMotionFinding
-from comparisons.extensions.scan_motion.result import (
-    IncrementResult,
-    ScanOdometryResult,
-    ThreeWayResult,
-)
 from comparisons.extensions.scan_motion.three_way import ThreeWay, find_inconsistent_source
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
@@ -139,9 +134,9 @@ def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
     assert three.inconsistent_source == ""
     assert three.loops > 10
     extra = present(Result.model_validate_json(build_result(c).model_dump_json()).model_extra)
-    assert ThreeWayResult.model_validate(extra["three_way"]).ekf.landmarks == 34
-    assert ScanOdometryResult.model_validate(extra["scan_odometry"]).used == 248
-    assert IncrementResult.model_validate(extra["increments"]).against == "truth"
+    assert extra["three_way"]["ekf"]["landmarks"] == 34
+    assert extra["scan_odometry"]["used"] == 248
+    assert extra["increments"]["against"] == "truth"
 
 
 @pytest.fixture(scope="module")
