@@ -45,9 +45,9 @@ def current(stored: Any) -> Any:
     return [current(one) for one in stored] if isinstance(stored, list) else stored
 
 
-def finite(value: float) -> float | None:
+def finite(value: float | None) -> float | None:
     """JSON has no NaN or infinity: such a figure is absent, never passed on."""
-    return value if math.isfinite(value) else None
+    return value if value is not None and math.isfinite(value) else None
 
 
 def _read(value: Any) -> Any:
@@ -83,9 +83,9 @@ def kept_fields(kind: type) -> Mapping[str, Any]:
         }
     if not dataclasses.is_dataclass(kind):
         return {}
-    marked = get_type_hints(kind, include_extras=True)
+    plain, marked = get_type_hints(kind), get_type_hints(kind, include_extras=True)
     found = {
-        name: float | None if hint == Figure else hint
+        name: float | None if hint == Figure else plain[name]
         for name, hint in marked.items()
         if not any(getattr(one, "exclude", None) for one in getattr(hint, "__metadata__", ()))
     }

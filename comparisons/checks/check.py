@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from comparisons.checks.agreement import PlacedAgreement
     from comparisons.checks.causes import Cause
     from comparisons.estimates.estimate import Estimate
     from comparisons.pipeline.gaps import Known
     from comparisons.report.html.drawing import Drawing
-    from comparisons.report.models import LandmarkResult
 
 V = TypeVar("V")
 
@@ -56,7 +56,7 @@ class Finding:
     def layers(self, drawing: Drawing) -> None:
         """Add layers to the page's map."""
 
-    def landmarks(self) -> Sequence[LandmarkResult]:
+    def landmarks(self) -> Sequence[PlacedAgreement]:
         """Return rows of the page's table of landmarks, of those that have a direction."""
         return ()
 

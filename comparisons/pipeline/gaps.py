@@ -53,7 +53,8 @@ class Gaps:
     """The chain of estimates and its gaps.
 
     recorded: the linear system of F1, from the filter's own matrices. model: that of F2, from the
-    smoother's factors linearised where the filter was. result, smoothed: S.
+    smoother's factors linearised where the filter was. result, smoothed: S. rounding: what double
+    precision explains of the algebra and the model gap.
     """
 
     run: EkfRun
@@ -63,11 +64,7 @@ class Gaps:
     result: SmootherResult
     smoothed: Estimate
     agreement: Agreement
-
-    @cached_property
-    def rounding(self) -> Allowed:
-        """What double precision explains of the algebra and the model gap."""
-        return rounding_of(self.problem.prior_covariance, self.smoothed.joint_covariance)
+    rounding: Allowed
 
     def model_differences(
         self, stored: Mapping[tuple[str, str], float] | None = None
@@ -129,6 +126,7 @@ def compute_gaps(
             raise
         recorded, model, first, second = frozen or _finished(work, clock)
     f1 = Gaussian(*first, run.estimate.layout)
+    rounding = rounding_of(problem.prior_covariance, smoothed.joint_covariance)
     return Gaps(
         run=run,
         problem=problem,
@@ -141,7 +139,9 @@ def compute_gaps(
             f1,
             Gaussian(*second, run.estimate.layout),
             Gaussian.of(smoothed),
+            rounding,
         ),
+        rounding=rounding,
     )
 
 

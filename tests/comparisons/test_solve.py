@@ -147,7 +147,7 @@ def test_both_associations_are_compared() -> None:
     comparison = compared(simulated(1), association="nn", smoother_association="own")
     own = comparison.find(OwnAssociationFinding).own
     assert own.agreement > 0.9
-    assert own.pose.distance < 1.0
+    assert own.pose.distance_sigma < 1.0
     assert comparison.verdict.outcome == "agree"
     result = build_result(comparison)
     again = Result.model_validate_json(result.model_dump_json())

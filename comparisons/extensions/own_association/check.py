@@ -110,7 +110,7 @@ def check_own_association(
         splits=partition.splits,
         merges=partition.merges,
         pose_difference_m=pose.difference_m,
-        pose_distance_sigma=pose.distance,
+        pose_distance_sigma=pose.distance_sigma,
         landmark_rms_m=float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
         verified=optimality.verified,
         landmark_index=own,

@@ -13,7 +13,6 @@ from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows, smoothed_estimate
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import accuracy_rows, assess
-from comparisons.checks.agreement import block_agrees
 from comparisons.checks.association import association_rows, score_association
 from comparisons.checks.check import Finding
 from comparisons.errors import InputError
@@ -70,7 +69,7 @@ class OwnAssociationFinding(Finding):
         """Heard in the verdict when its optimum is verified."""
         self.own, self._known = own, known
         self.entries = {"own_association": own}
-        if own.verified and not block_agrees(own.pose):
+        if own.verified and not own.pose.agrees:
             self.causes = [association_cause(own, known.ekf)]
 
     def rows(self) -> Sequence[Row]:

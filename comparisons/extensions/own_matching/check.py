@@ -172,7 +172,7 @@ def check_own_matching(
     pose, frames = block_agreement(last[0], both), compare_frames(smoothed, estimate)
     # F, for the scatter is measured, too.
     shifted = freedom > 0 and squared_shift > 3.0 * float(f.ppf(_SHIFTED, 3, freedom))
-    agree = frames.agrees and pose.distance**2 * 3.0 <= GATE
+    agree = frames.agrees and pose.distance_sigma**2 * 3.0 <= GATE
     return OwnMatchingCheck(
         filter=len(filters.measured) - initialised[0],
         own=len(own.measured) - initialised[1],
@@ -185,7 +185,7 @@ def check_own_matching(
         ekf=compare_frames(ekf, estimate),
         smoother=frames,
         pose_difference_m=pose.difference_m,
-        pose_distance_sigma=pose.distance,
+        pose_distance_sigma=pose.distance_sigma,
         path_ekf_m=_rms(path[0]),
         path_smoother_m=_rms(path[1]),
         agrees=agree and not shifted and not any(one.contradicts for one in landmarks),
