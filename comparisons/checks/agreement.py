@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -76,6 +76,12 @@ class Allowed:
     covariance: float = ROUNDING
     stored: bool = False
 
+    def at_least(self, lost: float) -> Allowed:
+        """Return what this explains as well in both; NaN explains nothing."""
+        if not lost > ROUNDING:
+            return self
+        return replace(self, sigma=max(self.sigma, lost), covariance=max(self.covariance, lost))
+
     def times(self, factor: float) -> Allowed:
         """Return so many times as much."""
         return Allowed(factor * self.sigma, factor * self.covariance, self.stored)
@@ -89,24 +95,41 @@ EXACT = Allowed()
 """What rounding explains where everything is done and stored in double precision."""
 
 
-def rounding_of(prior: Array, last: Array) -> Allowed:
-    """What double precision explains where a wide prior is left beside narrow relations.
+def rounding_of(prior: Array, last: Gaussian) -> Allowed:
+    """What double precision explains where numbers far apart stand side by side.
 
-    A filter subtracts from variances as large as the prior's, and loses `LOST` of them; what it
-    knows best is left with that error. Of each state this is its variance over what is left of it
-    once all others are known.
+    A filter subtracts from variances as large as the prior's, see `lost_of`. Positions lose as much
+    of their distance from the origin.
 
     Args:
         prior: (3, 3) of the first pose.
+        last: S, the last pose and all landmarks.
+    """
+    places = np.ones(len(last.mean), dtype=bool)
+    places[last.layout.angles] = False
+    with np.errstate(invalid="ignore", divide="ignore"):
+        far = np.abs(last.mean) / np.sqrt(np.diag(last.covariance))
+    lost = lost_of(max(prior[0, 0], prior[1, 1]), prior[2, 2], last.covariance)
+    return EXACT.at_least(lost).at_least(LOST * float(far[places].max()))
+
+
+def lost_of(position: float, heading: float, last: Array) -> float:
+    """What a filter loses of what it knows best, relative, once it knew as little as this.
+
+    It loses `LOST` of the variances that it subtracts from, and is left with that error: of each
+    state this is its variance over what is left of it once all others are known.
+
+    Args:
+        position: Variance.
+        heading: Variance.
         last: (n, n) of the last pose and all landmarks, S's.
     """
-    large = np.maximum(np.diag(last), max(prior[0, 0], prior[1, 1]))
-    large[2] = max(last[2, 2], prior[2, 2])
+    large = np.maximum(np.diag(last), position)
+    large[2] = max(last[2, 2], heading)
     try:
-        lost = LOST * float(np.max(large * np.diag(np.linalg.inv(last))))
+        return LOST * float(np.max(large * np.diag(np.linalg.inv(last))))
     except np.linalg.LinAlgError:
-        return EXACT
-    return EXACT if not lost > ROUNDING else Allowed(lost, lost)
+        return 0.0
 
 
 @dataclass(frozen=True)
@@ -272,18 +295,13 @@ class GapFigures:
     model_limit_sigma: float = ROUNDING
 
 
-def gap_figures(
-    gaps: tuple[Gap | None, Gap, Gap], allowed: tuple[Allowed, Allowed]
-) -> dict[str, Any]:
-    """Return the fields of GapFigures. gaps: algebra, if known, model, and linearisation."""
+def gap_figures(algebra: Gap | None, model: Gap, linearisation: Gap) -> dict[str, Any]:
+    """Return the fields of GapFigures but for the limits. algebra: None where it is unknown."""
     found: dict[str, Any] = {}
-    for name, one in zip(("algebra", "model", "linearisation"), gaps, strict=True):
+    for name, one in (("algebra", algebra), ("model", model), ("linearisation", linearisation)):
         found[f"{name}_gap_sigma"] = None if one is None else one.sigma
         found[f"{name}_gap_covariance"] = None if one is None else one.covariance
-    return found | {
-        "algebra_limit_sigma": allowed[0].sigma,
-        "model_limit_sigma": allowed[1].sigma,
-    }
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,12 +339,8 @@ def compare(
     recorded: Gaussian,
     own: Gaussian,
     smoother: Gaussian,
-    allowed: Allowed = EXACT,
 ) -> Agreement:
-    """Compare E, F1, F2 and S. Raises LinAlgError when S's covariance is not positive definite.
-
-    allowed: what rounding explains of the algebra and the model gap.
-    """
+    """Compare E, F1, F2 and S. Raises LinAlgError when S's covariance is not positive definite."""
     sigma = np.sqrt(np.diag(smoother.covariance))
     difference = _difference(ekf, smoother)
     landmarks, pose_landmarks = (
@@ -349,7 +363,7 @@ def compare(
     )
     whole = BlockAgreement.of(*_parts(ekf, smoother, difference, slice(0, len(sigma))))
     return Agreement(
-        **gap_figures(gaps, (allowed, allowed)),
+        **gap_figures(*gaps),
         optimism=whole.ratios[0],
         pessimism=whole.ratios[1],
         landmark_difference_rms_m=float(np.sqrt(np.mean([d**2 for d in distances])))

@@ -354,6 +354,20 @@ def unverified(optimality: Optimality) -> Cause:
     return Cause("oracle", optimality.lacks, hint)
 
 
+def rounding(allowed: Allowed) -> str:
+    """How well double precision tells the gaps of a log."""
+    return (
+        "variances or coordinates of the log lie so many powers of ten apart that double precision "
+        f"tells the algebra and the models to {allowed.covariance:.1g} (relative) only"
+    )
+
+
+def untold(allowed: Allowed) -> Cause:
+    """Rounding hides what a verdict would be about."""
+    hint = "narrow the prior, end the log before its longest gap, or move the origin nearer"
+    return Cause("oracle", rounding(allowed), hint)
+
+
 def linearisation(
     agreement: Agreement,
     run: EkfRun,

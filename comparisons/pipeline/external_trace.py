@@ -146,9 +146,9 @@ def check_trace(
         agreement=found,
         algebra=algebra,
         verdict=verdict,
-        **gap_figures(
-            (algebra, found.model, found.linearisation), (diagnosis.algebra, diagnosis.model)
-        ),
+        **gap_figures(algebra, found.model, found.linearisation),
+        algebra_limit_sigma=diagnosis.algebra.sigma,
+        model_limit_sigma=diagnosis.model.sigma,
         steps=len(trace.departed),
         updates=len(trace.measurements[POINT].step),
         initialised=len(trace.initialisations[POINT].step),
@@ -190,7 +190,7 @@ def _diagnosis(
         return learnt(run_events(run))
 
     ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
-    algebra = model = gaps.rounding
+    algebra, model = gaps.algebra_rounding, gaps.rounding
     covariance = stored_rounding(ekf.joint_covariance) > 0.0
     if rounding or covariance:
         algebra = algebra.plus(allowed_of_estimate(Gaussian.of(ekf), sigma, covariance=covariance))

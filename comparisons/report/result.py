@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from comparisons.checks.check import value_of
 from comparisons.checks.position_gate import PositionsFinding
 from comparisons.figures import package_versions, stored
@@ -41,7 +43,11 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
         log=log_result(c.log),
         ekf=ekf_result(c.ekf, c.prepared.ekf, fixes),
         smoother=smoother_result(c.smoother, c.smoothed),
-        agreement=c.agreement,
+        agreement=replace(
+            c.agreement,
+            algebra_limit_sigma=c.gaps.algebra_rounding.sigma,
+            model_limit_sigma=c.gaps.rounding.sigma,
+        ),
         verdict=c.verdict.outcome,
         summary=c.verdict.summary,
         qualifiers=list(c.verdict.qualifiers),
