@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.audit.spurious import Learnt
 from comparisons.checks import causes as cause
-from comparisons.checks.agreement import EXACT, Agreement, Allowed, Gap, block_agrees
+from comparisons.checks.agreement import EXACT, Agreement, Allowed, Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.data_usage import DataFault
@@ -191,9 +191,9 @@ def _by_optimum(
     if not optimality.verified:
         alone = [one for one in causes if one.alone]
         return ("disagree" if alone else "unverified"), [*alone, cause.unverified(optimality)]
-    blocks = (agreement.pose, *agreement.landmarks, *agreement.pose_landmarks, agreement.whole)
+    blocks = (agreement.pose, *agreement.landmarks, *agreement.pose_landmarks, agreement.map)
     found = []
-    if not all(map(block_agrees, blocks)):
+    if not all(block.agrees for block in blocks):
         found.append(cause.linearisation(agreement, run, diagnosis.growth(), diagnosis.spurious()))
     found += causes
     return ("disagree" if found else "agree"), found

@@ -7,7 +7,7 @@ import pytest
 
 from comparisons import statistics
 from comparisons.checks.accuracy import aligned, assess, match_by_distance, relative_errors
-from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
+from comparisons.checks.agreement import BlockAgreement, Gaussian, compare, gap
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
 from comparisons.statistics import eigenvalue_range
@@ -31,8 +31,8 @@ def test_a_gaussian_has_no_gap_to_itself() -> None:
     nothing = compare(same, same, same, same)
     for found in (nothing.algebra, nothing.model, nothing.linearisation):
         assert found.within(1e-12)
-    assert nothing.whole.distance == 0.0
-    assert np.isclose(nothing.whole.least, 1.0)
+    assert nothing.map.distance_sigma == 0.0
+    assert np.isclose(nothing.optimism, 1.0)
 
 
 def test_gaps_land_where_they_arise() -> None:
@@ -43,7 +43,7 @@ def test_gaps_land_where_they_arise() -> None:
     assert np.isclose(compare(e, shifted, shifted, e).algebra.sigma, 1.0 / sigma[4])
     assert compare(e, shifted, shifted, e).model.sigma == 0.0
     assert np.isclose(compare(e, e, wider, e).model.covariance, 0.5)
-    assert np.isclose(compare(e, e, e, wider).whole.least, 0.5)
+    assert np.isclose(compare(e, e, e, wider).optimism, 0.5)
     assert np.isclose(compare(e, e, e, wider).linearisation.covariance, 0.5)
 
 
@@ -74,7 +74,8 @@ def test_asymmetry_and_indefiniteness_are_gaps() -> None:
     ],
 )
 def test_block_limits(distance: float, least: float, largest: float, agrees: bool) -> None:
-    assert block_agrees(BlockAgreement(0.0, distance, least, largest)) is agrees
+    apart, given = np.array((distance * 2**0.5, 0.0)), np.diag((least, largest))
+    assert BlockAgreement.of(apart, np.eye(2), given).agrees is agrees
 
 
 def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:

@@ -82,10 +82,8 @@ def test_a_converted_log_keeps_its_hash(name: str, shared_data: Path, tmp_path: 
 
 def test_figures_that_do_not_exist_are_null(comparison: Comparison) -> None:
     gaps = comparison.gaps
-    algebra = replace(gaps.agreement.algebra, covariance=float("inf"))
-    broken = replace(
-        comparison, gaps=replace(gaps, agreement=replace(gaps.agreement, algebra=algebra))
-    )
+    agreement = replace(gaps.agreement, algebra_gap_covariance=float("inf"))
+    broken = replace(comparison, gaps=replace(gaps, agreement=agreement))
     text = build_result(broken).model_dump_json()
     assert '"algebra_gap_covariance":null' in text
     assert "Infinity" not in text
