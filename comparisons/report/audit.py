@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import Field
 
-from comparisons.atomic import fresh_folder, known_files
+from comparisons.atomic import LIST, fresh_folder
 from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.spurious import Learnt
@@ -438,11 +438,11 @@ def audit_figure(panels: Sequence[Panel]) -> Figure:
 def write_audit(audit: Audit, folder: Path) -> None:
     """Write audit.json, report.html and a picture of the curves. Raises InputError."""
     result, panels = build_audit_result(audit), audit_panels(audit)
-    with fresh_folder(folder, known_files(folder)) as work:
+    with fresh_folder(folder, RESULT) as work:
         if panels:
             save(audit_figure(panels), work / "curves.png")
         (work / "report.html").write_text(_page(audit, panels), encoding="utf-8")
-        files = sorted([*(p.name for p in work.iterdir()), RESULT])
+        files = sorted([*(p.name for p in work.iterdir()), RESULT, LIST])
         found = result.model_copy(update={"files": files}).model_dump(mode="json")
         text = json.dumps(found, indent=2, allow_nan=False) + "\n"
         (work / RESULT).write_text(text, encoding="utf-8")
