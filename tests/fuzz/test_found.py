@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
 import importlib.util
 import io
 import os
 import tempfile
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 
 from comparisons import archive
 from comparisons.errors import InputError
@@ -121,7 +124,7 @@ def test_an_archive_larger_than_memory_is_not_unpacked(
 ) -> None:
     np.savez_compressed(tmp_path / "a.npz", pose=np.zeros(10_000))
     monkeypatch.setattr(archive, "_MOST_BYTES", 10_000)
-    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
+    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", {"pose": ("N",)}))
     assert code == 2
     assert "bytes unpacked, expected 10000 at most" in reported
 
@@ -245,10 +248,70 @@ def test_only_what_is_read_is_unpacked(
         return read(entry, n)
 
     monkeypatch.setattr(zipfile.ZipExtFile, "read", watched)
-    code, reported = outcome(lambda: archive.read_arrays(path, ("pose",)))
+    code, reported = outcome(lambda: archive.read_arrays(path, {"pose": ("N",)}))
     assert code == 2
     assert ("pose is said to be (10,)" if header else "pose is not an array of numbers") in reported
     assert max(asked) <= 10_000
+
+
+ZEROS = np.zeros((1500, 1500), dtype=np.uint8)
+
+
+def packed_arrays(**arrays: np.ndarray) -> Callable[[Path], object]:
+    return lambda path: np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
+def packed_matlab(path: Path) -> None:
+    scipy.io.savemat(path, {"LASER": ZEROS}, do_compression=True)
+
+
+def packed_rawlog(path: Path) -> None:
+    path.write_bytes(gzip.compress(gzip.decompress(path.read_bytes()) + bytes(4 * ZEROS.nbytes)))
+
+
+BEAMS = np.arange(1500.0)
+SMALL_AND_LARGE: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
+    "another shape": (
+        "estimate folder",
+        "covariances.npz",
+        packed_arrays(last_pose_and_landmarks=ZEROS),
+        "last_pose_and_landmarks has shape (1500, 1500), expected (",
+    ),
+    "a right shape": (
+        "log folder",
+        "scans.npz",
+        packed_arrays(time_s=BEAMS, angle_rad=BEAMS, range_m=ZEROS, intensity=ZEROS),
+        "holds 36024000 bytes unpacked, expected",
+    ),
+    "beams of another number": (
+        "log folder",
+        "scans.npz",
+        packed_arrays(time_s=BEAMS, angle_rad=BEAMS[1:], range_m=ZEROS, intensity=ZEROS),
+        "range_m has shape (1500, 1500), expected (1500, 1499)",
+    ),
+    "matlab": ("aa3", "aa3_lsr2.mat", packed_matlab, "LASER of 18000000 bytes, expected"),
+    "rawlog": ("rawlog, packed", "drive.rawlog", packed_rawlog, "bytes unpacked, expected at most"),
+}
+"""Subject, file, what makes it a small file of much, and what is said."""
+
+
+@pytest.mark.parametrize("name", SMALL_AND_LARGE)
+def test_a_small_file_takes_little_memory(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subject, file, write, message = SMALL_AND_LARGE[name]
+    SUBJECTS[subject].write(tmp_path)
+    write(tmp_path / file)
+    monkeypatch.setattr(archive, "_SPARE_BYTES", 2**22)
+    tracemalloc.start()
+    try:
+        code, reported = outcome(lambda: SUBJECTS[subject].read(tmp_path))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert code == 2
+    assert message in reported
+    assert peak < 2**24 + 50 * (tmp_path / file).stat().st_size
 
 
 def test_memory_that_is_short_is_not_a_damaged_file(
@@ -260,7 +323,7 @@ def test_memory_that_is_short_is_not_a_damaged_file(
         raise MemoryError
 
     monkeypatch.setattr(np, "frombuffer", short)
-    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
+    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", {"pose": ("N",)}))
     assert (code, reported) == (2, "slamcheck: not enough memory for this log\n")
 
 
