@@ -38,6 +38,7 @@ RunsOption = Annotated[
 ]
 
 
+_MOST_RUNS = 1000
 RUN, CHECK = of_job("run"), of_job("check")
 _ESTIMATE = [flag for flag in CHECK if flag.panel == GRADE and flag.option != "--trace"]
 _SHOWN = "--estimate --require --filter --association --seed"
@@ -176,8 +177,8 @@ def _runs(given: int | None, *, estimate: bool) -> int:
     if estimate and given is not None:
         raise InputError("--runs repeats a run; an estimate is as it is: leave --runs out")
     runs = (1 if estimate else 2) if given is None else given
-    if runs < 1:
-        raise InputError(f"runs is {runs}, expected 1 or more")
+    if not 1 <= runs <= _MOST_RUNS:
+        raise InputError(f"runs is {runs}, expected 1 to {_MOST_RUNS}")
     return runs
 
 

@@ -94,6 +94,8 @@ def guarded(*, log_file: Path | None = None) -> Iterator[None]:
         fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
     except MemoryError:
         fail("not enough memory for this log", UNUSABLE)
+    except RecursionError:
+        fail("an input is nested too deep", UNUSABLE)
     except ModuleNotFoundError as error:
         if error.name != "gtsam":
             raise

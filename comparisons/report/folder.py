@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from comparisons.config import Configured, JobConfig, shown
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.folder import write_estimate
+from comparisons.figures import json_text
 from comparisons.logs.table import read_toml
 from comparisons.options.table import FLAGS
 
@@ -64,7 +64,7 @@ def write_job_folder(content: JobFolder, folder: Path, formats: Collection[str] 
         found = content.result.model_dump(mode="json")
         files = sorted(p.relative_to(work).as_posix() for p in work.rglob("*") if p.is_file())
         found["files"] = sorted([*files, result.name, LIST])
-        result.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        result.write_text(json_text(found, indent=2) + "\n", encoding="utf-8")
 
 
 def _save(figures: Mapping[str, Figure], folder: Path, formats: Collection[str]) -> None:

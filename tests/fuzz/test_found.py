@@ -7,6 +7,7 @@ import importlib.util
 import io
 import os
 import tempfile
+import tomllib
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -20,6 +21,8 @@ from comparisons import archive
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles, check_folder
 from comparisons.experiments.montecarlo.runs import Records
+from comparisons.logs.table import parse_toml
+from comparisons.trace.recorder import Recorder
 from tests.fuzz.damage import Damage
 from tests.fuzz.subjects import BAGS, SUBJECTS, chunk_files
 from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome, run_main
@@ -73,7 +76,12 @@ REPLACED = {
         ("[ekf]", '["one\\ntwo"]', "is unknown"),
         (".dynamic]", f'."{ENDLESS}"]', "is unknown"),
     ],
-    ("log folder", "log.toml"): [("time_s = 0.0", "time_s = nan", "time_s is nan")],
+    ("log folder", "log.toml"): [
+        ("time_s = 0.0", "time_s = nan", "time_s is nan"),
+        ("[prior]", f"a{'.a' * 50_000} = 1\n[prior]", "a key of more than 64 parts"),
+        ("[prior]", f"a = {{a{' . a' * 50_000} = 1}}\n[prior]", "a key of more than 64 parts"),
+        ("[prior]", f"[{'a.' * 50_000}a]\n[prior]", "a key of more than 64 parts"),
+    ],
 }
 """By subject and file: what is replaced, by what, and what is said of it."""
 
@@ -357,6 +365,69 @@ def twice(folder: Path) -> None:
 def dangling(folder: Path) -> None:
     (folder / "trajectory.tum").unlink()
     os.symlink("nowhere", folder / "trajectory.tum")
+
+
+BEYOND = {
+    "drives": (["reproduce", "N3.5", "--drives", "9" * 30], "expected 1 to 10000"),
+    "runs": (["baseline", "save", "victoria-park", "k.json", "--runs", "1001"], "1 to 1000"),
+    "study": (["montecarlo", "--runs", "9" * 400], "less than or equal to 1000000"),
+    "tolerance": (["audit", "a.trace", "--tolerance", "inf"], "tolerance is inf"),
+    "deep setting": (["solve", "--set", f"log{'.a' * 2000}=1"], "2001 parts, expected SECTION"),
+    "deep value": (["solve", "--set", f"log.seed={{a{'.a' * 2000}=1}}"], "log.seed is '{a.a.a"),
+}
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_settings_beyond_every_need(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words, message = BEYOND[name]
+    code, reported = outcome(lambda: run_main(words))
+    assert code == 2
+    assert message in reported
+    assert reported.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_figures_that_overflow(tmp_path: Path) -> None:
+    """They are no result, nor is half of one left."""
+    with Recorder(tmp_path / "a.trace") as record:
+        record.prior({"a": 1}, [[1e-300]], point=[0.0])
+        for _ in range(20):
+            record.update("s", [1.0], [[1.0]], [[1e-300]])
+            record.snapshot([[1e-300]], error=[1.0])
+    words = ["audit", str(tmp_path / "a.trace"), "--out", str(tmp_path / "out")]
+    code, reported = outcome(lambda: run_main(words))
+    assert code == 2
+    assert "numbers of the input are so large that it overflows" in reported
+    assert [path.name for path in tmp_path.iterdir()] == ["a.trace"]
+
+
+def test_what_is_nested_too_deep_is_one_line() -> None:
+    def deeper() -> None:
+        deeper()
+
+    assert outcome(deeper) == (2, "slamcheck: an input is nested too deep\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "sound"),
+    [
+        ("a.b.c = 'a.b" + ".c" * 100 + "'", True),
+        ("a = [" + "1.0, " * 100 + "]\nb = 1.5", True),
+        ("a" + ".a" * 64 + " = 1", True),
+        ("a" + ".a" * 65 + " = 1", False),
+        ("'a'" + ".'a'" * 65 + " = 1", False),
+        ("a = " + "[" * 3000, False),
+    ],
+)
+def test_a_key_has_few_parts(text: str, sound: bool) -> None:
+    if sound:
+        assert parse_toml(text) == tomllib.loads(text)
+        return
+    with pytest.raises(ValueError, match=r"parts|too deep"):
+        parse_toml(text)
 
 
 @pytest.mark.parametrize(
