@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from comparisons.atomic import write_whole
+from comparisons.atomic import Kind, begins, write_whole
 from comparisons.checks.agreement import LandmarkAgreement
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.finding import ConsistencyResult, ExternalConsistencyResult
@@ -323,10 +323,22 @@ def read_baseline(path: Path) -> Baseline:
     return kept
 
 
+def _is_baseline(path: Path) -> bool:
+    try:
+        read_baseline(path)
+    except InputError:
+        return False
+    return True
+
+
+BASELINE = Kind("a baseline", _is_baseline)
+JUNIT = Kind("an earlier report", begins(rb"(<\?xml [^>]*\?>\s*)?<testsuite name=\"slamcheck\."))
+
+
 def write_baseline(baseline: Baseline, path: Path) -> None:
     """One metric a line, so that changes read well in a diff. Raises InputError."""
     text = _METRIC.sub(r"{\1, \2}", json.dumps(baseline.model_dump(), indent=1)) + "\n"
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), BASELINE)
 
 
 def write_junit(
@@ -353,7 +365,7 @@ def write_junit(
         elif change.state != "holds":
             ElementTree.SubElement(case, "system-out").text = f"{change.state}: {change}"
     text = ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), JUNIT)
 
 
 def _tolerance(name: str, value: float | None, spread: float) -> float:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 import math
 import platform
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, TypeAdapter
 from pydantic_core import CoreSchema, core_schema
+
+from comparisons.errors import InputError
 
 T = TypeVar("T")
 _FORMER = {
@@ -48,6 +51,26 @@ def current(stored: Any) -> Any:
 def finite(value: float | None) -> float | None:
     """JSON has no NaN or infinity: such a figure is absent, never passed on."""
     return value if value is not None and math.isfinite(value) else None
+
+
+def json_text(found: Any, indent: int | None = None) -> str:
+    """Return JSON. Raises InputError that names the first number that JSON cannot hold."""
+    separators = (",", ":") if indent is None else None
+    try:
+        return json.dumps(found, indent=indent, separators=separators, allow_nan=False)
+    except ValueError:
+        name, value = next(_not_finite(found))
+        raise InputError(
+            f"{name} is {value}: numbers of the input are so large that it overflows"
+        ) from None
+
+
+def _not_finite(found: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    if isinstance(found, float) and not math.isfinite(found):
+        yield name.removeprefix("."), found
+    elif isinstance(found, dict | list | tuple):
+        for key, value in found.items() if isinstance(found, dict) else enumerate(found):
+            yield from _not_finite(value, f"{name}.{key}")
 
 
 def _read(value: Any) -> Any:

@@ -61,6 +61,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
     assert names == {
         "config.toml",
+        "files.sha256",
         "odometry.json",
         "map.png",
         "graph.g2o",

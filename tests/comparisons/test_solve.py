@@ -53,6 +53,7 @@ def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
     estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
     assert names == {
         "config.toml",
+        "files.sha256",
         "solution.json",
         "map.png",
         "graph.g2o",
