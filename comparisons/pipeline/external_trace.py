@@ -107,8 +107,7 @@ def check_trace(
         diagnosis = _diagnosis(log, run, gaps, file, same_steps=theirs is own)
     except np.linalg.LinAlgError:
         raise InputError(
-            f"{file.path}: its process noise, composed between two "
-            "measurements, is singular; increase step_q"
+            f"{file.path}: a covariance that its equations need is singular to rounding"
         ) from None
     labelled = prepared.labelled
     data_faulty = (*_untimely(log, run, positions),
