@@ -119,22 +119,10 @@ def recorded_system(
     Raises:
         numpy.linalg.LinAlgError: a recorded covariance is singular.
     """
-    chain, p = _compose(steps, until), len(prior.pose)
-    pose = np.arange(len(until))
-    motion = RecordedRelations(
-        first=pose[:-1],
-        second=pose[1:],
-        first_point=chain.departed,
-        second_point=chain.arrived,
-        residual=np.zeros_like(chain.arrived),
-        jacobian_first=-chain.f,
-        jacobian_second=np.broadcast_to(np.eye(p), chain.f.shape),
-        covariance=chain.q,
-    )
-    known, (start,) = _whitened(prior.covariance[None], np.eye(p)[None])
+    known, (start,) = _whitened(prior.covariance[None], np.eye(len(prior.pose))[None])
     return LinearProblem(
         prior=LinearPrior(prior.pose, start[0], None if known is None else known[0]),
-        motion=motion.whitened(),
+        motion=recorded_motion(steps, until),
         measurements={kind: seen.whitened() for kind, seen in measurements.items()},
         merges={kind: merged.whitened() for kind, merged in merges.items()},
         positions=LinearPositions(
@@ -144,6 +132,29 @@ def recorded_system(
         ),
         survey=LinearSurvey(np.zeros((0, 2)), np.zeros((0, 2, 2))),
     )
+
+
+def recorded_motion(every: RecordedSteps, until: Index) -> LinearRelations:
+    """Return predictions as relations of each pose and the next.
+
+    Args:
+        every: the filter's predictions.
+        until: (K,) steps made when each pose is reached, ascending from 0.
+
+    Raises:
+        numpy.linalg.LinAlgError: a recorded covariance is singular.
+    """
+    steps, pose = _compose(every, until), np.arange(len(until))
+    return RecordedRelations(
+        first=pose[:-1],
+        second=pose[1:],
+        first_point=steps.departed,
+        second_point=steps.arrived,
+        residual=np.zeros_like(steps.arrived),
+        jacobian_first=-steps.f,
+        jacobian_second=np.broadcast_to(np.eye(steps.f.shape[1]), steps.f.shape),
+        covariance=steps.q,
+    ).whitened()
 
 
 def _whitened(covariance: Array, *arrays: Array) -> tuple[Array | None, tuple[Array, ...]]:

@@ -267,8 +267,8 @@ class _Job:
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
     """Say where it first leaves the filter that it is most like."""
     near, prepared = found.grade.by, found.solution.prepared
-    if near is None or near.reference.smoothed:
-        return found
+    if near is None or near.reference.smoothed or any(one.gap in OWN for one in found.causes):
+        return found  # a trace says what is wrong itself
     said = first_departure(near, prepared.log, prepared.timeline)
     return replace(found, remarks=(*([said] if said else []), *found.remarks))
 

@@ -25,13 +25,14 @@ from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import FORMER, TRACE, read_trace
-from comparisons.faults.catalogue import NAMED
+from comparisons.faults.catalogue import NAMED, catalogue
 from comparisons.faults.fault import Fault
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.check import ExternalCheck, check, check_external
 from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.external_trace import OWN
 from comparisons.pipeline.solve import solve
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
@@ -261,6 +262,29 @@ def test_a_coarse_filter_that_fuses_late_is_told(
     found = checked(tmp_path, log, choices)
     assert found.grade.value == "equal"  # for the estimate has been fused in time
     assert any("measurements are used too late, by 0.025 s" in said for said in found.remarks)
+
+
+@pytest.mark.parametrize("words", ["the measurements are fused one odometry", "cosine and sine"])
+def test_what_follows_from_a_fault_is_none(
+    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], words: str
+) -> None:
+    """Measurements of another time: no algebra, no model. A wrong F: no Q, though composed."""
+    log, choices, _ = plain
+    log = first_seconds(log, 12.0)
+    fault = next(one for one in catalogue(log) if one.what.startswith(words))
+    run = filtered(log, choices, fault.plant or (lambda ekf: None))
+    if fault.feed is not None:
+        run = filtered(fault.feed(log), choices)
+    hand_in(run, tmp_path)
+    causes = present(checked(tmp_path, log, choices).trace).verdict.causes
+    own = [one for one in causes if one.gap in OWN]
+    if fault.feed is not None:
+        assert [one.gap for one in own] == ["data"]
+        assert "measurements are used too early, by 0.025 s (median)" in own[0].evidence
+    else:
+        assert [one.gap for one in own] == ["model"]
+        assert "the Jacobian with respect to heading differs" in own[0].evidence
+        assert "noise covariance" not in own[0].evidence
 
 
 def test_a_late_path_is_not_moved_back_beside_its_trace(tmp_path: Path) -> None:
