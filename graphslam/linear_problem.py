@@ -23,10 +23,14 @@ from graphslam.marginals import joint_marginal
 
 @dataclass(frozen=True)
 class LinearPrior:
-    """The first pose: a (x - point) = noise. point: (p,). a: (p, p)."""
+    """The first pose: a (x - point) = noise.
+
+    point: (p,). a: (p, p). sigma: (p,) as in LinearRelations.
+    """
 
     point: Array
     a: Array
+    sigma: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +41,8 @@ class LinearRelations:
     landmark of w entries.
 
     first, second: (M,) indices of x and y. first_point: (M, p) and second_point: (M, w), where
-    the relation was linearised. a: (M, w, p). c: (M, w, w). b: (M, w).
+    the relation was linearised. a: (M, w, p). c: (M, w, w). b: (M, w). sigma: (M, w) of the noise
+    of each row: one, or zero where the row holds exactly; None where all are one.
     """
 
     first: Index
@@ -47,6 +52,7 @@ class LinearRelations:
     a: Array
     c: Array
     b: Array
+    sigma: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -105,7 +111,7 @@ def solve(
             landmark that is NaN was removed on the way, and is eliminated, too.
 
     Raises:
-        SingularProblemError: some direction is left without information.
+        SingularProblemError: some direction is left without information, or without noise.
     """
     prior, fixes, survey = problem.prior, problem.positions, problem.survey
     chain = _States(POSE_KEY, poses)
@@ -115,7 +121,8 @@ def solve(
     }
     graph = gtsam.GaussianFactorGraph()
     b = prior.a @ (prior.point - poses[0])
-    graph.push_back(gtsam.JacobianFactor(POSE_KEY, prior.a, b, _unit(len(b))))
+    (model,) = _noises(prior.sigma, 1, len(b))
+    graph.push_back(gtsam.JacobianFactor(POSE_KEY, prior.a, b, model))
     _add_relations(graph, problem.motion, chain, chain)
     for kind, seen in problem.measurements.items():
         _add_relations(graph, seen, chain, kinds[kind])
@@ -132,7 +139,8 @@ def solve(
         keys += (kind.key + kept).tolist()
         start.append(reference[kept].ravel())
     mean = np.concatenate(start)
-    error = joint_marginal(graph, keys, len(mean))
+    exact = any(one.sigma is not None for one in (prior, problem.motion))
+    error = joint_marginal(graph, keys, len(mean), exact=exact)
     return Marginal(mean + error.mean, error.covariance)
 
 
@@ -144,9 +152,9 @@ def _add_relations(
     b = r.b + times(r.a, r.first_point - first.reference[r.first])
     b += times(r.c, r.second_point - second.reference[r.second])
     keys = (first.key + r.first).tolist(), (second.key + r.second).tolist()
-    unit = _unit(b.shape[1])
-    for i, j, a_k, c_k, b_k in zip(*keys, r.a, r.c, b, strict=True):
-        graph.push_back(gtsam.JacobianFactor(i, a_k, j, c_k, b_k, unit))
+    models = _noises(r.sigma, *b.shape)
+    for i, j, a_k, c_k, b_k, model in zip(*keys, r.a, r.c, b, models, strict=True):
+        graph.push_back(gtsam.JacobianFactor(i, a_k, j, c_k, b_k, model))
 
 
 def _add_unary(graph: gtsam.GaussianFactorGraph, keys: Index, a: Array, b: Array) -> None:
@@ -154,6 +162,17 @@ def _add_unary(graph: gtsam.GaussianFactorGraph, keys: Index, a: Array, b: Array
     unit = _unit(b.shape[1])
     for key, a_k, b_k in zip(keys.tolist(), a, b, strict=True):
         graph.push_back(gtsam.JacobianFactor(key, a_k, b_k, unit))
+
+
+def _noises(sigma: Array | None, count: int, size: int) -> list[gtsam.noiseModel.Diagonal]:
+    """Of `count` factors of `size` rows each, those that hold exactly as constraints."""
+    unit = _unit(size)
+    if sigma is None:
+        return [unit] * count
+    return [
+        unit if one.all() else gtsam.noiseModel.Constrained.MixedSigmas(1.0, one)
+        for one in sigma.reshape(count, size)
+    ]
 
 
 def _unit(size: int) -> gtsam.noiseModel.Unit:

@@ -15,6 +15,7 @@ from graphslam.layout import POINT, Layout
 PARTS_BEYOND = 2000
 """Numbers to be kept beyond which a graph is eliminated in parts; see elimination."""
 _ROUNDING = 1e-13
+_KNOWN = "the last pose or a landmark is known exactly in some direction, and has no covariance"
 _UNFIXED = "the measurements do not fix the last pose and every landmark"
 
 
@@ -67,7 +68,9 @@ def last_pose_and_landmarks(
     return joint_marginal(graph, kept, size)
 
 
-def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int) -> Marginal:
+def joint_marginal(
+    graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int, *, exact: bool = False
+) -> Marginal:
     """Return the joint marginal of some variables of a linear problem.
 
     By QR: gtsam's default, Cholesky, squares the condition number, and two measurements a
@@ -77,21 +80,22 @@ def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: 
         graph: The linear problem.
         kept: Keys of the variables, in the order of the result.
         size: Numbers that they have together.
+        exact: Whether some of the graph's rows hold without noise.
 
     Returns:
         Mean (size,) and covariance (size, size), in the coordinates of the graph's own increments:
         of poses in their own tangent, not yet of the global error.
 
     Raises:
-        SingularProblemError: Some direction is left without information.
+        SingularProblemError: Some direction is left without information, or without noise.
     """
     try:
-        if size > PARTS_BEYOND:
+        if size > PARTS_BEYOND and not exact:  # rows without noise would lose that in the joins
             from graphslam.elimination import remaining_rows
 
             jacobian, residual = remaining_rows(graph, kept)
         else:
-            jacobian, residual = _remaining(graph, kept)
+            jacobian, residual = _remaining(graph, kept, exact=exact)
     except (RuntimeError, ValueError) as error:  # singular, or a landmark never seen
         raise SingularProblemError(_UNFIXED) from error
     if jacobian.shape[1] != size or len(jacobian) < size:
@@ -105,13 +109,23 @@ def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: 
     return Marginal(inverse @ d, inverse @ inverse.T)
 
 
-def _remaining(graph: gtsam.GaussianFactorGraph, kept: Sequence[int]) -> tuple[Array, Array]:
-    """Return J (m, n) and b (m,) of what remains of `kept`, all else eliminated at once."""
+def _remaining(
+    graph: gtsam.GaussianFactorGraph, kept: Sequence[int], *, exact: bool
+) -> tuple[Array, Array]:
+    """Return J (m, n) and b (m,) of what remains of `kept`, all else eliminated at once.
+
+    Raises SingularProblemError where a row remains that has no noise.
+    """
     wanted = set(kept)
     eliminated = [key for key in graph.keyVector() if key not in wanted]
     remaining = graph
     if eliminated:
         _, remaining = graph.eliminatePartialMultifrontal(eliminated, gtsam.EliminateQR)
+    if exact:
+        left = [remaining.at(i) for i in range(remaining.size())]
+        models = [one.get_model() for one in left if isinstance(one, gtsam.JacobianFactor)]
+        if any(one.isConstrained() and not one.sigmas().all() for one in models):
+            raise SingularProblemError(_KNOWN)
     jacobian, residual = remaining.jacobian(gtsam.Ordering(list(kept)))
     return jacobian, residual
 

@@ -108,16 +108,13 @@ def model_system(problem: SlamProblem, points: LinearisationPoints) -> LinearPro
     start = gtsam.Values()
     start.insert(0, gtsam.Pose2(*problem.prior_pose))
     prior = _linearised([prior_factor(0, problem)], start, 3, 3)[0]
-    pose = np.arange(problem.pose_count)
-    departed, arrived = points.departed[:-1], points.arrived[1:]
-    motion = _Model(pose[:-1], pose[1:], partial(_increments, problem))
     measurements = _measurement_models(problem, own_axes=points.own_axes)
     merges = _merge_models(problem)
     return LinearProblem(
         prior=LinearPrior(
             problem.prior_pose, prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]
         ),
-        motion=motion.at(RelationPoints(pose[:-1], np.ones(len(departed)), departed, arrived)),
+        motion=model_motion(problem, points.departed[:-1], points.arrived[1:]),
         measurements={
             kind: measurements[kind].at(used) for kind, used in points.measurements.items()
         },
@@ -131,6 +128,13 @@ def model_system(problem: SlamProblem, points: LinearisationPoints) -> LinearPro
             ),
         ),
     )
+
+
+def model_motion(problem: SlamProblem, departed: Array, arrived: Array) -> LinearRelations:
+    """Return a problem's N increments, linearised at poses (N, 3) departed from and arrived at."""
+    pose = np.arange(len(departed) + 1)
+    motion = _Model(pose[:-1], pose[1:], partial(_increments, problem))
+    return motion.at(RelationPoints(pose[:-1], np.ones(len(departed)), departed, arrived))
 
 
 def moved_to(

@@ -24,6 +24,9 @@ from graphslam.linear_problem import (
     whiten,
 )
 
+_NOTHING = 1e-14
+"""Share of the noise's own variances below which there is none, to rounding."""
+
 
 @dataclass(frozen=True)
 class RecordedPrior:
@@ -64,8 +67,10 @@ class RecordedRelations:
     covariance: Array
 
     def whitened(self) -> LinearRelations:
-        """Return the same with noise of unit covariance."""
-        a, c, b = whiten(self.covariance, self.jacobian_first, self.jacobian_second, self.residual)
+        """Return the same with noise of unit covariance, or none where there is none."""
+        sigma, (a, c, b) = _whitened(
+            self.covariance, self.jacobian_first, self.jacobian_second, self.residual
+        )
         return LinearRelations(
             first=self.first,
             second=self.second,
@@ -74,6 +79,7 @@ class RecordedRelations:
             a=a,
             c=c,
             b=b,
+            sigma=sigma,
         )
 
 
@@ -113,21 +119,10 @@ def recorded_system(
     Raises:
         numpy.linalg.LinAlgError: a recorded covariance is singular.
     """
-    chain, p = _compose(steps, until), len(prior.pose)
-    pose = np.arange(len(until))
-    motion = RecordedRelations(
-        first=pose[:-1],
-        second=pose[1:],
-        first_point=chain.departed,
-        second_point=chain.arrived,
-        residual=np.zeros_like(chain.arrived),
-        jacobian_first=-chain.f,
-        jacobian_second=np.broadcast_to(np.eye(p), chain.f.shape),
-        covariance=chain.q,
-    )
+    known, (start,) = _whitened(prior.covariance[None], np.eye(len(prior.pose))[None])
     return LinearProblem(
-        prior=LinearPrior(prior.pose, whiten(prior.covariance[None], np.eye(p)[None])[0][0]),
-        motion=motion.whitened(),
+        prior=LinearPrior(prior.pose, start[0], None if known is None else known[0]),
+        motion=recorded_motion(steps, until),
         measurements={kind: seen.whitened() for kind, seen in measurements.items()},
         merges={kind: merged.whitened() for kind, merged in merges.items()},
         positions=LinearPositions(
@@ -137,6 +132,54 @@ def recorded_system(
         ),
         survey=LinearSurvey(np.zeros((0, 2)), np.zeros((0, 2, 2))),
     )
+
+
+def recorded_motion(every: RecordedSteps, until: Index) -> LinearRelations:
+    """Return predictions as relations of each pose and the next.
+
+    Args:
+        every: the filter's predictions.
+        until: (K,) steps made when each pose is reached, ascending from 0.
+
+    Raises:
+        numpy.linalg.LinAlgError: a recorded covariance is singular.
+    """
+    steps, pose = _compose(every, until), np.arange(len(until))
+    return RecordedRelations(
+        first=pose[:-1],
+        second=pose[1:],
+        first_point=steps.departed,
+        second_point=steps.arrived,
+        residual=np.zeros_like(steps.arrived),
+        jacobian_first=-steps.f,
+        jacobian_second=np.broadcast_to(np.eye(steps.f.shape[1]), steps.f.shape),
+        covariance=steps.q,
+    ).whitened()
+
+
+def _whitened(covariance: Array, *arrays: Array) -> tuple[Array | None, tuple[Array, ...]]:
+    """Whiten as `whiten` does, and say which rows have no noise.
+
+    A direction without noise, as a start that is known exactly has and a step with fewer noises
+    than states, gives a row that is only turned. Returns the sigma (n, d) of each row, one or zero,
+    None where all are one, and the arrays.
+    """
+    size = np.sqrt(np.diagonal(covariance, 0, 1, 2))
+    scale = np.where(size > 0.0, size, 1.0)
+    variance, direction = np.linalg.eigh(covariance / (scale[:, :, None] * scale[:, None, :]))
+    exact = variance <= _NOTHING
+    free = exact.any(axis=1)
+    if not free.any():
+        return None, whiten(covariance, *arrays)
+    sigma = np.where(exact, 0.0, 1.0)
+    root = np.where(exact, 1.0, np.sqrt(np.maximum(variance, _NOTHING)))
+    turned = scale[:, :, None] * direction * root[:, None, :]
+    whitened = []
+    for array in arrays:
+        columns = array if array.ndim == 3 else array[..., None]
+        rows = np.linalg.solve(turned, columns)
+        whitened.append(rows if array.ndim == 3 else rows[..., 0])
+    return sigma, tuple(whitened)
 
 
 def _compose(steps: RecordedSteps, until: Index) -> RecordedSteps:

@@ -96,7 +96,7 @@ def with_regular_motion(log: Log) -> Log:
 def _singular(log: Log, timeline: Timeline) -> tuple[Index, int]:
     """Numbers of the motions whose covariance is singular, among how many."""
     covariance = composed_motion(log, timeline).covariance
-    return np.flatnonzero(_least_eigenvalues(covariance) < LEAST_EIGENVALUE), len(covariance)
+    return np.flatnonzero(least_eigenvalues(covariance) < LEAST_EIGENVALUE), len(covariance)
 
 
 def _enough(
@@ -120,12 +120,12 @@ def _enough(
             p = max(by_position, noise.variance_rate_position)
             h = max(by_heading, noise.variance_rate_heading)
             total = controls + p * per_position + h * per_heading
-            if (_least_eigenvalues(total) >= LEAST_EIGENVALUE).all():
+            if (least_eigenvalues(total) >= LEAST_EIGENVALUE).all():
                 return replace(noise, variance_rate_position=p, variance_rate_heading=h)
     raise ValueError("no stabilisation noise makes the increments regular")
 
 
-def _least_eigenvalues(covariance: Array) -> Array:
+def least_eigenvalues(covariance: Array) -> Array:
     """(N,) of the correlation matrices of covariances (N, 3, 3); 0 where a variance is zero."""
     sigma = np.sqrt(np.einsum("nii->ni", covariance))
     rows = np.flatnonzero((sigma > 0.0).all(axis=1))

@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.adapters.motion import composed_motion
+from comparisons.adapters.motion import (
+    LEAST_EIGENVALUE,
+    composed_motion,
+    least_eigenvalues,
+    motion_samples,
+)
 from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
@@ -20,11 +25,13 @@ from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.layout import Layout
+from ekf_reference.core.trace import TraceArrays
 from graphslam.arrays import Marginal
 from graphslam.layout import POINT, POSE_LANDMARK, LandmarkKind
-from graphslam.linear_problem import LinearProblem, solve
-from graphslam.model_system import LinearisationPoints, model_system, moved_to
+from graphslam.linear_problem import LinearProblem, LinearRelations, solve
+from graphslam.model_system import LinearisationPoints, model_motion, model_system, moved_to
 from graphslam.problem import LoopClosures, SlamProblem
+from graphslam.recorded_system import RecordedSteps, recorded_motion
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 
@@ -109,12 +116,41 @@ def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRo
 
 def recorded_system_of(run: EkfRun) -> LinearProblem:
     """F1: one linear problem from the EKF's own recorded matrices."""
-    return recorded(run.trace, run.timeline.steps_until())
+    return recorded(run.trace, _recorded_until(run))
+
+
+def _recorded_until(run: EkfRun) -> Index:
+    """Steps made at each of F1's poses: the run's, and where it used what is not of their time."""
+    trace, until = run.trace, run.timeline.steps_until()
+    records = (*trace.measurements.values(), *trace.initialisations.values(), trace.positions)
+    return np.union1d(until, np.concatenate([one.step for one in records]))
 
 
 def model_system_of(problem: SlamProblem, run: EkfRun) -> LinearProblem:
     """F2: the smoother's own factors, linearised where the EKF was."""
     return model_system(problem, _points(problem, run))
+
+
+def recorded_steps(trace: TraceArrays, until: Index) -> LinearRelations:
+    """Predictions as the filter recorded them, composed between these numbers (K,) of steps."""
+    return recorded_motion(RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q), until)
+
+
+def model_steps(log: Log, problem: SlamProblem, run: EkfRun) -> LinearRelations | None:
+    """Every prediction as the smoother's factors have it, linearised where the filter was.
+
+    None where the filter's steps or states are not the log's, or a step alone has a singular
+    covariance.
+    """
+    trace, timeline = run.trace, run.timeline
+    count = len(timeline.control)
+    if trace.departed.shape != (count, 3) or not timeline.control.size:
+        return None
+    steps = motion_samples(log, timeline)
+    if (least_eigenvalues(steps.covariance) < LEAST_EIGENVALUE).any():
+        return None
+    single = replace(problem, increment=steps.displacement, increment_covariance=steps.covariance)
+    return model_motion(single, trace.departed, trace.arrived)
 
 
 def model_system_at(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> LinearProblem:
@@ -149,7 +185,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F1's estimate of the last pose, as x, y, heading, and all landmarks."""
     final, estimate = run.final, run.estimate
     size = estimate.landmark.size + estimate.pose_landmarks.size
-    own = np.vstack((run.trace.departed, final.own))[run.timeline.steps_until()]
+    own = np.vstack((run.trace.departed, final.own))[_recorded_until(run)]
     found = solve(linear, own, _places(estimate.landmark, run.pose_landmark_places))
     p = len(final.own)
     read = np.zeros((3 + size, p + size))

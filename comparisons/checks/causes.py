@@ -368,6 +368,17 @@ def untold(allowed: Allowed) -> Cause:
     return Cause("oracle", rounding(allowed), hint)
 
 
+def doubted_association(against: int, variants: int) -> Cause:
+    """Neither the smoother's nor the reference filter's association without labels is certain."""
+    return Cause(
+        "oracle",
+        f"the log has no labels, and {against} of {variants} other ways to associate its "
+        "measurements contradict the smoother's, so that smoother and reference filter may be the "
+        "ones that are wrong",
+        "label the measurements, or hand in the filter's own association with a trace",
+    )
+
+
 def linearisation(
     agreement: Agreement,
     run: EkfRun,

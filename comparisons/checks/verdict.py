@@ -167,7 +167,8 @@ def _red(
         found.append(cause.algebra(algebra, known, allowed, diagnosis.single or diagnosis.unnamed))
     if not agreement.model.explained_by(diagnosis.model):
         differences, known_faults = diagnosis.differences(), diagnosis.known_model_errors()
-        found.append(cause.model(agreement.model, differences, known_faults, diagnosis.model))
+        if differences or known_faults or not data_faults:  # else the data's use explains the gap
+            found.append(cause.model(agreement.model, differences, known_faults, diagnosis.model))
     if run.breakdown and not found:
         found.append(
             Cause(

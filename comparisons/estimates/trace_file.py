@@ -57,6 +57,8 @@ _POSITIONS = {
     "position_jacobian_pose": (2, 3),
     "position_noise": (2, 2),
 }
+_MAY_BE_NOTHING = ("prior_covariance", "step_q")
+"""A start may be known exactly, and a step may have fewer noises than states."""
 _WHOLE = ("step", "measurement", "landmark", "number")
 
 
@@ -239,7 +241,7 @@ def _check_contents(path: Path, found: dict[str, Array], rounding: float) -> Non
         least = np.linalg.eigvalsh(matrices)[:, 0] if len(matrices) else np.zeros(0)
         scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
         close = 1e-9 + 64.0 * rounding
-        positive = least >= -close * scale if name == "step_q" else least > 0.0
+        positive = least >= -close * scale if name in _MAY_BE_NOTHING else least > 0.0
         skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
         bad = np.flatnonzero(~positive | (skew > close * scale))
         if len(bad):

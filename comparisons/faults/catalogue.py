@@ -26,6 +26,8 @@ _STEERING = {"steering sign", "wheelbase wrong", "sensor's place left out"}
 _POSITIONS = {"lever arm left out", "position fused twice"}
 _RATES = ("variance_rate_position", "variance_rate_heading")
 _VARIANCES = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
+_RESOLVED_S = 1e-6
+"""Stamps that are closer are of one instant."""
 _SIMULATED = {"interval ignored"}
 """Of one interval only, that of the logs that it is planted in."""
 
@@ -79,6 +81,7 @@ def catalogue(log: Log) -> Iterator[Fault]:
     yield Fault("measurements of landmarks in the map are used twice in one update",
                 noise.new_landmarks(0.5, 1.0))  # fmt: skip
     yield from (Fault(what, feed=_seen(change)) for what, change in _MEASUREMENTS.items())
+    yield Fault("the measurements are fused one odometry sample early", feed=_one_sample_early)
     yield Fault("the prior's covariance contains sigmas, not their squares", feed=_prior_of_sigmas)
     if not isinstance(log.odometry, RelativePoses):
         yield from (Fault(what, feed=_noise(change)) for what, change in _WHEELS.items())
@@ -134,6 +137,14 @@ def families(log: Log) -> Iterator[Family]:
 
 def _kept(first: int) -> Change:
     return lambda s: s.chosen(np.arange(len(s.time_s)) % 2 == first)
+
+
+def _one_sample_early(log: Log) -> Log:
+    """Measurements at the time of the last sample before them; the first stay at the start."""
+    stops = np.union1d(log.prior.time_s, log.odometry.time_s)
+    seen = log.measurements
+    before = np.maximum(np.searchsorted(stops, seen.time_s - _RESOLVED_S) - 1, 0)
+    return replace(log, measurements=replace(seen, time_s=stops[before]))
 
 
 def _every_second_scan(seen: LandmarkMeasurements) -> LandmarkMeasurements:

@@ -267,8 +267,8 @@ class _Job:
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
     """Say where it first leaves the filter that it is most like."""
     near, prepared = found.grade.by, found.solution.prepared
-    if near is None or near.reference.smoothed:
-        return found
+    if near is None or near.reference.smoothed or any(one.gap in OWN for one in found.causes):
+        return found  # a trace says what is wrong itself
     said = first_departure(near, prepared.log, prepared.timeline)
     return replace(found, remarks=(*([said] if said else []), *found.remarks))
 
@@ -365,11 +365,12 @@ def check_external(
         causes = _with_trace(causes, traced.verdict.causes)
     if short:
         grade = replace(grade, value=None)
-    outcome = "disagree" if short else outcome_of(grade, verified=verified)
+    doubted = solution.association_check is not None and not solution.association_check.verified
+    outcome = (
+        "disagree" if short else outcome_of(grade, verified=verified, association_known=not doubted)
+    )
     if outcome == "unverified":
-        optimality = solution.result.optimality
-        if optimality.lacks:
-            causes = (cause.unverified(optimality), *causes)
+        causes = _left_open(solution, causes)
     small = []
     if outcome == "agree":
         small, causes = [_small(one) for one in causes if one.gap in OWN], ()
@@ -407,6 +408,19 @@ def check_external(
         causes=causes,
         remarks=remarks,
     )
+
+
+def _left_open(solution: Solution, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:
+    """What is lacking for a verdict first.
+
+    No difference from a reference is a cause whose own association may be wrong.
+    """
+    optimality, checked = solution.result.optimality, solution.association_check
+    lacking = (cause.unverified(optimality),) if optimality.lacks else ()
+    if checked is None or checked.verified:
+        return (*lacking, *causes)
+    doubt = cause.doubted_association(len(checked.against), len(checked.variants))
+    return (doubt, *lacking, *(one for one in causes if one.gap in OWN))
 
 
 def _short(
@@ -567,10 +581,15 @@ def _small(one: Cause) -> str:
     return f"{one.gap}, though the grade suffices: {one.evidence}"
 
 
-def outcome_of(grade: Graded, *, verified: bool) -> Outcome:
-    """An optimum that is not verified leaves open only what is measured by it."""
+def outcome_of(grade: Graded, *, verified: bool, association_known: bool = True) -> Outcome:
+    """An optimum that is not verified leaves open only what is measured by it.
+
+    association_known: by labels, or beyond doubt; if not, the references may be wrong themselves.
+    """
     if grade.value == "wrong":
         return "disagree"
+    if grade.value is None and not association_known:
+        return "unverified"
     by_optimum = grade.by is None or grade.by.grade is None or grade.by.reference.smoothed
     if by_optimum and not verified and not (grade.value is None and grade.required != "plausible"):
         return "unverified"

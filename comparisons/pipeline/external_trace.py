@@ -125,12 +125,14 @@ def check_trace(
         diagnosis = _diagnosis(log, run, gaps, file, same_steps=theirs is own)
     except np.linalg.LinAlgError:
         raise InputError(
-            f"{file.path}: its process noise, composed between two "
-            "measurements, is singular; increase step_q"
+            f"{file.path}: a covariance that its equations need is singular to rounding"
         ) from None
     labelled = prepared.labelled
-    data_faulty = (*_untimely(log, run, positions),
-               *data_faults(log, run, gaps.smoothed, labelled=labelled))  # fmt: skip
+    untimely = _untimely(log, run, positions)
+    data_faulty = (
+        *untimely,
+        *data_faults(log, run, gaps.smoothed, labelled=labelled, timed=not untimely),
+    )
     verdict = judge(
         gaps.agreement,
         gaps.result,
@@ -253,8 +255,8 @@ def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]
     """What storing explains of single relations, by relation and quantity."""
     found: dict[tuple[str, str], float] = {}
     for trace in restored_traces(run.trace):
-        other = recorded_system_of(replace(run, trace=trace))
-        for one in model_differences(other, gaps.recorded, 0.0):
+        other = gaps.by_steps(recorded_system_of(replace(run, trace=trace)), trace)
+        for one in model_differences(other, gaps.by_steps(gaps.recorded, run.trace), 0.0):
             key = one.relation, one.quantity
             found[key] = max(found.get(key, 0.0), FACTOR * one.largest)
     return found

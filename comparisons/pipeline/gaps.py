@@ -13,8 +13,10 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.smoother_input import (
     build_problem,
+    model_steps,
     model_system_at,
     model_system_of,
+    recorded_steps,
     recorded_system_of,
     run_smoother,
     smoothed_estimate,
@@ -38,9 +40,10 @@ from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.prepare import Clock, Prepared
 from comparisons.statistics import ROUNDING, covariance_gap, units
 from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.trace import TraceArrays
 from graphslam.arrays import Marginal
 from graphslam.increments import dead_reckoned
-from graphslam.linear_problem import LinearProblem
+from graphslam.linear_problem import LinearProblem, LinearRelations
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult
 
@@ -65,6 +68,7 @@ class Gaps:
     smoother's factors linearised where the filter was. result, smoothed: S.
     """
 
+    log: Log
     run: EkfRun
     problem: SlamProblem
     recorded: LinearProblem
@@ -99,6 +103,20 @@ class Gaps:
         lost = _LOST * covariance_gap(other, exact, units(other, exact)).largest
         return allowed.at_least(lost)
 
+    @cached_property
+    def _model_steps(self) -> LinearRelations | None:
+        return model_steps(self.log, self.problem, self.run)
+
+    def by_steps(self, recorded: LinearProblem, trace: TraceArrays) -> LinearProblem:
+        """Return a trace's equations with its steps as those of the smoother's model are.
+
+        That is one by one, as they were recorded, where it has single steps to compare: composed
+        between two measurements a wrong Jacobian stands in the noise, too.
+        """
+        single = self._model_steps is not None
+        until = np.arange(len(trace.f) + 1) if single else self.run.timeline.steps_until()
+        return replace(recorded, motion=recorded_steps(trace, until))
+
     def model_differences(
         self, stored: Mapping[tuple[str, str], float] | None = None
     ) -> tuple[ModelDifference, ...]:
@@ -107,8 +125,10 @@ class Gaps:
 
         weight = self.run.trace.initialisations[POINT].weight
         initialised = int(np.count_nonzero(weight > 0.0))
-        found = model_differences(self.recorded, self.model, ROUNDING, initialised, stored or {})
-        return tuple(found)
+        said, own = self.by_steps(self.recorded, self.run.trace), self.model
+        if self._model_steps is not None:
+            own = replace(own, motion=self._model_steps)
+        return model_differences(said, own, ROUNDING, initialised, stored or {})
 
     def linearisation_growth(self) -> LinearisationGrowth:
         """Return where linearising cost something."""
@@ -160,6 +180,7 @@ def compute_gaps(
         recorded, model, first, second = frozen or _finished(work, clock)
     f1 = Gaussian(*first, run.estimate.layout)
     return Gaps(
+        log=log,
         run=run,
         problem=problem,
         recorded=recorded,

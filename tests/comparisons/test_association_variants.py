@@ -9,20 +9,25 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
+from comparisons.adapters.ekf_factory import settle
+from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.smoother_association import Alternative
+from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.checks.association_variants import (
     APART,
     AssociationCheck,
     check_association,
 )
-from comparisons.config import SolveConfig
+from comparisons.config import CheckConfig, EkfConfig, SolveConfig
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.log_folder import write_log_folder
+from comparisons.pipeline.check import check_external
 from comparisons.pipeline.solve import solve
 from comparisons.report.models import SolutionResult
 from comparisons.report.solution import build_solution_result
 from tests.commands import slamcheck
-from tests.helpers import present, simulated
+from tests.helpers import present, simulated, without_labels
 
 LANDMARK_INDEX = np.repeat(np.arange(3), 10)
 TIME = np.arange(30.0)
@@ -113,3 +118,16 @@ def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) 
     assert not present(reported.association_check).verified
     assert present(reported.association_check).disputes
     assert "disputed measurements: " in " ".join(done.stdout.split())
+
+
+def test_a_filter_is_not_accused_by_an_association_that_is_in_doubt() -> None:
+    """It knew the labels, which the log does not say; the smoother's own may be wrong."""
+    labelled = simulated(1, loops=1, noise_scale=6.0)
+    timeline, choices = build_timeline(labelled), settle(EkfConfig(), labelled)
+    right = run_ekf(labelled, timeline, choices).estimate
+    found = check_external(
+        ExternalEstimate.of(right), solve(without_labels(labelled), CheckConfig())
+    )
+    assert found.outcome == "unverified"
+    assert found.causes[0].evidence.startswith("the log has no labels, and ")
+    assert {one.gap for one in found.causes} == {"oracle"}

@@ -15,25 +15,29 @@ from benchmarks.fault_logs import open_case
 from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.smoother_input import recorded_system_of, solve_recorded
 from comparisons.adapters.timeline import build_timeline
 from comparisons.audit.run_trace import write_run
-from comparisons.checks.agreement import Gap
+from comparisons.checks.agreement import Gap, Gaussian, gap
+from comparisons.checks.diagnosis.single_precision import replay
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import FORMER, TRACE, read_trace
-from comparisons.faults.catalogue import NAMED
+from comparisons.faults.catalogue import NAMED, catalogue
 from comparisons.faults.fault import Fault
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.check import ExternalCheck, check, check_external
 from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.external_trace import OWN
 from comparisons.pipeline.solve import solve
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.trace import TraceArrays
 from tests.commands import works
 from tests.comparisons.former_trace import write_trace
 from tests.helpers import Array, compared, first_seconds, present
@@ -260,6 +264,29 @@ def test_a_coarse_filter_that_fuses_late_is_told(
     assert any("measurements are used too late, by 0.025 s" in said for said in found.remarks)
 
 
+@pytest.mark.parametrize("words", ["the measurements are fused one odometry", "cosine and sine"])
+def test_what_follows_from_a_fault_is_none(
+    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], words: str
+) -> None:
+    """Measurements of another time: no algebra, no model. A wrong F: no Q, though composed."""
+    log, choices, _ = plain
+    log = first_seconds(log, 12.0)
+    fault = next(one for one in catalogue(log) if one.what.startswith(words))
+    run = filtered(log, choices, fault.plant or (lambda ekf: None))
+    if fault.feed is not None:
+        run = filtered(fault.feed(log), choices)
+    hand_in(run, tmp_path)
+    causes = present(checked(tmp_path, log, choices).trace).verdict.causes
+    own = [one for one in causes if one.gap in OWN]
+    if fault.feed is not None:
+        assert [one.gap for one in own] == ["data"]
+        assert "measurements are used too early, by 0.025 s (median)" in own[0].evidence
+    else:
+        assert [one.gap for one in own] == ["model"]
+        assert "the Jacobian with respect to heading differs" in own[0].evidence
+        assert "noise covariance" not in own[0].evidence
+
+
 def test_a_late_path_is_not_moved_back_beside_its_trace(tmp_path: Path) -> None:
     """The trace would no longer fit it, and says how its filter moved."""
     log, choices = open_case("loop", seed=4)
@@ -318,7 +345,6 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "end": (put("step_time_s", -1, 1e3), "the last step ends at"),
     "too early": (lambda a: a["step_time_s"].__isub__(1e3), "the first step ends at"),
     "text": (lambda a: a.update(step_f=np.array(["x"])), "step_f is not an array of numbers"),
-    "singular": (lambda a: a.update(step_q=0.0 * a["step_q"]), "singular; increase step_q"),
 }  # fmt: skip
 
 
@@ -339,6 +365,40 @@ def test_damage_is_one_line(
     with pytest.raises(InputError, match=reported) as caught:
         checked(tmp_path, log, choices)
     assert str(tmp_path / FORMER) in str(caught.value)
+
+
+def test_a_start_and_a_step_may_be_known_exactly_in_some_direction(
+    plain: tuple[Log, EkfConfig, EkfRun],
+) -> None:
+    """Its equations, filtered, are its equations, solved; what stands for nothing is not."""
+    run = plain[2]
+    along = run.trace.q[0] @ np.array((1.0, 0.0, 0.0))
+    rest = run.trace.q * np.outer((1.0, 0.0, 1.0), (1.0, 0.0, 1.0))
+    assert along.any()
+    start = np.diag((0.0, 1e-3, 0.0))
+    trace = replace(run.trace, prior_covariance=start, q=rest)
+    until, landmarks = run.timeline.steps_until(), len(run.estimate.landmark)
+    filtered_again = replay(trace, until, landmarks, np.float64).last
+
+    def apart(other: TraceArrays) -> Gap:
+        moved = replace(run, trace=other)
+        solved = Gaussian(*solve_recorded(recorded_system_of(moved), moved), run.estimate.layout)
+        return gap(solved, filtered_again, np.sqrt(np.diag(filtered_again.covariance)))
+
+    assert apart(trace).within(1e-9)
+    assert not apart(replace(trace, q=rest + 1e-6 * run.trace.q)).within(1e-9)
+    assert not apart(replace(trace, prior_covariance=start + 1e-6 * np.eye(3))).within(1e-9)
+
+
+def test_steps_without_noise_are_a_difference_of_the_models(
+    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]
+) -> None:
+    log, choices, run = plain
+    hand_in(run, tmp_path)
+    change(tmp_path, run, lambda a: a.update(step_q=0.0 * a["step_q"]))
+    causes = present(checked(tmp_path, log, choices).trace).verdict.causes
+    said = next(one.evidence for one in causes if one.gap == "model")
+    assert "the noise covariance differs by up to 1 (relative)" in said
 
 
 P, EYE, HALF = np.eye(3), np.eye(2), np.eye(2, 3)

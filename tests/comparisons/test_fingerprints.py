@@ -80,6 +80,7 @@ PLANTED = (
     "cosine and sine are exchanged in the heading's column of F",
     "the turn stands for the way in the x row",
     "steps lead along the heading of plain dead reckoning",
+    "the measurements are fused one odometry sample early",
 )
 FITTED = (
     "R of new landmarks is {}",

@@ -338,6 +338,7 @@ def test_the_command_takes_what_is_required(tmp_path: Path, solution: Solution) 
     assert slamcheck(*arguments, "c", cwd=tmp_path).returncode == 1
 
 
+@pytest.mark.parametrize("association_known", [True, False])
 @pytest.mark.parametrize("verified", [True, False])
 @pytest.mark.parametrize("required", ["plausible", "like", "equal"])
 @pytest.mark.parametrize("value", [*GRADES, None])
@@ -347,18 +348,20 @@ def test_grade_requirement_and_outcome_never_contradict(
     value: Grade | None,
     required: RequiredGrade,
     verified: bool,
+    association_known: bool,
 ) -> None:
-    """Enough is agreement, less is not; what is open has no grade and no verified optimum."""
+    """Enough is agreement, less is not; what is open has no grade and no verified reference."""
     near = present(check_external(right, solution).grade.by)
     like = value if value in ("equal", "like") else None
     graded = Graded(value=value, required=required, by=replace(near, grade=like))
-    outcome = outcome_of(graded, verified=verified)
+    outcome = outcome_of(graded, verified=verified, association_known=association_known)
     if outcome == "agree":
         assert graded.enough
     elif outcome == "disagree":
         assert not graded.enough
+        assert association_known or value is not None
     else:
-        assert not verified
+        assert not (verified and association_known)
         assert value in (None, "plausible")
 
 

@@ -142,7 +142,7 @@ def test_a_check_that_is_too_easy_lets_a_singular_motion_through(
     """What elimination then says is no help to a user."""
     monkeypatch.setattr(motion, "LEAST_EIGENVALUE", -1.0)
     log = with_rates(standing(simulated(seed=1, loop_s=12.0), 4.0, 6.0))
-    with pytest.raises(np.linalg.LinAlgError):
+    with pytest.raises((np.linalg.LinAlgError, RuntimeError, RuntimeWarning)):
         compared(log)
 
 

@@ -54,9 +54,12 @@ def odometry_remarks(log: Log) -> list[str]:
 
 
 def data_faults(
-    log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool
+    log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool, timed: bool = True
 ) -> tuple[DataFault, ...]:
-    """All that is found. labelled: the filter was to go by the log's labels."""
+    """All that is found.
+
+    labelled: the filter was to go by the log's labels. timed: when it used them is asked for.
+    """
     trace, timeline = run.trace, run.timeline
     uses = (trace.measurements[POINT], trace.initialisations[POINT])
     number, step, weight = (
@@ -71,7 +74,8 @@ def data_faults(
     )
     found = []
     for kind, which, when, share, epoch in kinds:
-        found += _late(kind, when, timeline.steps_until()[epoch[which]])
+        if timed:
+            found += _late(kind, when, timeline.steps_until()[epoch[which]])
         found += _counted(kind, which, share)
     if labelled:
         label = log.measurements.landmark[: len(run.landmark_index)]

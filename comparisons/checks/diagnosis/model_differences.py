@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,7 +124,7 @@ def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[Mod
     if len(said.point) != 3:
         return []
     apart = float(np.abs(meant.a @ (said.point - meant.point)).max())
-    within = meant.a @ np.linalg.inv(said.a)
+    within = meant.a @ _noisy(_inverse(said.a), said.sigma)
     spread = float(np.abs(np.linalg.eigvalsh(within @ within.T) - 1.0).max())
     return [
         ModelDifference(
@@ -172,7 +173,13 @@ def _of_relations(r: LinearRelations) -> _Places:
         inverse = np.array([along_circle(pose).T for pose in r.second_point]) @ inverse
     jacobian = -inverse @ _by_heading(r.a, r.first_point)
     place = (inverse @ r.b[..., None])[..., 0]
-    return _Places(place, jacobian, inverse @ inverse.transpose(0, 2, 1))
+    root = _noisy(inverse, r.sigma)
+    return _Places(place, jacobian, root @ root.transpose(0, 2, 1))
+
+
+def _noisy(inverse: Array, sigma: Array | None) -> Array:
+    """Return (..., d, d) columns of the noise's root, those without noise as zeros."""
+    return inverse if sigma is None else inverse * sigma[..., None, :]
 
 
 def _by_heading(a: Array, pose: Array) -> Array:
@@ -204,5 +211,7 @@ def _inverse(a: Array) -> Array:
 
 def _first(r: LinearRelations, count: int) -> LinearRelations:
     """Only what comes from a measurement: behind that are priors of landmarks."""
-    rows = slice(0, count)
-    return LinearRelations(**{name: column[rows] for name, column in vars(r).items()})
+    columns: dict[str, Any] = {
+        name: None if column is None else column[:count] for name, column in vars(r).items()
+    }
+    return LinearRelations(**columns)
