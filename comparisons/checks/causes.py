@@ -375,7 +375,7 @@ def doubted_association(against: int, variants: int) -> Cause:
         f"the log has no labels, and {against} of {variants} other ways to associate its "
         "measurements contradict the smoother's, so that smoother and reference filter may be the "
         "ones that are wrong",
-        "label the measurements, or hand in the filter's own association with a trace",
+        "label the measurements, or give the filter's own association in a trace",
     )
 
 

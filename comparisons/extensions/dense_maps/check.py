@@ -38,7 +38,7 @@ _DECIDED = (0.35, 0.65)
 """A cell below is free, one above occupied."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LayerAgreement:
     """A layer of the filter's dense map, compared with the returns at the smoother's poses.
 
@@ -225,12 +225,12 @@ def _against(
             median = float(np.median(distance[region == number]))
             rows.append((int(number), int(count), median))
     agreement = LayerAgreement(
-        len(point),
-        float(np.median(distance)),
-        float(np.percentile(distance, 95.0)),
-        float(np.median(missed)),
-        point,
-        distance,
+        samples=len(point),
+        median_m=float(np.median(distance)),
+        p95_m=float(np.percentile(distance, 95.0)),
+        missed_m=float(np.median(missed)),
+        point=point,
+        distance_m=distance,
     )
     return agreement, rows
 

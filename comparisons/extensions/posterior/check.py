@@ -43,7 +43,7 @@ class Judged:
         return int(np.argmin([one.coverage.value for one in self.landmarks]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Moments:
     """Mean and spread of the posterior of the last pose and all landmarks, (m,) numbers each.
 
@@ -66,8 +66,14 @@ class Moments:
     @classmethod
     def of(cls, draws: PosteriorDraws) -> Moments:
         """Return them from draws that converged."""
-        pairs = (draws.mean(), draws.covariance(), draws.skewness())
-        return cls(*(one.tolist() for pair in pairs for one in pair))
+        found = {
+            "mean": draws.mean(),
+            "covariance": draws.covariance(),
+            "skewness": draws.skewness(),
+        }
+        values = {name: value.tolist() for name, (value, _) in found.items()}
+        errors = {f"{name}_error": error.tolist() for name, (_, error) in found.items()}
+        return cls(**values, **errors)
 
 
 @dataclass(frozen=True, kw_only=True)
