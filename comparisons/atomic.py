@@ -1,9 +1,9 @@
 """The one door for outputs: files and folders that appear whole or not at all.
 
 A file is written where none is, or over an earlier output of its kind; a folder where none is, or
-over an earlier output, of which every file is as it was written: `files.sha256` tells. What is not
-finished lies in a hidden folder beside its place. Where a process was killed, the next one that
-writes there removes it: see `_sweep`.
+over an earlier output, of which every file is as it was written: `files.sha256` tells. All is on
+the disk before it takes its place. What is not finished lies in a hidden folder beside its place.
+Where a process was killed, the next one that writes there removes it: see `_sweep`.
 """
 
 from __future__ import annotations
@@ -68,7 +68,9 @@ def write_whole(path: Path, write: Callable[[Path], object], kind: Kind = NEW) -
     with _workplace(path) as place:
         part = place / _NEW / path.name
         write(part)
+        _sync(place / _NEW)
         os.replace(part, path)
+        _sync_one(place.parent)
 
 
 @contextmanager
@@ -84,10 +86,12 @@ def fresh_folder(target: Path, mark: str | None = None) -> Iterator[Path]:
         yield new
         if mark is not None:
             _write_list(new)
+        _sync(new)
         if full.exists():
             os.replace(full, old)
             _check_earlier(target, old, mark)  # where nobody adds to it any more
         os.replace(new, full)
+        _sync_one(place.parent)
 
 
 def check_file(path: Path, kind: Kind) -> None:
@@ -288,6 +292,27 @@ def _discard(place: Path) -> None:
             if not os.path.lexists(place.parent / kept.name):
                 os.replace(kept, place.parent / kept.name)
         shutil.rmtree(place, ignore_errors=True)
+
+
+def _sync(folder: Path) -> None:
+    """Have a folder and all in it on the disk, so that a power cut leaves no name without content.
+
+    Raises OSError.
+    """
+    for place, _, files in os.walk(folder, topdown=False):
+        for name in files:
+            _sync_one(Path(place, name))
+        _sync_one(Path(place))
+
+
+def _sync_one(path: Path) -> None:
+    """Raises OSError, but not where a file system cannot do it for folders."""
+    file = os.open(path, os.O_RDONLY)
+    try:
+        with suppress(*((OSError,) if path.is_dir() else ())):
+            os.fsync(file)
+    finally:
+        os.close(file)
 
 
 def _unwritable(path: Path, error: Exception) -> InputError:

@@ -85,6 +85,46 @@ def test_an_earlier_output_is_replaced_by_its_own_kind_alone(tmp_path: Path) -> 
     assert (folder / "ekf" / "trajectory.tum").read_text() == "by hand"
 
 
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_all_is_on_the_disk_before_it_takes_its_place(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    sync, move = os.fsync, os.replace
+
+    def watched_sync(file: int) -> None:
+        sync(file)
+        done.append(Path(f"/proc/self/fd/{file}").readlink().name)
+
+    def watched_move(source: Path, target: Path) -> None:
+        move(source, target)
+        done.append("moved")
+
+    monkeypatch.setattr("comparisons.atomic.os.fsync", watched_sync)
+    monkeypatch.setattr("comparisons.atomic.os.replace", watched_move)
+    if kind == "folder":
+        an_output(tmp_path / "out")
+        within = {"trajectory.tum", "ekf", MARK, LIST, "new"}
+    else:
+        write_whole(tmp_path / "out", lambda part: part.write_text("x"))
+        within = {"out", "new"}
+    at = done.index("moved")
+    assert set(done[:at]) == within
+    assert done[at + 1 :] == [tmp_path.name]
+
+
+def test_a_disk_that_cannot_keep_a_file_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(file: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("comparisons.atomic.os.fsync", fails)
+    with pytest.raises(InputError, match=r"cannot be written \(Input/output error"):
+        an_output(tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_came_meanwhile_stays(tmp_path: Path) -> None:
     folder = an_output(tmp_path / "out")
 

@@ -100,9 +100,6 @@ class ChunkFiles:
         """Keep a chunk; the file appears whole or not at all."""
 
         def save(part: Path) -> None:
-            with part.open("wb") as file:
-                np.savez(file, allow_pickle=False, **{_SHA256: self._sha256}, **records._asdict())
-                file.flush()
-                os.fsync(file.fileno())
+            np.savez(part, allow_pickle=False, **{_SHA256: self._sha256}, **records._asdict())
 
         write_whole(self.path(name, chunk), save, OWN)
