@@ -1,7 +1,9 @@
-"""Files and folders that appear whole or not at all.
+"""The one door for outputs: files and folders that appear whole or not at all.
 
-What is not finished lies in a hidden folder beside its place. Where a process was killed, the next
-one that writes there removes it: see `_sweep`.
+A file is written where none is, or over an earlier output of its kind; a folder where none is, or
+over an earlier output, of which every file is as it was written: `files.sha256` tells. What is not
+finished lies in a hidden folder beside its place. Where a process was killed, the next one that
+writes there removes it: see `_sweep`.
 """
 
 from __future__ import annotations
@@ -9,32 +11,60 @@ from __future__ import annotations
 import fcntl
 import functools
 import hashlib
-import json
 import os
 import platform
 import re
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from comparisons.errors import InputError, check_regular
 
 _OLD_S = 3600.0
 _PREFIX = f".slamcheck-{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"
 _NAME = re.compile(r"\.slamcheck-[0-9a-f]{8}-[0-9a-f]{16}")
-_RESULTS = ("result", "solution", "check", "odometry", "map", "audit")
 _NEW, _OLD = "new", "old"
+LIST = "files.sha256"
+"""Of an output folder: its other files with their hashes, as `sha256sum` writes them."""
+_LISTED = re.compile(r"([0-9a-f]{64})  (.+)")
+_LIST_BYTES = 1 << 24
+_HEAD_BYTES = 1 << 12
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+class Kind(NamedTuple):
+    """A kind of output file. name: with its article. earlier: whether a file is one."""
+
+    name: str
+    earlier: Callable[[Path], bool]
+
+
+NEW = Kind("new", lambda path: False)
+"""What takes no file's place."""
+OWN = Kind("ours", lambda path: True)
+"""A file of a folder that was checked before."""
+
+
+def begins(pattern: bytes) -> Callable[[Path], bool]:
+    """Return whether a file begins so, as a regular expression, or is empty."""
+
+    def earlier(path: Path) -> bool:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+        return not head or re.match(pattern, head) is not None
+
+    return earlier
+
+
+def write_whole(path: Path, write: Callable[[Path], object], kind: Kind = NEW) -> None:
     """Have a file written beside its place, then move it there: it appears whole or not at all.
 
     write: given the path to write. Folders above are made. Raises InputError.
     """
-    check_file(path)
+    check_file(path, kind)
     with _workplace(path) as place:
         part = place / _NEW / path.name
         write(part)
@@ -42,35 +72,44 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 @contextmanager
-def fresh_folder(target: Path, replaceable: frozenset[str] = frozenset()) -> Iterator[Path]:
+def fresh_folder(target: Path, mark: str | None = None) -> Iterator[Path]:
     """Yield a folder beside `target` to fill; it takes the target's place when all went well.
 
-    replaceable: files that an earlier output of ours holds, as paths within it; see
-    check_replaceable. On any exception the target is as it was and nothing else is left behind.
+    See check_replaceable for what it may replace. Where there is a mark, all files are listed with
+    their hashes. On any exception the target is as it was and nothing else is left behind.
     """
-    target = check_replaceable(target, replaceable)
-    with _workplace(target) as place:
-        yield place / _NEW
-        if target.exists():
-            os.replace(target, place / _OLD / target.name)
-        os.replace(place / _NEW, target)
+    full = check_replaceable(target, mark)
+    with _workplace(full) as place:
+        new, old = place / _NEW, place / _OLD / full.name
+        yield new
+        if mark is not None:
+            _write_list(new)
+        if full.exists():
+            os.replace(full, old)
+            _check_earlier(target, old, mark)  # where nobody adds to it any more
+        os.replace(new, full)
 
 
-def check_file(path: Path) -> None:
+def check_file(path: Path, kind: Kind) -> None:
     """Raises InputError where a file must not be written, before the work."""
     try:
         if path.is_dir() or path.name in ("", ".."):
             raise InputError(f"{path}: is a folder, expected a file to write")
         check_regular(path)
         check_above(path)
+        if kind is NEW and os.path.lexists(path):
+            raise InputError(f"{path}: exists already, expected a new name")
+        if path.exists() and not kind.earlier(path):
+            raise InputError(f"{path}: exists and is not {kind.name}, expected a new name")
     except (OSError, ValueError) as error:
         raise _unwritable(path, error) from None
 
 
-def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -> Path:
+def check_replaceable(target: Path, mark: str | None = None) -> Path:
     """The target's full path, links followed. Raises InputError where it must not be written.
 
-    It may be missing, or a folder that holds no other files, at any depth, than `replaceable`.
+    It may be missing, or a folder without files, or an earlier output that holds the mark, a file
+    by which outputs of a kind are told from others.
     """
     try:
         full = Path(os.path.realpath(target))
@@ -80,26 +119,71 @@ def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -
         check_above(full)
         if full.exists() and not full.is_dir():
             raise InputError(f"{target}: is a file, expected a folder to write")
-        files = {p.relative_to(full).as_posix() for p in full.rglob("*") if not _is_folder(p)}
-        strange = sorted(files - replaceable)
+        _check_earlier(target, full, mark)
     except (OSError, ValueError) as error:
         raise _unwritable(target, error) from None
-    if strange:
-        raise InputError(
-            f"{target}: already holds {strange[0]}; give a new folder or empty this one"
-        )
     return full
 
 
-def known_files(folder: Path) -> frozenset[str]:
-    """What an earlier job left in a folder, by its own account; empty where there is none."""
-    for name in _RESULTS:
-        try:
-            found = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-            return frozenset(str(file) for file in found["files"])
-        except (OSError, ValueError, TypeError, KeyError, RecursionError):
+def check_apart(target: Path, inputs: Iterable[Path]) -> None:
+    """Raises InputError where an output folder is or holds an input of the same command."""
+    full = Path(os.path.realpath(target))
+    for one in inputs:
+        found = Path(os.path.realpath(one))
+        if found == full or full in found.parents:
+            raise InputError(f"{target}: holds {one}, which this command reads; give another one")
+
+
+def listed_files(folder: Path) -> dict[str, str]:
+    """Hashes of what an earlier job left in a folder, by path; empty where there is no list."""
+    path = folder / LIST
+    try:
+        if not path.is_file() or path.stat().st_size > _LIST_BYTES:
+            return {}
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return {}
+    found = [_LISTED.fullmatch(line) for line in lines]
+    return {one[2]: one[1] for one in found if one is not None}
+
+
+def _check_earlier(target: Path, folder: Path, mark: str | None) -> None:
+    """Raise InputError where a folder, called target, holds what may not be removed."""
+    listed = {} if mark is None else listed_files(folder)
+    if listed and mark not in listed:
+        raise InputError(f"{target}: holds the output of another command; give another folder")
+    for path in _files(folder):
+        name = path.relative_to(folder).as_posix()
+        if name == LIST and listed:
             continue
-    return frozenset()
+        if not _is_as_listed(path, listed.get(name)):
+            changed = ", which is not as it was written" if name in listed else ""
+            raise InputError(
+                f"{target}: already holds {name}{changed}; give a new folder or empty this one"
+            )
+
+
+def _is_as_listed(path: Path, sha256: str | None) -> bool:
+    """Whether a file is a regular one with this hash."""
+    return sha256 is not None and path.is_file() and _hash(path) == sha256
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Yield whatever is no folder, in order of names; links are not followed."""
+    for place, folders, files in os.walk(folder):
+        folders.sort()
+        for name in sorted((*files, *(f for f in folders if Path(place, f).is_symlink()))):
+            yield Path(place, name)
+
+
+def _write_list(folder: Path) -> None:
+    lines = [f"{_hash(path)}  {path.relative_to(folder).as_posix()}\n" for path in _files(folder)]
+    (folder / LIST).write_text("".join(lines), encoding="utf-8")
 
 
 def check_above(path: Path) -> None:
@@ -211,7 +295,3 @@ def _unwritable(path: Path, error: Exception) -> InputError:
         return error
     reason = error.strerror if isinstance(error, OSError) else None
     return InputError(f"{path}: cannot be written ({reason or error})")
-
-
-def _is_folder(path: Path) -> bool:
-    return path.is_dir() and not path.is_symlink()

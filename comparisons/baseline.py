@@ -16,16 +16,17 @@ from xml.etree import ElementTree
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from comparisons.atomic import write_whole
+from comparisons.atomic import Kind, begins, write_whole
+from comparisons.checks.agreement import LandmarkAgreement
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.finding import ConsistencyResult, ExternalConsistencyResult
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig, merge
 from comparisons.errors import InputError
-from comparisons.figures import current, kept_fields
+from comparisons.figures import current, finite, kept_fields
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
-from comparisons.report.check import CheckResult, ExternalLandmarkResult
+from comparisons.report.check import CheckResult
 from comparisons.report.models import Result
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
@@ -198,7 +199,7 @@ def figures(found: Found) -> dict[str, float | None]:
             value: Any = found
             for part in path:
                 value = getattr(value, part, None)
-            kept[".".join(path)] = value
+            kept[".".join(path)] = finite(value)
         kept |= _of_landmarks(found.landmarks)
     kept |= _of_consistency(found.consistency)
     return {name: value for name, value in kept.items() if not _left_out(name)}
@@ -322,10 +323,22 @@ def read_baseline(path: Path) -> Baseline:
     return kept
 
 
+def _is_baseline(path: Path) -> bool:
+    try:
+        read_baseline(path)
+    except InputError:
+        return False
+    return True
+
+
+BASELINE = Kind("a baseline", _is_baseline)
+JUNIT = Kind("an earlier report", begins(rb"(<\?xml [^>]*\?>\s*)?<testsuite name=\"slamcheck\."))
+
+
 def write_baseline(baseline: Baseline, path: Path) -> None:
     """One metric a line, so that changes read well in a diff. Raises InputError."""
     text = _METRIC.sub(r"{\1, \2}", json.dumps(baseline.model_dump(), indent=1)) + "\n"
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), BASELINE)
 
 
 def write_junit(
@@ -352,7 +365,7 @@ def write_junit(
         elif change.state != "holds":
             ElementTree.SubElement(case, "system-out").text = f"{change.state}: {change}"
     text = ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), JUNIT)
 
 
 def _tolerance(name: str, value: float | None, spread: float) -> float:
@@ -415,14 +428,16 @@ def _kept_config(config: RunConfig | CheckConfig) -> dict[str, Any]:
     return kept
 
 
-def _of_landmarks(rows: Sequence[ExternalLandmarkResult]) -> dict[str, float | None]:
+def _of_landmarks(rows: Sequence[LandmarkAgreement]) -> dict[str, float | None]:
     """Return figures of all landmarks together; those without any are None."""
     found: dict[str, float | None] = {
         "landmarks.count": len(rows),
         "landmarks.agreeing": sum(row.agrees for row in rows),
     }
-    least = [r.variance_ratio_least for r in rows if r.variance_ratio_least is not None]
-    largest = [r.variance_ratio_largest for r in rows if r.variance_ratio_largest is not None]
+    least, largest = (
+        [value for row in rows if (value := finite(getattr(row, name))) is not None]
+        for name in ("variance_ratio_least", "variance_ratio_largest")
+    )
     squares = [r.difference_m**2 for r in rows]
     found["landmarks.difference_rms_m"] = float(np.sqrt(np.mean(squares))) if rows else None
     found["landmarks.distance_sigma"] = max((r.distance_sigma for r in rows), default=None)

@@ -421,6 +421,11 @@ class JobConfig(Section):
         """Return what the job needs of graphslam.scan.libraries, and what asks for each."""
         return {}
 
+    def inputs(self) -> tuple[Path, ...]:
+        """Return the paths of what the job reads, of which its output takes no place."""
+        source = Path(self.log.source)
+        return (source,) if source.is_absolute() else ()  # else a log's name
+
     def at_log(self, sha256: str, source: str | None = None) -> Self:
         """The same with the log's hash, and its full path where it is a path."""
         named = {"sha256": sha256} | ({} if source is None else {"source": source})
@@ -603,6 +608,13 @@ class CheckConfig(SolveConfig):
         ge=0.0,
         le=1.0,
     )
+
+    def inputs(self) -> tuple[Path, ...]:
+        """Also the estimate's files."""
+        return (
+            *super().inputs(),
+            *map(Path, filter(None, (self.estimate, self.times, self.trace))),
+        )
 
 
 class OdometryConfig(JobConfig):

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 import math
 import platform
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Any, TypeVar, get_type_hints
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, SkipValidation
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, TypeAdapter
+from pydantic_core import CoreSchema, core_schema
+
+from comparisons.errors import InputError
 
 T = TypeVar("T")
 _FORMER = {
@@ -29,7 +33,7 @@ _WORDS = re.compile(rf"(?<![a-z])(?<!loop_)({'|'.join(_FORMER)})")
 
 
 class Model(BaseModel):
-    """Nothing but the fields that are written down."""
+    """Nothing but the fields that are stored down."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -44,9 +48,29 @@ def current(stored: Any) -> Any:
     return [current(one) for one in stored] if isinstance(stored, list) else stored
 
 
-def finite(value: float) -> float | None:
+def finite(value: float | None) -> float | None:
     """JSON has no NaN or infinity: such a figure is absent, never passed on."""
-    return value if math.isfinite(value) else None
+    return value if value is not None and math.isfinite(value) else None
+
+
+def json_text(found: Any, indent: int | None = None) -> str:
+    """Return JSON. Raises InputError that names the first number that JSON cannot hold."""
+    separators = (",", ":") if indent is None else None
+    try:
+        return json.dumps(found, indent=indent, separators=separators, allow_nan=False)
+    except ValueError:
+        name, value = next(_not_finite(found))
+        raise InputError(
+            f"{name} is {value}: numbers of the input are so large that it overflows"
+        ) from None
+
+
+def _not_finite(found: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    if isinstance(found, float) and not math.isfinite(found):
+        yield name.removeprefix("."), found
+    elif isinstance(found, dict | list | tuple):
+        for key, value in found.items() if isinstance(found, dict) else enumerate(found):
+            yield from _not_finite(value, f"{name}.{key}")
 
 
 def _read(value: Any) -> Any:
@@ -55,8 +79,23 @@ def _read(value: Any) -> Any:
 
 Figure = Annotated[float, BeforeValidator(_read), PlainSerializer(finite, float | None)]
 """A number that result files hold as null where it is infinite or no number."""
-Aside = Annotated[T, Field(exclude=True), SkipValidation()]
-"""What a finding holds and result files leave out."""
+
+
+class _Unread:
+    """Of a field whose type is nobody's business but its owner's."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.any_schema()
+
+
+Aside = Annotated[T, Field(exclude=True), _Unread()]
+"""What a finding holds and result files leave out: of any type."""
+
+
+def stored(found: object, kind: type | None = None) -> Any:
+    """Return what a result file keeps of a dataclass, or of the one above it that is named."""
+    adapter: TypeAdapter[Any] = TypeAdapter(kind or type(found))
+    return adapter.dump_python(found, mode="json")
 
 
 def kept_fields(kind: type) -> Mapping[str, Any]:
@@ -67,9 +106,9 @@ def kept_fields(kind: type) -> Mapping[str, Any]:
         }
     if not dataclasses.is_dataclass(kind):
         return {}
-    marked = get_type_hints(kind, include_extras=True)
+    plain, marked = get_type_hints(kind), get_type_hints(kind, include_extras=True)
     found = {
-        name: float | None if hint == Figure else hint
+        name: float | None if hint == Figure else plain[name]
         for name, hint in marked.items()
         if not any(getattr(one, "exclude", None) for one in getattr(hint, "__metadata__", ()))
     }

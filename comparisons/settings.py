@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,11 +9,13 @@ from typing import Any, TypeVar
 from comparisons.config import RunConfig, Section, merge, shown
 from comparisons.errors import InputError, note
 from comparisons.extensions.registry import EXTENSIONS
-from comparisons.logs.table import read_toml
+from comparisons.logs.table import parse_toml, read_toml
 from comparisons.options import RENAMED, Flag, below, renamed_settings
 from comparisons.options.table import FLAGS, of_job
 
 C = TypeVar("C", bound=Section)
+_MOST_PARTS = 8
+"""Of a setting's path; extensions' have four."""
 
 
 def configure(
@@ -161,9 +162,11 @@ def _nested(job: type[Section], setting: str) -> dict[str, Any]:
     elif parts[0] not in job.model_fields:
         known = [*(n for n in job.model_fields if n not in ("job", "extensions")), *EXTENSIONS]
         raise InputError(f"--set {path}: {parts[0]} is unknown, expected one of {', '.join(known)}")
+    if len(parts) > _MOST_PARTS:
+        raise InputError(f"--set {path[:40]}...: {len(parts)} parts, expected SECTION.KEY=VALUE")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except (ValueError, RecursionError):  # TOMLDecodeError is a ValueError
+        value = parse_toml(f"value = {text}")["value"]
+    except ValueError:
         value = text.strip()
     for part in reversed(parts):
         value = {part: value}

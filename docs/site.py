@@ -31,19 +31,17 @@ from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured
 from comparisons.experiments.montecarlo.folder import MonteCarloResult
 from comparisons.experiments.reproduction.interface import ReproductionResult
-from comparisons.extensions.dense_maps.result import DenseResult
+from comparisons.extensions.dense_maps.check import DenseAgreement
 from comparisons.extensions.fastslam.result import FastSlamResult
-from comparisons.extensions.high_level.result import HighLevelResult
-from comparisons.extensions.own_association.extension import OwnAssociationResult
-from comparisons.extensions.own_matching.result import OwnMatchingResult
-from comparisons.extensions.posterior.result import PosteriorResult
+from comparisons.extensions.high_level.source import HighLevelRun
+from comparisons.extensions.own_association.check import OwnAssociationCheck
+from comparisons.extensions.own_matching.check import OwnMatchingCheck
+from comparisons.extensions.posterior.check import PosteriorCheck
 from comparisons.extensions.registry import config_class
 from comparisons.extensions.scan_landmarks.result import ScanSlamResult
-from comparisons.extensions.scan_motion.result import (
-    IncrementResult,
-    ScanOdometryResult,
-    ThreeWayResult,
-)
+from comparisons.extensions.scan_motion.increments import IncrementCheck
+from comparisons.extensions.scan_motion.result import ScanOdometryResult
+from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.figures import kept_fields, meanings
 from comparisons.options.table import FLAGS
 from comparisons.report.check import CheckResult
@@ -60,16 +58,16 @@ _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTAL
 RESULTS: dict[str, tuple[type, ...]] = {
     "result.json": (Result,),
     "result.json: entries of extensions": (
-        OwnAssociationResult,
-        OwnMatchingResult,
-        PosteriorResult,
+        OwnAssociationCheck,
+        OwnMatchingCheck,
+        PosteriorCheck,
         FastSlamResult,
         ScanSlamResult,
         ScanOdometryResult,
-        IncrementResult,
-        ThreeWayResult,
-        DenseResult,
-        HighLevelResult,
+        IncrementCheck,
+        ThreeWay,
+        DenseAgreement,
+        HighLevelRun,
     ),
     "check.json": (CheckResult,),
     "solution.json": (SolutionResult,),

@@ -7,6 +7,7 @@ C chains of N draws of n numbers.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +22,14 @@ _BLOCK = 64
 """Numbers whose autocovariances are computed at once, for memory."""
 
 
-class Estimated(NamedTuple):
-    """A figure from draws, and its Monte Carlo standard error."""
+@dataclass(frozen=True)
+class Estimated:
+    """A figure from draws.
+
+    Attributes:
+        value: the figure.
+        error: its Monte Carlo standard error.
+    """
 
     value: float
     error: float

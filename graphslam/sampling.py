@@ -94,12 +94,17 @@ class Chains(NamedTuple):
     step: float
 
 
-class Judgement(NamedTuple):
+@dataclass(frozen=True)
+class Judgement:
     """A Gaussian against the exact posterior, for some numbers of the state.
 
-    coverage: share of the posterior in the Gaussian's ellipsoid. least, largest: generalised
-    eigenvalues of (Gaussian's covariance, posterior's); below 1 is optimistic. Where all are equal,
-    chance may put least above largest.
+    Where all variance ratios are equal, chance may put least above largest.
+
+    Attributes:
+        coverage: share of the posterior in the Gaussian's 95 % ellipsoid.
+        least: least variance ratio, Gaussian to posterior, over all directions; below 1 is
+            optimistic.
+        largest: largest variance ratio.
     """
 
     coverage: Estimated

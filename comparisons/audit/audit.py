@@ -7,6 +7,7 @@ fault is found where it happens.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from comparisons.audit.algebra import AlgebraCheck, Finding
 from comparisons.audit.consistency import Anchors, EventInnovations, departures
 from comparisons.audit.replay import Fused, apart
 from comparisons.audit.spurious import Learnt, SpuriousInformation
+from comparisons.errors import InputError
 from comparisons.innovations import SensorInnovations
 from comparisons.statistics import ROUNDING, Averaged, averaged, covariance_gap, faults, units
 from comparisons.trace.events import (
@@ -127,8 +129,11 @@ def audit(path: str | Path, tolerance: float = ROUNDING, progress: Progress | No
         progress: Called with the stage, how many events are done, and of how many.
 
     Raises:
-        InputError: The file is no trace, is damaged, or an event cannot be what it says.
+        InputError: The file is no trace, is damaged, or an event cannot be what it says; or the
+            tolerance is none.
     """
+    if not 0.0 <= tolerance < math.inf:
+        raise InputError(f"tolerance is {tolerance}, expected a finite number of 0 or more")
     trace = Trace(Path(path))
     return _Pass(trace, tolerance).run(progress or (lambda stage, done, of: None))
 

@@ -17,6 +17,7 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.audit.directions import planar_directions
+from comparisons.audit.replay import ShortFormReplay
 from comparisons.audit.spurious import VEHICLE
 from comparisons.trace.events import (
     Augment,
@@ -60,6 +61,23 @@ def run_events(run: EkfRun) -> Iterator[Event]:
         The events, numbered from 0.
     """
     return _Events(run).all()
+
+
+def rounded_covariance(run: EkfRun) -> Array | None:
+    """Return the last covariance (n, n) as a sound filter of double precision computes it.
+
+    From the matrices that the run recorded; None where it has no snapshot of a whole pose.
+    """
+    last: Event | None = None
+    for event in run_events(run):
+        if isinstance(event, Prior):
+            replay = ShortFormReplay(event)
+        replay.apply(event)
+        last = event
+    if not isinstance(last, Snapshot) or len(last.covariance) < len(run.estimate.joint_mean):
+        return None
+    at = replay.layout.columns(last.blocks)
+    return replay.covariance[at][:, at]
 
 
 def watch(ekf: Ekf, run: EkfRun, take: Callable[[Event], object]) -> None:

@@ -233,6 +233,19 @@ class Replay:
         self.mean = np.concatenate((self.mean, mean))
 
 
+class ShortFormReplay(Replay):
+    """The same by the short form, P - K H P, as most filters have it.
+
+    Equal to Joseph's by algebra for Kalman's gain; it shows what rounding does to a filter.
+    """
+
+    def fuse(self, event: Update, gain: Array) -> None:
+        """Update the covariance alone."""
+        p, self.added = self.covariance, None
+        p = p - gain @ (event.jacobian @ p[self.layout.columns(event.blocks)])
+        self.covariance = 0.5 * (p + p.T)
+
+
 def apart(recorded: Array, expected: Array) -> Array:
     """Return the differences (n, n) of two covariances, in units of the expected sigmas.
 

@@ -6,13 +6,17 @@ E - F1 is the filter's algebra, F1 - F2 the model, F2 - S the linearisation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigvalsh
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import Aside, Figure
 from comparisons.statistics import ROUNDING, covariance_gap, eigenvalue_range, units
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import KINDS, POINT, POSE, LandmarkKind
@@ -30,16 +34,21 @@ sigma), nor above the inverse share."""
 
 @dataclass(frozen=True)
 class Gaussian:
-    """mean: (n,), headings unwrapped. covariance: (n, n). layout: where pose and landmarks lie."""
+    """mean: (n,), headings unwrapped. covariance: (n, n). layout: where pose and landmarks lie.
+
+    ids: (L,) of the landmarks, by kind; none where these have no names.
+    """
 
     mean: Array
     covariance: Array
     layout: Layout
+    ids: Mapping[LandmarkKind, Index] = field(default_factory=dict)
 
     @classmethod
     def of(cls, estimate: Estimate) -> Gaussian:
         """Return that of an estimate's last pose and all landmarks."""
-        return cls(estimate.joint_mean, estimate.joint_covariance, estimate.layout)
+        ids = {POINT: estimate.landmark_id, POSE: estimate.pose_landmark_id}
+        return cls(estimate.joint_mean, estimate.joint_covariance, estimate.layout, ids)
 
     @classmethod
     def of_pose(cls, pose: Array, covariance: Array) -> Gaussian:
@@ -49,6 +58,11 @@ class Gaussian:
     def blocks(self, kind: LandmarkKind) -> list[slice]:
         """Return the entries of each landmark of a kind."""
         return [slice(i, i + kind.width) for i in self.layout.first[kind].tolist()]
+
+    def named_blocks(self, kind: LandmarkKind) -> Iterator[tuple[int, slice]]:
+        """Yield these with the ids of the landmarks."""
+        parts = self.blocks(kind)
+        yield from zip(self.ids.get(kind, np.arange(len(parts))), parts, strict=True)
 
 
 @dataclass(frozen=True)
@@ -61,6 +75,12 @@ class Allowed:
     sigma: float = ROUNDING
     covariance: float = ROUNDING
     stored: bool = False
+
+    def at_least(self, lost: float) -> Allowed:
+        """Return what this explains as well in both; NaN explains nothing."""
+        if not lost > ROUNDING:
+            return self
+        return replace(self, sigma=max(self.sigma, lost), covariance=max(self.covariance, lost))
 
     def times(self, factor: float) -> Allowed:
         """Return so many times as much."""
@@ -75,24 +95,41 @@ EXACT = Allowed()
 """What rounding explains where everything is done and stored in double precision."""
 
 
-def rounding_of(prior: Array, last: Array) -> Allowed:
-    """What double precision explains where a wide prior is left beside narrow relations.
+def rounding_of(prior: Array, last: Gaussian) -> Allowed:
+    """What double precision explains where numbers far apart stand side by side.
 
-    A filter subtracts from variances as large as the prior's, and loses `LOST` of them; what it
-    knows best is left with that error. Of each state this is its variance over what is left of it
-    once all others are known.
+    A filter subtracts from variances as large as the prior's, see `lost_of`. Positions lose as much
+    of their distance from the origin.
 
     Args:
         prior: (3, 3) of the first pose.
+        last: S, the last pose and all landmarks.
+    """
+    places = np.ones(len(last.mean), dtype=bool)
+    places[last.layout.angles] = False
+    with np.errstate(invalid="ignore", divide="ignore"):
+        far = np.abs(last.mean) / np.sqrt(np.diag(last.covariance))
+    lost = lost_of(max(prior[0, 0], prior[1, 1]), prior[2, 2], last.covariance)
+    return EXACT.at_least(lost).at_least(LOST * float(far[places].max()))
+
+
+def lost_of(position: float, heading: float, last: Array) -> float:
+    """What a filter loses of what it knows best, relative, once it knew as little as this.
+
+    It loses `LOST` of the variances that it subtracts from, and is left with that error: of each
+    state this is its variance over what is left of it once all others are known.
+
+    Args:
+        position: Variance.
+        heading: Variance.
         last: (n, n) of the last pose and all landmarks, S's.
     """
-    large = np.maximum(np.diag(last), max(prior[0, 0], prior[1, 1]))
-    large[2] = max(last[2, 2], prior[2, 2])
+    large = np.maximum(np.diag(last), position)
+    large[2] = max(last[2, 2], heading)
     try:
-        lost = LOST * float(np.max(large * np.diag(np.linalg.inv(last))))
+        return LOST * float(np.max(large * np.diag(np.linalg.inv(last))))
     except np.linalg.LinAlgError:
-        return EXACT
-    return EXACT if not lost > ROUNDING else Allowed(lost, lost)
+        return 0.0
 
 
 @dataclass(frozen=True)
@@ -122,68 +159,223 @@ class Gap:
         return self.sigma <= allowed.sigma and self.covariance <= allowed.covariance
 
 
-@dataclass(frozen=True)
-class BlockAgreement:
-    """E against S in one block of the state: the pose's three numbers, a landmark's two or three.
+NO_GAP = Gap(math.nan, math.nan)
 
-    difference_m: distance of the positions. distance: root of d^T P_S^-1 d / dim; 1 means that
-    the filter's deviation carries as much error as the optimum itself is uncertain.
-    least, largest: generalised eigenvalues of the pair (P_E, P_S); below 1 is optimistic.
-    """
 
-    difference_m: float
-    distance: float
-    least: float
-    largest: float
+class Band(NamedTuple):
+    """Variances over the smoother's within which a block agrees."""
+
+    least: float = LEAST_VARIANCE_RATIO
+    largest: float = 1.0 / LEAST_VARIANCE_RATIO
+
+    def holds(self, least: float | None, largest: float | None) -> bool:
+        """Both are within, as far as there are any."""
+        return (least is None or least >= self.least) and (
+            largest is None or largest <= self.largest
+        )
+
+
+AGREEING = Band()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Agreement:
-    """All gaps, and E against S for the pose, every landmark and the whole.
+class BlockAgreement:
+    """An estimate compared with the smoother's, in one block of the state: pose, landmark, or all.
 
-    landmark_difference_rms_m: root mean square distance of all landmarks. pose_landmarks: blocks
-    of pose landmarks; landmarks: of points.
+    Attributes:
+        difference_m: distance of the positions.
+        distance_sigma: Mahalanobis distance over the root of the block's dimension, in the
+            smoother's sigma; 1: as far as the optimum itself is uncertain.
+        variance_ratio_least: least variance of the estimate over the smoother's, of all directions;
+            below 1 is overconfident; None without covariances.
+        variance_ratio_largest: largest such ratio; None without covariances.
+        agrees: whether the block agrees, in mean and covariance.
     """
 
-    algebra: Gap
-    model: Gap
-    linearisation: Gap
-    pose: BlockAgreement
-    landmarks: tuple[BlockAgreement, ...]
-    whole: BlockAgreement
+    difference_m: float
+    distance_sigma: Figure
+    variance_ratio_least: Figure | None
+    variance_ratio_largest: Figure | None
+    agrees: bool
+
+    @property
+    def near(self) -> bool:
+        """As near as the optimum itself is certain."""
+        return self.distance_sigma <= LARGEST_DISTANCE
+
+    @property
+    def ratios(self) -> tuple[float, ...]:
+        """The ratios of variances that there are."""
+        both = (self.variance_ratio_least, self.variance_ratio_largest)
+        return tuple(one for one in both if one is not None)
+
+    @classmethod
+    def of(
+        cls,
+        difference: Array,
+        smoother: Array,
+        given: Array | None,
+        band: Band = AGREEING,
+        **own: Any,
+    ) -> Self:
+        """Compare a block.
+
+        difference: (d,) of the means. smoother, given: (d, d) covariances. own: further fields.
+        Raises LinAlgError when the smoother's is not positive definite.
+        """
+        apart_m = float(np.hypot(difference[0], difference[1]))
+        if not _positive(smoother):  # perhaps only as metres and radians are far apart
+            unit = 1.0 / np.sqrt(np.abs(np.diag(smoother)))
+            difference, smoother = difference * unit, smoother * np.outer(unit, unit)
+            given = None if given is None else given * np.outer(unit, unit)
+            if not _positive(smoother):
+                raise LinAlgError("the smoother's covariance is not positive definite to rounding")
+        squared = float(difference @ np.linalg.solve(smoother, difference))
+        distance = float(np.sqrt(squared / len(difference)))
+        ratios = (None, None) if given is None else eigenvalue_range(given, smoother)
+        return cls(
+            difference_m=apart_m,
+            distance_sigma=distance,
+            variance_ratio_least=ratios[0],
+            variance_ratio_largest=ratios[1],
+            agrees=distance <= LARGEST_DISTANCE and band.holds(*ratios),
+            **own,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LandmarkAgreement(BlockAgreement):
+    """One landmark that the estimate and the smoother have.
+
+    Attributes:
+        id: id of the landmark in the log.
+    """
+
+    id: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedAgreement(LandmarkAgreement):
+    """One landmark of filter and smoother.
+
+    Attributes:
+        ekf_m: position by the EKF.
+        smoother_m: position by the smoother.
+    """
+
+    ekf_m: tuple[float, float]
+    smoother_m: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapFigures:
+    """The gaps between a filter and the smoother.
+
+    Covariance gaps are None where a covariance is not positive definite.
+
+    Attributes:
+        algebra_gap_sigma: largest difference of the means of EKF and F1, in sigma.
+        algebra_gap_covariance: largest deviation from 1 of the generalised eigenvalues of their
+            covariances.
+        model_gap_sigma: largest difference of the means of F1 and F2, in sigma.
+        model_gap_covariance: the same for the covariances of F1 and F2.
+        linearisation_gap_sigma: largest difference of the means of F2 and the smoother, in sigma.
+        linearisation_gap_covariance: the same for the covariances of F2 and the smoother.
+        algebra_limit_sigma: largest algebra gap that rounding explains.
+        model_limit_sigma: largest model gap that rounding explains.
+    """
+
+    algebra_gap_sigma: Figure | None
+    algebra_gap_covariance: Figure | None
+    model_gap_sigma: Figure
+    model_gap_covariance: Figure
+    linearisation_gap_sigma: Figure
+    linearisation_gap_covariance: Figure
+    algebra_limit_sigma: float = ROUNDING
+    model_limit_sigma: float = ROUNDING
+
+
+def gap_figures(algebra: Gap | None, model: Gap, linearisation: Gap) -> dict[str, Any]:
+    """Return the fields of GapFigures but for the limits. algebra: None where it is unknown."""
+    found: dict[str, Any] = {}
+    for name, one in (("algebra", algebra), ("model", model), ("linearisation", linearisation)):
+        found[f"{name}_gap_sigma"] = None if one is None else one.sigma
+        found[f"{name}_gap_covariance"] = None if one is None else one.covariance
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agreement(GapFigures):
+    """The gaps of the chain of estimates, and E against S for the pose, every landmark and all.
+
+    Attributes:
+        optimism: least variance of the EKF over the smoother's, of all directions; below 1 is
+            overconfident.
+        pessimism: largest such ratio.
+        landmark_difference_rms_m: root mean square distance of the landmarks of EKF and smoother.
+        pose: the last pose.
+        map: all landmarks and the last pose together.
+        landmarks: each landmark, of the points.
+        pose_landmarks: each of the others.
+        algebra: E - F1.
+        model: F1 - F2.
+        linearisation: F2 - S.
+    """
+
+    optimism: Figure
+    pessimism: Figure
     landmark_difference_rms_m: float
-    pose_landmarks: tuple[BlockAgreement, ...] = ()
+    pose: BlockAgreement
+    map: BlockAgreement
+    landmarks: tuple[PlacedAgreement, ...]
+    pose_landmarks: Aside[tuple[PlacedAgreement, ...]] = ()
+    algebra: Aside[Gap] = NO_GAP
+    model: Aside[Gap] = NO_GAP
+    linearisation: Aside[Gap] = NO_GAP
 
 
-def block_agrees(block: BlockAgreement) -> bool:
-    """Whether the pose, a landmark or the whole agrees in mean and covariance."""
-    return (
-        block.distance <= LARGEST_DISTANCE
-        and block.least >= LEAST_VARIANCE_RATIO
-        and block.largest <= 1.0 / LEAST_VARIANCE_RATIO
-    )
-
-
-def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:
+def compare(
+    ekf: Gaussian,
+    recorded: Gaussian,
+    own: Gaussian,
+    smoother: Gaussian,
+) -> Agreement:
     """Compare E, F1, F2 and S. Raises LinAlgError when S's covariance is not positive definite."""
     sigma = np.sqrt(np.diag(smoother.covariance))
     difference = _difference(ekf, smoother)
     landmarks, pose_landmarks = (
-        tuple(_block(ekf, smoother, difference, part) for part in smoother.blocks(kind))
+        tuple(
+            PlacedAgreement.of(
+                *_parts(ekf, smoother, difference, part),
+                id=int(name),
+                ekf_m=tuple(ekf.mean[part][:2].tolist()),
+                smoother_m=tuple(smoother.mean[part][:2].tolist()),
+            )
+            for name, part in smoother.named_blocks(kind)
+        )
         for kind in (POINT, POSE)
     )
     distances = [block.difference_m for block in (*landmarks, *pose_landmarks)]
+    gaps = (
+        gap(ekf, recorded, units(ekf.covariance, recorded.covariance)),
+        gap(recorded, own, sigma),
+        gap(own, smoother, sigma),
+    )
+    whole = BlockAgreement.of(*_parts(ekf, smoother, difference, slice(0, len(sigma))))
     return Agreement(
-        algebra=gap(ekf, recorded, units(ekf.covariance, recorded.covariance)),
-        model=gap(recorded, own, sigma),
-        linearisation=gap(own, smoother, sigma),
-        pose=_block(ekf, smoother, difference, slice(0, 3)),
-        landmarks=landmarks,
-        whole=_block(ekf, smoother, difference, slice(0, len(sigma))),
+        **gap_figures(*gaps),
+        optimism=whole.ratios[0],
+        pessimism=whole.ratios[1],
         landmark_difference_rms_m=float(np.sqrt(np.mean([d**2 for d in distances])))
         if distances
         else 0.0,
+        pose=BlockAgreement.of(*_parts(ekf, smoother, difference, slice(0, 3))),
+        map=whole,
+        landmarks=landmarks,
         pose_landmarks=pose_landmarks,
+        algebra=gaps[0],
+        model=gaps[1],
+        linearisation=gaps[2],
     )
 
 
@@ -196,26 +388,14 @@ def gap(first: Gaussian, second: Gaussian, sigma: Array) -> Gap:
 
 def block_agreement(first: Gaussian, second: Gaussian) -> BlockAgreement:
     """Two Gaussians of one pose (3,), the second being the reference."""
-    return _block(first, second, _difference(first, second), slice(0, 3))
+    parts = _parts(first, second, _difference(first, second), slice(0, 3))
+    return BlockAgreement.of(*parts)
 
 
-def _block(ekf: Gaussian, smoother: Gaussian, difference: Array, part: slice) -> BlockAgreement:
-    d = difference[part]
-    covariance = smoother.covariance[part, part]
-    other = ekf.covariance[part, part]
-    apart_m = float(np.hypot(d[0], d[1]))
-    if not _positive(covariance):  # perhaps only as metres and radians are far apart
-        unit = 1.0 / np.sqrt(np.abs(np.diag(covariance)))
-        d, covariance, other = (
-            d * unit,
-            covariance * np.outer(unit, unit),
-            other * np.outer(unit, unit),
-        )
-        if not _positive(covariance):
-            raise LinAlgError("the smoother's covariance is not positive definite to rounding")
-    distance = float(np.sqrt(d @ np.linalg.solve(covariance, d) / len(d)))
-    low, high = eigenvalue_range(other, covariance)
-    return BlockAgreement(apart_m, distance, low, high)
+def _parts(
+    ekf: Gaussian, smoother: Gaussian, difference: Array, part: slice
+) -> tuple[Array, Array, Array]:
+    return difference[part], smoother.covariance[part, part], ekf.covariance[part, part]
 
 
 def _positive(covariance: Array) -> bool:

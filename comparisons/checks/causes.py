@@ -17,9 +17,7 @@ from comparisons.checks.agreement import (
     LEAST_VARIANCE_RATIO,
     Agreement,
     Allowed,
-    BlockAgreement,
     Gap,
-    block_agrees,
 )
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.figures import Aside
@@ -356,6 +354,20 @@ def unverified(optimality: Optimality) -> Cause:
     return Cause("oracle", optimality.lacks, hint)
 
 
+def rounding(allowed: Allowed) -> str:
+    """How well double precision tells the gaps of a log."""
+    return (
+        "variances or coordinates of the log lie so many powers of ten apart that double precision "
+        f"tells the algebra and the models to {allowed.covariance:.1g} (relative) only"
+    )
+
+
+def untold(allowed: Allowed) -> Cause:
+    """Rounding hides what a verdict would be about."""
+    hint = "narrow the prior, end the log before its longest gap, or move the origin nearer"
+    return Cause("oracle", rounding(allowed), hint)
+
+
 def doubted_association(against: int, variants: int) -> Cause:
     """Neither the smoother's nor the reference filter's association without labels is certain."""
     return Cause(
@@ -363,7 +375,7 @@ def doubted_association(against: int, variants: int) -> Cause:
         f"the log has no labels, and {against} of {variants} other ways to associate its "
         "measurements contradict the smoother's, so that smoother and reference filter may be the "
         "ones that are wrong",
-        "label the measurements, or hand in the filter's own association with a trace",
+        "label the measurements, or give the filter's own association in a trace",
     )
 
 
@@ -377,44 +389,45 @@ def linearisation(
     names = [f"landmark {i}" for i in run.estimate.landmark_id]
     names += [f"scan landmark {i}" for i in run.estimate.pose_landmark_id]
     blocks = (*agreement.landmarks, *agreement.pose_landmarks)
-    off = [i for i, block in enumerate(blocks) if not block_agrees(block)]
+    off = [i for i, block in enumerate(blocks) if not block.agrees]
     parts = []
-    far = [i for i in off if blocks[i].distance > LARGEST_DISTANCE]
+    far = [i for i in off if blocks[i].distance_sigma > LARGEST_DISTANCE]
     if far:
-        worst = max(far, key=lambda i: blocks[i].distance)
+        worst = max(far, key=lambda i: blocks[i].distance_sigma)
         block = blocks[worst]
         parts.append(
             f"{len(far)} of {len(names)} landmarks are more than {LARGEST_DISTANCE:g} sigma "
             "from the "
             f"optimum; {names[worst]} differs most, by {block.difference_m:.2f} m "
-            f"({block.distance:.1f} sigma)"
+            f"({block.distance_sigma:.1f} sigma)"
         )
     unsure = [i for i in off if i not in far]
     if unsure:
         worst, ratio = max(
-            ((i, r) for i in unsure for r in _ratios(blocks[i])),
+            ((i, r) for i in unsure for r in blocks[i].ratios),
             key=lambda pair: max(pair[1], 1.0 / max(pair[1], 1e-300)),
         )
         parts.append(
             f"{len(unsure)} of {len(names)} landmarks have a wrong covariance; the variance of "
             f"{names[worst]} is {ratio:.2g} times the smoother's"
         )
-    if agreement.pose.distance > LARGEST_DISTANCE:
+    if agreement.pose.distance_sigma > LARGEST_DISTANCE:
         parts.append(
             f"the last pose differs by {agreement.pose.difference_m:.2f} m "
-            f"({agreement.pose.distance:.1f} sigma)"
+            f"({agreement.pose.distance_sigma:.1f} sigma)"
         )
-    if agreement.whole.distance > LARGEST_DISTANCE:
-        parts.append(f"map and last pose together differ by {agreement.whole.distance:.1f} sigma")
-    if agreement.whole.least < LEAST_VARIANCE_RATIO:
+    if agreement.map.distance_sigma > LARGEST_DISTANCE:
+        far_all = agreement.map.distance_sigma
+        parts.append(f"map and last pose together differ by {far_all:.1f} sigma")
+    if agreement.optimism < LEAST_VARIANCE_RATIO:
         parts.append(
             f"in the most optimistic direction the filter's variance is "
-            f"{100 * agreement.whole.least:.2g} % of the smoother's"
+            f"{100 * agreement.optimism:.2g} % of the smoother's"
         )
-    if agreement.whole.largest > 1.0 / LEAST_VARIANCE_RATIO:
+    if agreement.pessimism > 1.0 / LEAST_VARIANCE_RATIO:
         parts.append(
             f"in the most pessimistic direction the filter's variance is "
-            f"{agreement.whole.largest:.1f} times the smoother's"
+            f"{agreement.pessimism:.1f} times the smoother's"
         )
     sigma, reached = np.sqrt(run.estimate.pose_covariance[:, 2, 2]), ""
     if np.isfinite(sigma).any():
@@ -546,7 +559,3 @@ def coverage(evidence: str, least: float, hint: str = "") -> Cause:
         or "check whether the filter stopped or lost poses; supply the whole trajectory, or lower "
         "--min-coverage",
     )
-
-
-def _ratios(block: BlockAgreement) -> tuple[float, float]:
-    return block.least, block.largest

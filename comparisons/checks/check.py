@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from comparisons.checks.agreement import PlacedAgreement
     from comparisons.checks.causes import Cause
     from comparisons.estimates.estimate import Estimate
     from comparisons.pipeline.gaps import Known
     from comparisons.report.html.drawing import Drawing
-    from comparisons.report.models import LandmarkResult
 
 V = TypeVar("V")
 
@@ -29,7 +29,7 @@ class Finding:
     """What a check found. This one is empty; a check's own overrides what it needs."""
 
     entries: Mapping[str, Any] = {}
-    """Entries of `result.json`, by key: models or dataclasses that describe every field."""
+    """Entries of `result.json`, by key: dataclasses that describe every field that is kept."""
     causes: Sequence[Cause] = ()
     """Reasons to disagree. They count where the algebra and the models agree, and the smoother's
     optimum was verified."""
@@ -56,7 +56,7 @@ class Finding:
     def layers(self, drawing: Drawing) -> None:
         """Add layers to the page's map."""
 
-    def landmarks(self) -> Sequence[LandmarkResult]:
+    def landmarks(self) -> Sequence[PlacedAgreement]:
         """Return rows of the page's table of landmarks, of those that have a direction."""
         return ()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,12 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
+from comparisons.checks.agreement import (
+    LARGEST_DISTANCE,
+    Band,
+    BlockAgreement,
+    LandmarkAgreement,
+)
 from comparisons.checks.diagnosis.diagnosis import rms
 from comparisons.checks.grade import (
     MOST_LATE_S,
@@ -48,38 +52,6 @@ _SAME_LENGTH = 0.02
 """Share of the log's time by which an estimate's may differ, where a constant offset is named."""
 _NARROW = 0.5
 """Least share of a justified variance that is plausible beyond what linearisation changes."""
-
-
-class Band(NamedTuple):
-    """Variances over the smoother's that are plausible."""
-
-    least: float = LEAST_VARIANCE_RATIO
-    largest: float = 1.0 / LEAST_VARIANCE_RATIO
-
-    def holds(self, least: float | None, largest: float | None) -> bool:
-        """Both are within, as far as there are any."""
-        return (least is None or least >= self.least) and (
-            largest is None or largest <= self.largest
-        )
-
-
-@dataclass(frozen=True)
-class Block:
-    """The given estimate against the smoother's in one block of the state.
-
-    distance: root of d^T P_S^-1 d / dim. least, largest: generalised eigenvalues of the pair
-    (P given, P_S); None where no covariance was given.
-    """
-
-    difference_m: float
-    distance: float
-    least: float | None = None
-    largest: float | None = None
-
-    @property
-    def near(self) -> bool:
-        """As near as the optimum itself is certain."""
-        return self.distance <= LARGEST_DISTANCE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,16 +170,12 @@ class ExternalAgreement:
     rms_m: float
     rms_heading_rad: float
     outside: float | None
-    last: Block | None
+    last: BlockAgreement | None
     landmark_id: NDArray[np.int64]
-    landmarks: tuple[Block, ...]
+    landmarks: tuple[LandmarkAgreement, ...]
     unmatched: int
     band: Band
     against: tuple[str, ...]
-
-    def agrees(self, block: Block) -> bool:
-        """Whether a block's mean and covariance are plausible."""
-        return block.near and self.band.holds(block.least, block.largest)
 
 
 def within_log(given: ExternalEstimate, smoothed: Estimate) -> NDArray[np.bool_]:
@@ -249,14 +217,14 @@ def compare_external(
     rows, outside, end = match_map(given, smoothed, labelled=labelled), None, None
     if given.pose_covariance is not None:
         outside = _outside(difference, given.pose_covariance)
-    if smoothed.joint_s - given.time_s[-1] <= MOST_LATE_S:
-        cover = None if given.pose_covariance is None else given.pose_covariance[-1]
-        end = _block(difference[-1], smoothed.joint_covariance[:3, :3], cover)
     band, trusted = Band(_NARROW, 1.0 / _NARROW), {}
     for peer in peers:
         whole = _whole(peer, smoothed, labelled=labelled)
-        trusted[peer.name] = whole.near and Band().holds(whole.least, whole.largest)
+        trusted[peer.name] = whole is None or whole.agrees
         band = _widened(band, whole)
+    if smoothed.joint_s - given.time_s[-1] <= MOST_LATE_S:
+        cover = None if given.pose_covariance is None else given.pose_covariance[-1]
+        end = BlockAgreement.of(difference[-1], smoothed.joint_covariance[:3, :3], cover, band)
     found = ExternalAgreement(
         time_s=given.time_s,
         rms_m=rms(difference[:, :2]),
@@ -264,7 +232,7 @@ def compare_external(
         outside=outside,
         last=end,
         landmark_id=smoothed.landmark_id[rows[1]],
-        landmarks=tuple(_landmark_blocks(given, smoothed, rows)),
+        landmarks=tuple(_landmark_blocks(given, smoothed, rows, band)),
         unmatched=(0 if given.landmark is None else len(given.landmark)) - len(rows[0]),
         band=band,
         against=(),
@@ -279,8 +247,8 @@ def compare_external(
     return replace(found, against=tuple(against))
 
 
-def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> Block:
-    """A reference's map against the optimum's."""
+def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> BlockAgreement | None:
+    """A reference's map against the optimum's; None where they share no landmark."""
     ours, theirs = match_landmarks(
         (peer.landmark_id, peer.landmark),
         (smoothed.landmark_id, smoothed.landmark),
@@ -289,19 +257,22 @@ def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> Block:
     rows, own = (joint_rows(which)[3:] for which in (ours, theirs))
     difference = (peer.landmark[ours] - smoothed.landmark[theirs]).ravel()
     if not len(difference):
-        return Block(0.0, 0.0)
+        return None
     cover = peer.joint_covariance[np.ix_(rows, rows)]
-    return _block(difference, smoothed.joint_covariance[np.ix_(own, own)], cover)
+    return BlockAgreement.of(difference, smoothed.joint_covariance[np.ix_(own, own)], cover)
 
 
-def _widened(band: Band, peer: Block) -> Band:
+def _widened(band: Band, peer: BlockAgreement | None) -> Band:
     """Linearisation may change variances by as much as it does in the reference filter."""
     widest = Band()
-    if peer.least is None or peer.largest is None or not np.isfinite(peer.least):
+    if peer is None or peer.variance_ratio_least is None or peer.variance_ratio_largest is None:
+        return widest
+    least, largest = peer.variance_ratio_least, peer.variance_ratio_largest
+    if not np.isfinite(least):
         return widest
     return Band(
-        max(widest.least, min(band.least, _NARROW * peer.least)),
-        min(widest.largest, max(band.largest, peer.largest / _NARROW)),
+        max(widest.least, min(band.least, _NARROW * least)),
+        min(widest.largest, max(band.largest, largest / _NARROW)),
     )
 
 
@@ -317,31 +288,32 @@ def _map_faults(
         parts.append(f"none of the estimate's {found.unmatched} landmarks is a landmark of the log")
     far = [k for k, block in enumerate(blocks) if not block.near]
     if far:
-        worst = max(far, key=lambda k: blocks[k].distance)
+        worst = max(far, key=lambda k: blocks[k].distance_sigma)
         parts.append(
             f"{len(far)} of {len(blocks)} landmarks are more than {LARGEST_DISTANCE:g} sigma "
             "from the "
             f"optimum, landmark {found.landmark_id[worst]} most, by "
             f"{blocks[worst].difference_m:.2f} m "
-            f"({blocks[worst].distance:.1f} sigma)"
+            f"({blocks[worst].distance_sigma:.1f} sigma)"
         )
     last = found.last
     if last is not None and not last.near:
         parts.append(
             f"the last pose is {last.difference_m:.2f} m from the optimum "
-            f"({last.distance:.1f} sigma)"
+            f"({last.distance_sigma:.1f} sigma)"
         )
-    unsure = [b for b in blocks if not found.band.holds(b.least, b.largest)]
-    if last is not None and not found.band.holds(last.least, last.largest):
-        unsure.append(last)
+    each = [(b.variance_ratio_least, b.variance_ratio_largest) for b in (*blocks, last) if b]
+    unsure = [ratios for ratios in each if not found.band.holds(*ratios)]
     if not unsure and given.joint_covariance is not None and last is not None:
         ours, theirs = map(joint_rows, rows)
         pair = given.joint_covariance[np.ix_(ours, ours)], smoothed.joint_covariance
-        whole = Block(0.0, 0.0, *eigenvalue_range(pair[0], pair[1][np.ix_(theirs, theirs)]))
-        unsure = [] if found.band.holds(whole.least, whole.largest) else [whole]
+        whole = eigenvalue_range(pair[0], pair[1][np.ix_(theirs, theirs)])
+        unsure = [] if found.band.holds(*whole) else [whole]
     if unsure:
-        ratios = [r for b in unsure for r in (b.least, b.largest) if r is not None]
-        worst_ratio = max(ratios, key=lambda r: abs(float(np.log(max(r, 1e-300)))))
+        worst_ratio = max(
+            (ratio for ratios in unsure for ratio in ratios if ratio is not None),
+            key=lambda r: abs(float(np.log(max(r, 1e-300)))),
+        )
         parts.append(
             f"the variances of last pose and map are up to {worst_ratio:.3g} times the optimum's, "
             f"expected {found.band.least:.2g} to {found.band.largest:.2g}"
@@ -394,24 +366,15 @@ def _path_alone(found: ExternalAgreement, peer_rms_m: float) -> list[str]:
 
 
 def _landmark_blocks(
-    given: ExternalEstimate, smoothed: Reference, rows: tuple[Index, Index]
-) -> Iterator[Block]:
+    given: ExternalEstimate, smoothed: Reference, rows: tuple[Index, Index], band: Band
+) -> Iterator[LandmarkAgreement]:
     if given.landmark is None:
         return
     every = smoothed.landmark_covariances(rows[1])
     for i, j, own in zip(*(one.tolist() for one in rows), every, strict=True):
         cover = None if given.landmark_covariance is None else given.landmark_covariance[i]
-        yield _block(given.landmark[i] - smoothed.landmark[j], own, cover)
-
-
-def _block(difference: Array, covariance: Array, given: Array | None) -> Block:
-    d = difference
-    square = float(d @ np.linalg.solve(covariance, d))
-    distance = float(np.sqrt(max(square, 0.0) / len(d)))
-    metres = float(np.hypot(d[0], d[1]))
-    if given is None:
-        return Block(metres, distance)
-    return Block(metres, distance, *eigenvalue_range(given, covariance))
+        apart, name = given.landmark[i] - smoothed.landmark[j], int(smoothed.landmark_id[j])
+        yield LandmarkAgreement.of(apart, own, cover, band, id=name)
 
 
 def _outside(difference: Array, covariance: Array) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.audit.spurious import Learnt
 from comparisons.checks import causes as cause
-from comparisons.checks.agreement import EXACT, Agreement, Allowed, Gap, block_agrees
+from comparisons.checks.agreement import EXACT, Agreement, Allowed, Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.data_usage import DataFault
@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 
 SPARED_SIGMA = 0.05
 """Largest difference of the means that sparing part of the covariance may cause, in sigma."""
+
+_UNTOLD = 0.05
+"""Share of sigma from which a difference counts: what rounding hides up to there is no verdict."""
+_TOLD = 1e-4
+"""Rounding up to which nothing is said of it."""
 
 _SHOWN = 2
 """Figures outside their bands that a summary names."""
@@ -119,7 +124,10 @@ def judge(
     """
     found = _red(agreement, run, diagnosis, data_faults, conservative=conservative)
     outcome: Outcome = "disagree"
-    if not found:
+    algebra, allowed = agreement.algebra, diagnosis.algebra
+    if not found and not allowed.stored and allowed.covariance > _UNTOLD:
+        outcome, found = "unverified", [cause.untold(allowed)]
+    elif not found:
         outcome, found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
         if outcome != "agree":
             test = result.optimality.chi_square
@@ -128,12 +136,8 @@ def judge(
             found += cause.noise(test, diagnosis.consistency) if not fits else []
             found += cause.dropout(diagnosis.dropouts())
     remarks = _remarks(result.optimality, run) + _on_robust(result.options.robust)
-    algebra, allowed = agreement.algebra, diagnosis.algebra
-    if not allowed.stored and allowed.covariance > ROUNDING:
-        remarks.append(
-            "the prior is so wide that double precision tells the algebra and the models to "
-            f"{allowed.covariance:.1g} (relative) only"
-        )
+    if not allowed.stored and _TOLD < allowed.covariance <= _UNTOLD:
+        remarks.append(cause.rounding(allowed))
     if conservative and not algebra.within(ROUNDING):
         under = algebra.sigma < ROUNDING
         mean = f"less than {ROUNDING:.2g}" if under else f"{algebra.sigma:.2g}"
@@ -188,9 +192,9 @@ def _by_optimum(
     if not optimality.verified:
         alone = [one for one in causes if one.alone]
         return ("disagree" if alone else "unverified"), [*alone, cause.unverified(optimality)]
-    blocks = (agreement.pose, *agreement.landmarks, *agreement.pose_landmarks, agreement.whole)
+    blocks = (agreement.pose, *agreement.landmarks, *agreement.pose_landmarks, agreement.map)
     found = []
-    if not all(map(block_agrees, blocks)):
+    if not all(block.agrees for block in blocks):
         found.append(cause.linearisation(agreement, run, diagnosis.growth(), diagnosis.spurious()))
     found += causes
     return ("disagree" if found else "agree"), found

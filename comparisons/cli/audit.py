@@ -34,12 +34,13 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
     """
     with guarded():
         chosen = chosen_output(**output)
-        from comparisons.atomic import check_replaceable, folder_name, known_files
+        from comparisons.atomic import check_replaceable, folder_name
 
         folder = out or Path(f"slamcheck-audit-{folder_name(trace.stem)}")
-        check_replaceable(folder, known_files(folder))
-        from comparisons.audit.audit import audit as audit_trace
         from comparisons.report.audit import RESULT, audit_summary, write_audit
+
+        check_replaceable(folder, RESULT)
+        from comparisons.audit.audit import audit as audit_trace
 
         with progress_bar(chosen) as progress:
             found = audit_trace(trace, tolerance, progress)

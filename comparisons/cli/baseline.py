@@ -38,6 +38,7 @@ RunsOption = Annotated[
 ]
 
 
+_MOST_RUNS = 1000
 RUN, CHECK = of_job("run"), of_job("check")
 _ESTIMATE = [flag for flag in CHECK if flag.panel == GRADE and flag.option != "--trace"]
 _SHOWN = "--estimate --require --filter --association --seed"
@@ -58,13 +59,13 @@ def save(given: Given) -> None:
     """
     with guarded(log_file=given.log_file):
         from comparisons.atomic import check_file
-        from comparisons.baseline import build_baseline, compare_with, write_baseline
+        from comparisons.baseline import BASELINE, build_baseline, compare_with, write_baseline
         from comparisons.config import CheckConfig, RunConfig
 
         target = given.extra["file"]
         estimate = any(flag.field == "estimate" for flag, _ in given.flags)
         runs = _runs(given.extra["runs"], estimate=estimate)
-        check_file(target)
+        check_file(target, BASELINE)
         given = given._replace(flags=_fitting(given.flags, estimate=estimate))
         if given.out is not None:
             raise InputError(f"--out {given.out}: baseline save writes {target} and no folder")
@@ -119,6 +120,7 @@ def compare(
     with guarded():
         from comparisons.atomic import check_file
         from comparisons.baseline import (
+            JUNIT,
             compare_with,
             read_baseline,
             updated,
@@ -128,7 +130,7 @@ def compare(
         from comparisons.pipeline.read import read_for
 
         if junit is not None:
-            check_file(junit)
+            check_file(junit, JUNIT)
         kept = read_baseline(file)
         try:
             wanted = kept.config_at(log).model_copy(update=_named(kept, file, estimate, times))
@@ -175,8 +177,8 @@ def _runs(given: int | None, *, estimate: bool) -> int:
     if estimate and given is not None:
         raise InputError("--runs repeats a run; an estimate is as it is: leave --runs out")
     runs = (1 if estimate else 2) if given is None else given
-    if runs < 1:
-        raise InputError(f"runs is {runs}, expected 1 or more")
+    if not 1 <= runs <= _MOST_RUNS:
+        raise InputError(f"runs is {runs}, expected 1 to {_MOST_RUNS}")
     return runs
 
 

@@ -53,14 +53,14 @@ def reproduce(
         from comparisons.atomic import check_replaceable
         from comparisons.experiments.montecarlo.workers import one_each_core
         from comparisons.experiments.reproduction.folder import (
-            CONTENTS,
+            CLAIMS,
             print_claims,
             write_gallery,
         )
         from comparisons.experiments.reproduction.interface import Sources
         from comparisons.experiments.reproduction.runner import reproduce as run
 
-        check_replaceable(out, CONTENTS)
+        check_replaceable(out, CLAIMS)
         with progress_bar() as progress:
             number = one_each_core() if workers is None else workers
             found = run(tuple(figures), Sources(data, drives), number, progress)

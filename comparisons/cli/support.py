@@ -94,6 +94,8 @@ def guarded(*, log_file: Path | None = None) -> Iterator[None]:
         fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
     except MemoryError:
         fail("not enough memory for this log", UNUSABLE)
+    except RecursionError:
+        fail("an input is nested too deep", UNUSABLE)
     except ModuleNotFoundError as error:
         if error.name != "gtsam":
             raise
@@ -118,6 +120,10 @@ def guarded(*, log_file: Path | None = None) -> Iterator[None]:
         logging.captureWarnings(capture=False)
 
 
+_LOG_LINE = rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} \S+ [A-Z]+: "
+"""As _start_log has them written."""
+
+
 class _FloatingPoint:
     """Where numpy writes that a number overflowed or is not one."""
 
@@ -130,9 +136,9 @@ def _start_log(file: Path | None) -> bool:
     """Send the log to where it was asked for. Return whether anybody sees it."""
     handlers: list[logging.Handler] = [logging.NullHandler()]
     if file is not None:
-        from comparisons.atomic import check_file
+        from comparisons.atomic import Kind, begins, check_file
 
-        check_file(file)
+        check_file(file, Kind("an earlier log", begins(_LOG_LINE)))
         handlers.append(logging.FileHandler(file, mode="w", encoding="utf-8"))
     logging.raiseExceptions = False  # a full disk or a closed terminal cuts the log short, no more
     logging.basicConfig(

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.archive import read_arrays
+from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate, landmark_blocks
@@ -30,7 +30,6 @@ from ekf_reference.core.layout import Layout
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
 Estimator = Literal["ekf", "smoother", "other"]
-_ARRAYS = ("pose", "landmarks", "last_pose_and_landmarks")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,7 +280,7 @@ def _read_covariances(path: Path, poses: int, landmarks: int) -> _Covariances:
     """Whichever a folder's `covariances.npz` has; the landmarks' own from the joint one."""
     points = Layout.packed(3, landmarks).size
     size = Layout.packed(3, landmarks, len(read_scan_landmarks(path / SCAN_LANDMARKS)[0])).size
-    shapes = {
+    shapes: dict[str, Shape] = {
         "pose": (poses, 3, 3),
         "landmarks": (landmarks, 2, 2),
         "last_pose_and_landmarks": (size, size),
@@ -289,9 +288,9 @@ def _read_covariances(path: Path, poses: int, landmarks: int) -> _Covariances:
     found: dict[str, Array] = {}
     archive = path / "covariances.npz"
     if archive.exists():
-        found = read_arrays(archive, _ARRAYS)
+        found = read_arrays(archive, shapes)
         for name, array in found.items():
-            _check_covariance(f"{archive}: {name}", array, shapes[name])
+            _check_covariance(f"{archive}: {name}", array)
     joint = found.get("last_pose_and_landmarks")
     if joint is not None:
         joint = joint[:points, :points]  # scan landmarks have nothing to be compared with
@@ -301,9 +300,7 @@ def _read_covariances(path: Path, poses: int, landmarks: int) -> _Covariances:
     return _Covariances(found.get("pose"), own, joint)
 
 
-def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:
-    if array.shape != shape:
-        raise InputError(f"{name} has shape {array.shape}, expected {shape}")
+def _check_covariance(name: str, array: Array) -> None:
     if not (finite := np.isfinite(array)).all():
         row, *_ = np.argwhere(~finite)[0].tolist()
         raise InputError(f"{name}[{row}] holds a value that is not a finite number")

@@ -94,15 +94,12 @@ def read_estimate(folder: Path) -> Estimate:
     meta = read_meta(folder / "estimate.toml")
     time_s, poses = read_trajectory(folder / "trajectory.tum")
     archive_path = folder / "covariances.npz"
-    pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
     ids, landmark = read_landmarks(folder / "landmarks.csv")
     pose_landmark_id, pose_landmarks = read_scan_landmarks(folder / SCAN_LANDMARKS)
     size = Layout.packed(3, len(ids), len(pose_landmark_id)).size
-    if pose.shape != (len(poses), 3, 3) or joint.shape != (size, size):
-        raise InputError(
-            f"{archive_path}: shapes {pose.shape} and {joint.shape}, expected "
-            f"{(len(poses), 3, 3)} and {(size, size)}"
-        )
+    pose, joint = read_archive(
+        archive_path, {"pose": (len(poses), 3, 3), "last_pose_and_landmarks": (size, size)}
+    )
     if not (np.isfinite(pose).all() and np.isfinite(joint).all()):
         raise InputError(f"{archive_path}: holds a value that is not a finite number")
     return Estimate(

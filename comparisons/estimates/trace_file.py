@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.archive import read_arrays
+from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.estimates.event_arrays import event_arrays
@@ -57,10 +57,6 @@ _POSITIONS = {
     "position_jacobian_pose": (2, 3),
     "position_noise": (2, 2),
 }
-_WEIGHTS = tuple(f"{part}_weight" for part in ("update", "initialise", "position"))
-_SHAPES: dict[str, tuple[int, ...]] = {
-    **_STEPS, **_UPDATES, **_INITIALISATIONS, **_POSITIONS, **dict.fromkeys(_WEIGHTS, ())
-}  # fmt: skip
 _MAY_BE_NOTHING = ("prior_covariance", "step_q")
 """A start may be known exactly, and a step may have fewer noises than states."""
 _WHOLE = ("step", "measurement", "landmark", "number")
@@ -105,14 +101,16 @@ def _former_arrays(path: Path) -> dict[str, Array]:
 
     Positions and weights may be absent: none, and one.
     """
-    names = (*_PRIOR, *_SHAPES)
-    stored = read_arrays(path, tuple(dict.fromkeys((*names, *map(_former, names)))))
+    shapes: dict[str, Shape] = dict(_PRIOR)
+    for part in (_STEPS, _UPDATES, _INITIALISATIONS, _POSITIONS):
+        kind = next(iter(part)).partition("_")[0]
+        shapes |= {name: (f"{kind}s", *shape) for name, shape in part.items()}
+        shapes |= {} if part is _STEPS else {f"{kind}_weight": (f"{kind}s",)}
+    stored = read_arrays(path, shapes | {_former(name): one for name, one in shapes.items()})
     found = {_current(name): array for name, array in stored.items()}
     missing = [n for n in (*_PRIOR, *_STEPS, *_UPDATES, *_INITIALISATIONS) if n not in found]
     if missing:
         raise InputError(f"{path}: holds no {missing[0]}")
-    for name, shape in _PRIOR.items():
-        _check(path, name, found[name], shape)
     for part in (_STEPS, _UPDATES, _INITIALISATIONS, _POSITIONS):
         first = next(iter(part))
         if part is _POSITIONS and first not in found:
@@ -120,10 +118,11 @@ def _former_arrays(path: Path) -> dict[str, Array]:
         count = len(found[first])
         weight = f"{first.partition('_')[0]}_weight"
         found.setdefault(weight, np.ones(count))
-        for name, shape in (part | {weight: ()} if part is not _STEPS else part).items():
+        for name in part:
             if name not in found:
                 raise InputError(f"{path}: holds no {name}")
-            _check(path, name, found[name], (count, *shape))
+    for name, array in found.items():
+        _check(path, name, array)
     return found
 
 
@@ -207,9 +206,7 @@ def _records(
     )
 
 
-def _check(path: Path, name: str, array: Array, shape: tuple[int, ...]) -> None:
-    if array.shape != shape:
-        raise InputError(f"{path}: {name} has shape {array.shape}, expected {shape}")
+def _check(path: Path, name: str, array: Array) -> None:
     if not (np.abs(array) <= LARGEST**2).all():
         raise InputError(f"{path}: {name} holds a value that is not a number up to {LARGEST**2:g}")
     if (

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.atomic import check_file, write_whole
+from comparisons.atomic import NEW, check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
 from comparisons.logs.table import Table, first_record, shorten
@@ -102,15 +102,14 @@ def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> No
     """Write a new file, with KITTI also `times.txt` beside it. Raises InputError."""
     if format_name not in FORMATS:
         raise InputError(f"format '{format_name}' is unknown, expected {', '.join(FORMATS)}")
-    check_file(path)
+    check_file(path, NEW)
     texts = {path: _TEXTS[format_name](trajectory)}
     if format_name == "kitti":
         texts[path.with_name(TIMES)] = "".join(f"{t!r}\n" for t in trajectory.time_s.tolist())
         if len(texts) < 2:
             raise InputError(f"{path}: is the name of the file of times, expected another name")
     for target in texts:
-        if target.exists() or target.is_symlink():
-            raise InputError(f"{target}: exists already, expected a new name")
+        check_file(target, NEW)
     for target, text in texts.items():
         write_whole(target, partial(Path.write_text, data=text, encoding="utf-8"))
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.archive import read_archive
+from comparisons.archive import Shape, read_archive
 from comparisons.arrays import Array
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError
@@ -72,6 +72,18 @@ _RELATIVE = (
     "dheading_rad",
     *(f"cov_{i}{j}" for i in range(3) for j in range(i, 3)),
 )
+_SCANS: dict[str, Shape] = {
+    "time_s": ("N",),
+    "angle_rad": ("B",),
+    "range_m": ("N", "B"),
+    "intensity": ("N", "B"),
+}
+_CLOUDS: dict[str, Shape] = {
+    "time_s": ("N",),
+    "first": ("N + 1",),
+    "point_m": ("P", 3),
+    "point_s": ("P",),
+}
 _CLOSURES = ("from_s", "to_s", *_RELATIVE[1:])
 
 
@@ -296,9 +308,7 @@ def _read_surfaces(path: Path) -> Surfaces | None:
 def _read_scans(path: Path, settings: ScansModel) -> Scans | None:
     if not path.exists():
         return None
-    time_s, angle_rad, range_m, intensity = read_archive(
-        path, ("time_s", "angle_rad", "range_m", "intensity")
-    )
+    time_s, angle_rad, range_m, intensity = read_archive(path, _SCANS)
     mount = Mount(settings.forward_m, settings.left_m, settings.heading_rad)
     with _naming(path):
         return Scans(
@@ -314,7 +324,7 @@ def _read_scans(path: Path, settings: ScansModel) -> Scans | None:
 def _read_clouds(path: Path) -> Clouds | None:
     if not path.exists():
         return None
-    time_s, first, point_m, point_s = read_archive(path, ("time_s", "first", "point_m", "point_s"))
+    time_s, first, point_m, point_s = read_archive(path, _CLOUDS)
     with _naming(path):
         return Clouds(time_s, whole_numbers("clouds", "first", first), point_m, point_s)
 

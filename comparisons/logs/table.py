@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -12,6 +13,11 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, check_regular, printable
+
+_MOST_PARTS = 64
+_QUOTED = re.compile(r"""\"[^"\n]*"|'[^'\n]*'""")
+_BETWEEN = re.compile(r"[=,#\[\]{}\n]")
+"""Ends a dotted key of TOML."""
 
 
 class Table:
@@ -153,11 +159,24 @@ def _reading(path: Path) -> Iterator[None]:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file as nested mappings. Raises InputError."""
-    text = read_text(path)
+    try:
+        return parse_toml(read_text(path))
+    except ValueError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """A TOML text as nested mappings. Raises ValueError, also for what would take tomllib hours.
+
+    Its time and memory grow with the square of a key's parts.
+    """
+    for piece in _BETWEEN.split(_QUOTED.sub('""', text)):
+        if piece.count(".") > _MOST_PARTS:
+            raise ValueError(f"a key of more than {_MOST_PARTS} parts")
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise ValueError("nested too deep") from None
 
 
 def shorten(word: str, limit: int = 40) -> str:

@@ -337,14 +337,14 @@ def _diagnosis(known: Known) -> Diagnosis:
 
     return Diagnosis(
         differences=gaps.model_differences,
-        operations=lambda: _event_faults(known.prepared, run, gaps.rounding.covariance),
+        operations=lambda: _event_faults(known.prepared, run, gaps.algebra_rounding.covariance),
         known_model_errors=known_model_errors,
         growth=gaps.linearisation_growth,
         spurious=lambda: known.value(SpuriousFinding),
         dropouts=dropouts,
         consistency=known.value(ConsistencyFinding),
         log_fits=fits,
-        algebra=gaps.rounding,
+        algebra=gaps.algebra_rounding,
         model=gaps.rounding,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,14 @@ from comparisons.arrays import Array
 from comparisons.audit.consistency import event_innovations
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.spurious import Learnt, learnt
-from comparisons.checks.agreement import Agreement, Allowed, Gap, Gaussian
+from comparisons.checks.agreement import (
+    Agreement,
+    Allowed,
+    Gap,
+    GapFigures,
+    Gaussian,
+    gap_figures,
+)
 from comparisons.checks.causes import ALGEBRA_HINT
 from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
 from comparisons.checks.diagnosis.known_model_errors import explain
@@ -41,7 +48,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
-from comparisons.innovations import SensorInnovations
+from comparisons.innovations import InnovationResult
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.gaps import Gaps, compute_gaps
@@ -63,26 +70,37 @@ OWN = ("data", "algebra", "model")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TraceCheck:
-    """Gaps and causes. algebra: None where the estimate lacks the joint covariance.
+class TraceFigures(GapFigures):
+    """The recorded equations of an external filter; gaps as in `result.json`.
 
-    algebra_allowed, model_allowed: the gaps that rounding explains. own: what the trace's own
-    equations lead to, at the log's epochs; None where a cause speaks against them. steps, updates,
-    initialised, fixes: how many of each the trace holds. innovations: by sensor; none of a trace of
-    0.2, which has no events.
+    Attributes:
+        steps: predictions.
+        updates: updates.
+        initialised: initialised landmarks.
+        positions: absolute positions.
+        innovations: by sensor, whitened by the recorded equations; none of a trace of 0.2, which
+            has no events.
+    """
+
+    steps: int
+    updates: int
+    initialised: int
+    positions: int
+    innovations: list[InnovationResult] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TraceCheck(TraceFigures):
+    """With causes. algebra: None where the estimate lacks the joint covariance.
+
+    own: what the trace's own equations lead to, at the log's epochs; None where a cause speaks
+    against them.
     """
 
     agreement: Agreement
     algebra: Gap | None
     verdict: Verdict
-    algebra_allowed: Allowed
-    model_allowed: Allowed
     own: Reference | None
-    steps: int
-    updates: int
-    initialised: int
-    fixes: int
-    innovations: tuple[SensorInnovations, ...]
 
 
 def check_trace(
@@ -122,20 +140,24 @@ def check_trace(
         diagnosis,
         data_faults=data_faulty,
     )
-    trace = run.trace
+    trace, found = run.trace, gaps.agreement
+    algebra = found.algebra if known else None
     right = known and not any(one.gap in OWN for one in verdict.causes)
     return TraceCheck(
         own=_own_equations(run) if right else None,
-        agreement=gaps.agreement,
-        algebra=gaps.agreement.algebra if known else None,
+        agreement=found,
+        algebra=algebra,
         verdict=verdict,
-        algebra_allowed=diagnosis.algebra,
-        model_allowed=diagnosis.model,
+        **gap_figures(algebra, found.model, found.linearisation),
+        algebra_limit_sigma=diagnosis.algebra.sigma,
+        model_limit_sigma=diagnosis.model.sigma,
         steps=len(trace.departed),
         updates=len(trace.measurements[POINT].step),
         initialised=len(trace.initialisations[POINT].step),
-        fixes=len(trace.positions.step),
-        innovations=event_innovations(run_events(run), run.sensors),
+        positions=len(trace.positions.step),
+        innovations=[
+            InnovationResult.of(one) for one in event_innovations(run_events(run), run.sensors)
+        ],
     )
 
 
@@ -170,7 +192,7 @@ def _diagnosis(
         return learnt(run_events(run))
 
     ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
-    algebra = model = gaps.rounding
+    algebra, model = gaps.algebra_rounding, gaps.rounding
     covariance = stored_rounding(ekf.joint_covariance) > 0.0
     if rounding or covariance:
         algebra = algebra.plus(allowed_of_estimate(Gaussian.of(ekf), sigma, covariance=covariance))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from html import escape
 from itertools import cycle
@@ -12,11 +11,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import Field
 
-from comparisons.atomic import fresh_folder, known_files
+from comparisons.atomic import LIST, fresh_folder
 from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.spurious import Learnt
-from comparisons.figures import Model, finite, package_versions
+from comparisons.figures import Model, finite, json_text, package_versions
 from comparisons.innovations import InnovationResult, SensorInnovations
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import document, figures, prose, script
@@ -438,14 +437,13 @@ def audit_figure(panels: Sequence[Panel]) -> Figure:
 def write_audit(audit: Audit, folder: Path) -> None:
     """Write audit.json, report.html and a picture of the curves. Raises InputError."""
     result, panels = build_audit_result(audit), audit_panels(audit)
-    with fresh_folder(folder, known_files(folder)) as work:
+    with fresh_folder(folder, RESULT) as work:
         if panels:
             save(audit_figure(panels), work / "curves.png")
         (work / "report.html").write_text(_page(audit, panels), encoding="utf-8")
-        files = sorted([*(p.name for p in work.iterdir()), RESULT])
+        files = sorted([*(p.name for p in work.iterdir()), RESULT, LIST])
         found = result.model_copy(update={"files": files}).model_dump(mode="json")
-        text = json.dumps(found, indent=2, allow_nan=False) + "\n"
-        (work / RESULT).write_text(text, encoding="utf-8")
+        (work / RESULT).write_text(json_text(found, indent=2) + "\n", encoding="utf-8")
 
 
 def _page(audit: Audit, panels: Sequence[Panel]) -> str:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, landmark_errors
+from comparisons.checks.agreement import BlockAgreement, LandmarkAgreement
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.finding import (
     ExternalConsistencyResult,
@@ -21,12 +21,10 @@ from comparisons.checks.consistency.finding import (
     nees_rows,
     smoothed_rows,
 )
-from comparisons.checks.external_agreement import Block, ExternalAgreement
 from comparisons.checks.grade import Likeness, match_map
 from comparisons.figures import Model, band, finite, in_sigma, package_versions, shown
-from comparisons.innovations import InnovationResult
 from comparisons.pipeline.check import ExternalCheck
-from comparisons.pipeline.external_trace import TraceCheck
+from comparisons.pipeline.external_trace import TraceFigures
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.check import check_figure
 from comparisons.report.folder import JobFolder
@@ -42,7 +40,7 @@ from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import check_ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.models import BlockResult, LogResult, SmootherResult
+from comparisons.report.models import LogResult, SmootherResult
 from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import (
     agreeing,
@@ -61,7 +59,6 @@ from comparisons.report.settings import (
     settings_rows,
 )
 from comparisons.report.terminal import STYLES, Summary
-from comparisons.statistics import ROUNDING
 from comparisons.words import Row
 
 NOT_STATED = "not stated"
@@ -86,18 +83,13 @@ def build_check_result(check: ExternalCheck, read: Clock | None = None) -> Check
         rms_m=found.rms_m,
         rms_heading_rad=found.rms_heading_rad,
         outside=found.outside,
-        last_pose=None
-        if found.last is None
-        else BlockResult.model_validate(_block(found, found.last)),
-        landmarks=[
-            ExternalLandmarkResult.model_validate({"id": int(number), **_block(found, block)})
-            for number, block in zip(found.landmark_id, found.landmarks, strict=True)
-        ],
+        last_pose=found.last,
+        landmarks=found.landmarks,
         estimate_sha256=dict(check.given.sha256),
         consistency=external_consistency_result(check.consistency),
         accuracy=check.accuracy,
         smoother_accuracy=solution.accuracy,
-        trace=_trace(check.trace),
+        trace=check.trace,
         grade=check.grade.value,
         required=check.grade.required,
         nearest=_nearest(check.grade.by),
@@ -227,15 +219,15 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
     smoothed = solution.estimate
     count = len(smoothed.landmark)
     distance, ratio = np.full(count, np.nan), np.full(count, np.nan)
-    distance[theirs] = [block.distance for block in blocks]
-    ratio[theirs] = [np.nan if block.least is None else block.least for block in blocks]
+    distance[theirs] = [block.distance_sigma for block in blocks]
+    ratio[theirs] = [block.ratios[0] if block.ratios else np.nan for block in blocks]
     marked = farthest(distance)
     ids = smoothed.landmark_id[marked]
     labels = {i: f"landmark {i}: not in the estimate" for i in ids.tolist()}
     for row, block in zip(theirs.tolist(), blocks, strict=True):
         labels[int(smoothed.landmark_id[row])] = (
             f"landmark {smoothed.landmark_id[row]}: {block.difference_m:.3f} m apart, "
-            f"{block.distance:.2g} sigma"
+            f"{block.distance_sigma:.2g} sigma"
         )
     beneath = [
         associations(
@@ -384,27 +376,6 @@ def _facts(result: CheckResult) -> list[tuple[str, str]]:
     return facts
 
 
-def _trace(check: TraceCheck | None) -> TraceResult | None:
-    if check is None:
-        return None
-    algebra, model, rest = check.algebra, check.agreement.model, check.agreement.linearisation
-    return TraceResult(
-        steps=check.steps,
-        updates=check.updates,
-        initialised=check.initialised,
-        positions=check.fixes,
-        algebra_gap_sigma=None if algebra is None else finite(algebra.sigma),
-        algebra_gap_covariance=None if algebra is None else finite(algebra.covariance),
-        model_gap_sigma=finite(model.sigma),
-        model_gap_covariance=finite(model.covariance),
-        linearisation_gap_sigma=finite(rest.sigma),
-        linearisation_gap_covariance=finite(rest.covariance),
-        algebra_limit_sigma=check.algebra_allowed.sigma,
-        model_limit_sigma=check.model_allowed.sigma,
-        innovations=[InnovationResult.of(sensor) for sensor in check.innovations],
-    )
-
-
 def _nearest(found: Likeness | None) -> NearestResult | None:
     if found is None:
         return None
@@ -417,26 +388,6 @@ def _nearest(found: Likeness | None) -> NearestResult | None:
         parts=[part.name for part in found.parts],
         missing=[*found.missing, *found.unmapped],
     )
-
-
-def _block(found: ExternalAgreement, block: Block) -> dict[str, float | bool | None]:
-    return {
-        "difference_m": block.difference_m,
-        "distance_sigma": block.distance,
-        "variance_ratio_least": None if block.least is None else finite(block.least),
-        "variance_ratio_largest": None if block.largest is None else finite(block.largest),
-        "agrees": found.agrees(block),
-    }
-
-
-class ExternalLandmarkResult(BlockResult):
-    """One landmark that the estimate and the smoother have.
-
-    Attributes:
-        id: id of the landmark in the log.
-    """
-
-    id: int
 
 
 class NearestResult(Model):
@@ -460,42 +411,6 @@ class NearestResult(Model):
     variance_ratio_largest: float | None
     parts: list[str]
     missing: list[str]
-
-
-class TraceResult(Model):
-    """The recorded equations of an external filter.
-
-    See comparisons.checks.external_trace.TraceCheck.
-
-    Attributes:
-        steps: predictions.
-        updates: updates.
-        initialised: initialised landmarks.
-        positions: absolute positions.
-        algebra_gap_sigma: as in `result.json`.
-        algebra_gap_covariance: as in `result.json`.
-        model_gap_sigma: as in `result.json`.
-        model_gap_covariance: as in `result.json`.
-        linearisation_gap_sigma: as in `result.json`.
-        linearisation_gap_covariance: as in `result.json`.
-        algebra_limit_sigma: as in `result.json`.
-        model_limit_sigma: as in `result.json`.
-        innovations: by sensor, whitened by the recorded equations.
-    """
-
-    steps: int
-    updates: int
-    initialised: int
-    positions: int
-    algebra_gap_sigma: float | None
-    algebra_gap_covariance: float | None
-    model_gap_sigma: float | None
-    model_gap_covariance: float | None
-    linearisation_gap_sigma: float | None
-    linearisation_gap_covariance: float | None
-    algebra_limit_sigma: float = ROUNDING
-    model_limit_sigma: float = ROUNDING
-    innovations: list[InnovationResult] = Field(default_factory=list)
 
 
 class CheckResult(Model):
@@ -551,13 +466,13 @@ class CheckResult(Model):
     rms_m: float
     rms_heading_rad: float
     outside: float | None
-    last_pose: BlockResult | None
-    landmarks: list[ExternalLandmarkResult]
+    last_pose: BlockAgreement | None
+    landmarks: tuple[LandmarkAgreement, ...]
     estimate_sha256: dict[str, str]
     consistency: ExternalConsistencyResult
     accuracy: Accuracy | None
     smoother_accuracy: Accuracy | None
-    trace: TraceResult | None
+    trace: TraceFigures | None
     grade: Literal["equal", "like", "plausible", "wrong"] | None
     required: Literal["equal", "like", "plausible"]
     nearest: NearestResult | None

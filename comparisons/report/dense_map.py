@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,15 +11,8 @@ from typing import Any
 import numpy as np
 
 from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, assess
-from comparisons.extensions.dense_maps.accuracy import OCCUPIED
-from comparisons.extensions.dense_maps.result import (
-    FirstConditionResult,
-    SurfaceErrorResult,
-    first_condition_result,
-    first_condition_rows,
-    surface_error_results,
-    surface_error_rows,
-)
+from comparisons.extensions.dense_maps.accuracy import OCCUPIED, SurfaceError, surface_error_rows
+from comparisons.extensions.dense_maps.check import FirstCondition
 from comparisons.figures import Model, package_versions
 from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.pipeline.prepare import Clock
@@ -141,11 +135,11 @@ class MapResult(Model):
     accuracy: Accuracy | None
     scan_landmarks: int
     regions: int
-    first_condition: FirstConditionResult
+    first_condition: FirstCondition
     resolution_m: float
     returns: ReturnsResult
     layers: dict[str, LayerResult]
-    surface_errors: dict[str, SurfaceErrorResult]
+    surface_errors: dict[str, SurfaceError]
     closing: ClosingResult | None
     dynamic: DynamicResult | None
     remarks: list[str]
@@ -167,7 +161,7 @@ def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapRes
         accuracy=assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled),
         scan_landmarks=len(m.ekf.estimate.pose_landmarks),
         regions=len(m.placed.triangle),
-        first_condition=first_condition_result(m.dense),
+        first_condition=FirstCondition.of(m.dense),
         resolution_m=m.dense.options.resolution_m,
         returns=_returns(m.dense.dense),
         layers={
@@ -176,7 +170,7 @@ def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapRes
             )
             for name, s in m.layers.items()
         },
-        surface_errors=surface_error_results(m.errors),
+        surface_errors=dict(m.errors),
         closing=None
         if before is None
         else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
@@ -194,7 +188,7 @@ def map_summary(result: MapResult) -> Summary:
     errors = [
         f"{name} {error.median_m:.3f} m"
         for name, error in result.surface_errors.items()
-        if error.median_m is not None
+        if math.isfinite(error.median_m)
     ]
     layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
     return Summary(
@@ -228,7 +222,7 @@ def _map_rows(result: MapResult) -> list[Row]:
     ]
     if result.scan_landmarks:
         rows.append(Row("EKF", "scan landmarks", f"{result.scan_landmarks:,}"))
-    rows += first_condition_rows(result.first_condition)
+    rows += result.first_condition.rows()
     rows += [Row("Scanner", name, f"{count:,}") for name, count in counts.items()]
     for name, layer in result.layers.items():
         rows.append(Row("Layers", f"{name}: samples", f"{layer.samples:,}"))

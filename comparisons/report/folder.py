@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
-from comparisons.atomic import check_replaceable, folder_name, fresh_folder, known_files
+from comparisons.atomic import LIST, check_apart, check_replaceable, folder_name, fresh_folder
 from comparisons.config import Configured, JobConfig, shown
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.folder import write_estimate
+from comparisons.figures import json_text
 from comparisons.logs.table import read_toml
 from comparisons.options.table import FLAGS
 
@@ -50,10 +50,9 @@ class JobFolder:
 def write_job_folder(content: JobFolder, folder: Path, formats: Collection[str] = ()) -> None:
     """Write everything. Raises InputError.
 
-    formats: of the pictures; see picture.save. The result's file lists all others, so that the
-    next run knows which folder it may replace.
+    formats: of the pictures; see picture.save. The result's file names all others.
     """
-    with fresh_folder(folder, known_files(folder)) as work:
+    with fresh_folder(folder, CONFIG) as work:
         for name, estimate in content.estimates.items():
             (work / name).mkdir()
             write_estimate(estimate, work / name)
@@ -64,8 +63,8 @@ def write_job_folder(content: JobFolder, folder: Path, formats: Collection[str] 
         result = work / f"{content.name}.json"
         found = content.result.model_dump(mode="json")
         files = sorted(p.relative_to(work).as_posix() for p in work.rglob("*") if p.is_file())
-        found["files"] = sorted([*files, result.name])
-        result.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        found["files"] = sorted([*files, result.name, LIST])
+        result.write_text(json_text(found, indent=2) + "\n", encoding="utf-8")
 
 
 def _save(figures: Mapping[str, Figure], folder: Path, formats: Collection[str]) -> None:
@@ -103,11 +102,15 @@ def default_folder(
 def check_free(folder: Path, config: JobConfig | None = None, *, replace: bool = False) -> None:
     """Raise InputError where a folder may not be written, before the work.
 
-    config: of the job, with its log's hash. A folder that holds the same job with other settings,
-    of another log, or another job is refused, unless replace is set.
+    config: of the job, with its log's hash. A folder that holds what the job reads is refused; one
+    that holds the same job with other settings, of another log, or another job, unless replace is
+    set.
     """
-    check_replaceable(folder, known_files(folder))
-    if config is None or replace or not known_files(folder):
+    check_replaceable(folder, CONFIG)
+    if config is None:
+        return
+    check_apart(folder, config.inputs())
+    if replace or not (folder / CONFIG).exists():
         return
     if other := _other_run(folder, config):
         raise InputError(

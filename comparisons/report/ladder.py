@@ -6,12 +6,13 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from comparisons.checks.agreement import LARGEST_DISTANCE
+from comparisons.checks.agreement import LARGEST_DISTANCE, Agreement, GapFigures
 from comparisons.checks.qualifiers import TruthGap
-from comparisons.report.models import AgreementResult, Result
+from comparisons.figures import finite
+from comparisons.report.models import Result
 
 if TYPE_CHECKING:
-    from comparisons.report.check import CheckResult, TraceResult
+    from comparisons.report.check import CheckResult
 
 EKF = "EKF"
 EXTERNAL = "external estimate"
@@ -102,7 +103,7 @@ def check_ladder(result: CheckResult) -> list[Step]:
 
 
 def gap_steps(
-    gaps: AgreementResult | TraceResult,
+    gaps: GapFigures,
     failed: Collection[str],
     *,
     verified: bool = True,
@@ -119,8 +120,8 @@ def gap_steps(
             gap=name,
             above=above,
             below=below,
-            sigma=sigma,
-            covariance=covariance,
+            sigma=finite(sigma),
+            covariance=finite(covariance),
             fails=name in failed,
             judged=judged,
             limit=limit,
@@ -132,7 +133,7 @@ def gap_steps(
                 LINEAR,
                 gaps.algebra_gap_sigma,
                 gaps.algebra_gap_covariance,
-                isinstance(gaps, AgreementResult) or gaps.algebra_gap_sigma is not None,
+                isinstance(gaps, Agreement) or finite(gaps.algebra_gap_sigma) is not None,
                 gaps.algebra_limit_sigma,
             ),
             (

@@ -7,6 +7,7 @@ from typing import Any, Literal
 from pydantic import ConfigDict, Field
 
 from comparisons.checks.accuracy import Accuracies, Accuracy
+from comparisons.checks.agreement import Agreement
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import AssociationCheck
 from comparisons.checks.causes import Cause
@@ -15,7 +16,6 @@ from comparisons.checks.qualifiers import TruthGap
 from comparisons.checks.spurious import SpuriousHeadingResult
 from comparisons.figures import Model
 from comparisons.report.settings import SettingsResult
-from comparisons.statistics import ROUNDING
 
 
 class LogResult(Model):
@@ -177,81 +177,6 @@ class SmootherResult(Model):
     chance_missed: float
 
 
-class BlockResult(Model):
-    """An estimate compared with the smoother's, in one block of the state.
-
-    See comparisons.checks.agreement.BlockAgreement; of `slamcheck check`, external_agreement.Block.
-
-    Attributes:
-        difference_m: distance of the positions.
-        distance_sigma: Mahalanobis distance, in the smoother's sigma.
-        variance_ratio_least: least variance of the estimate over the smoother's, of all directions;
-            below 1 is overconfident; None without covariances.
-        variance_ratio_largest: largest such ratio; None without covariances.
-        agrees: whether the block agrees.
-    """
-
-    difference_m: float
-    distance_sigma: float
-    variance_ratio_least: float | None
-    variance_ratio_largest: float | None
-    agrees: bool
-
-
-class LandmarkResult(BlockResult):
-    """One landmark, compared.
-
-    Attributes:
-        id: id of the landmark in the log.
-        ekf_m: position by the EKF.
-        smoother_m: position by the smoother.
-    """
-
-    id: int
-    ekf_m: tuple[float, float]
-    smoother_m: tuple[float, float]
-
-
-class AgreementResult(Model):
-    """The gaps of the chain of estimates.
-
-    Covariance gaps are None where a covariance is not positive definite.
-
-    Attributes:
-        algebra_gap_sigma: largest difference of the means of EKF and F1, in sigma.
-        algebra_gap_covariance: largest deviation from 1 of the generalised eigenvalues of their
-            covariances.
-        model_gap_sigma: largest difference of the means of F1 and F2, in sigma.
-        model_gap_covariance: the same for the covariances of F1 and F2.
-        linearisation_gap_sigma: largest difference of the means of F2 and the smoother, in sigma.
-        linearisation_gap_covariance: the same for the covariances of F2 and the smoother.
-        algebra_limit_sigma: largest algebra gap that rounding explains.
-        model_limit_sigma: largest model gap that rounding explains.
-        optimism: least variance of the EKF over the smoother's, of all directions; below 1 is
-            overconfident.
-        pessimism: largest such ratio.
-        landmark_difference_rms_m: root mean square distance of the landmarks of EKF and smoother.
-        pose: the last pose.
-        map: all landmarks together.
-        landmarks: each landmark.
-    """
-
-    algebra_gap_sigma: float | None
-    algebra_gap_covariance: float | None
-    model_gap_sigma: float | None
-    model_gap_covariance: float | None
-    linearisation_gap_sigma: float | None
-    linearisation_gap_covariance: float | None
-    algebra_limit_sigma: float = ROUNDING
-    model_limit_sigma: float = ROUNDING
-    optimism: float | None
-    pessimism: float | None
-    landmark_difference_rms_m: float
-    pose: BlockResult
-    map: BlockResult
-    landmarks: list[LandmarkResult]
-
-
 SCHEMA = 4
 """Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
 
@@ -298,7 +223,7 @@ class Result(Model):
     log: LogResult
     ekf: EkfResult
     smoother: SmootherResult
-    agreement: AgreementResult
+    agreement: Agreement
     consistency: ConsistencyResult
     spurious_heading: SpuriousHeadingResult | None = None
     accuracy: Accuracies | None = None

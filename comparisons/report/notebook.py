@@ -67,7 +67,7 @@ def html(result: object) -> str:
 def comparison_html(c: Comparison) -> str:
     """Return verdict, causes, gaps and map of a run."""
     count = len(c.agreement.landmarks)
-    marked = farthest(np.array([block.distance for block in c.agreement.landmarks]))
+    marked = farthest(np.array([block.distance_sigma for block in c.agreement.landmarks]))
     content = run_map(c, marked)
     return view(
         c.log.name,

@@ -10,12 +10,11 @@ import numpy as np
 
 from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows
 from comparisons.estimates.folder import tum_text
+from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.result import (
-    IncrementResult,
     ScanOdometryResult,
     by_reason,
     increment_remarks,
-    increment_result,
     scan_odometry_result,
     scan_odometry_rows,
 )
@@ -81,7 +80,7 @@ class FrontEndResult(Model):
     graph: SmootherResult
     landmarks: int
     gps: str
-    increments: IncrementResult | None
+    increments: IncrementCheck | None
     wheels: Accuracy | None
     scan_odometry: Accuracy | None
     scan_graph: Accuracy | None
@@ -111,7 +110,7 @@ def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> Fr
         graph=smoother_result(f.graph, f.estimate),
         landmarks=len(f.estimate.landmark),
         gps=how.gps,
-        increments=increment_result(f.increments),
+        increments=f.increments,
         wheels=f.accuracy_wheels,
         scan_odometry=f.accuracy_odometry,
         scan_graph=f.accuracy_graph,

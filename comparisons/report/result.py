@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from comparisons.checks.agreement import block_agrees
+from dataclasses import replace
+
 from comparisons.checks.check import value_of
 from comparisons.checks.position_gate import PositionsFinding
-from comparisons.figures import finite, package_versions
+from comparisons.figures import package_versions, stored
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.ladder import ladder
-from comparisons.report.models import SCHEMA, AgreementResult, BlockResult, LandmarkResult, Result
+from comparisons.report.models import SCHEMA, Result
 from comparisons.report.rows import (
     AGREEING_RATIOS,
     agreeing,
@@ -21,7 +22,7 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import block_fields, ekf_result, log_result, smoother_result
+from comparisons.report.sections import ekf_result, log_result, smoother_result
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -30,7 +31,11 @@ from comparisons.words import Row
 def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
     """Return the findings of a run, read being the time that reading the log took."""
     c, fixes = comparison, value_of(comparison.findings, PositionsFinding)
-    entries = {key: entry for found in c.findings.values() for key, entry in found.entries.items()}
+    entries = {
+        key: entry if key in Result.model_fields else stored(entry)
+        for found in c.findings.values()
+        for key, entry in found.entries.items()
+    }
     return Result(
         schema_version=SCHEMA,
         config=c.prepared.config.model_dump(mode="json"),
@@ -38,7 +43,11 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
         log=log_result(c.log),
         ekf=ekf_result(c.ekf, c.prepared.ekf, fixes),
         smoother=smoother_result(c.smoother, c.smoothed),
-        agreement=_agreement(c),
+        agreement=replace(
+            c.agreement,
+            algebra_limit_sigma=c.gaps.algebra_rounding.sigma,
+            model_limit_sigma=c.gaps.rounding.sigma,
+        ),
         verdict=c.verdict.outcome,
         summary=c.verdict.summary,
         qualifiers=list(c.verdict.qualifiers),
@@ -81,9 +90,8 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
 def run_summary(comparison: Comparison, result: Result) -> Summary:
     """Return what the command prints."""
     gaps = result.agreement
-    pose_landmarks = [block_agrees(block) for block in comparison.agreement.pose_landmarks]
-    agree = sum(row.agrees for row in gaps.landmarks) + sum(pose_landmarks)
-    landmarks = len(gaps.landmarks) + len(pose_landmarks)
+    landmarks = [*gaps.landmarks, *gaps.pose_landmarks]
+    agree = sum(row.agrees for row in landmarks)
     failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
     qualified = result.verdict == "agree" and result.qualifiers
     return Summary(
@@ -95,7 +103,7 @@ def run_summary(comparison: Comparison, result: Result) -> Summary:
         lines=[
             (
                 "agreement",
-                f"{agree} of {landmarks} landmarks "
+                f"{agree} of {len(landmarks)} landmarks "
                 f"({gaps.landmark_difference_rms_m:.3f} m rms); {pose_words(gaps.pose)}",
             ),
             *finding_lines(comparison),
@@ -109,34 +117,6 @@ def finding_lines(comparison: Comparison) -> list[tuple[str, str]]:
     return [found.line for found in comparison.findings.values() if found.line is not None]
 
 
-def _agreement(c: Comparison) -> AgreementResult:
-    a, ekf = c.agreement, c.ekf.estimate
-    return AgreementResult(
-        algebra_gap_sigma=finite(a.algebra.sigma),
-        algebra_gap_covariance=finite(a.algebra.covariance),
-        model_gap_sigma=finite(a.model.sigma),
-        model_gap_covariance=finite(a.model.covariance),
-        linearisation_gap_sigma=finite(a.linearisation.sigma),
-        linearisation_gap_covariance=finite(a.linearisation.covariance),
-        algebra_limit_sigma=c.gaps.rounding.sigma,
-        model_limit_sigma=c.gaps.rounding.sigma,
-        optimism=finite(a.whole.least),
-        pessimism=finite(a.whole.largest),
-        landmark_difference_rms_m=a.landmark_difference_rms_m,
-        pose=BlockResult(**block_fields(a.pose)),
-        map=BlockResult(**block_fields(a.whole)),
-        landmarks=[
-            LandmarkResult(
-                id=int(ekf.landmark_id[i]),
-                ekf_m=tuple(ekf.landmark[i].tolist()),
-                smoother_m=tuple(c.smoothed.landmark[i].tolist()),
-                **block_fields(b),
-            )
-            for i, b in enumerate(a.landmarks)
-        ],
-    )
-
-
 def metrics(result: Result) -> dict[str, float | None]:
     """The figures of a run that a baseline keeps, by name; None where a log has no such figure."""
     found: dict[str, float | None] = {}
@@ -145,7 +125,7 @@ def metrics(result: Result) -> dict[str, float | None]:
         ("ekf", result.ekf),
         ("smoother", result.smoother),
     ):
-        for name, value in model.model_dump().items():
+        for name, value in stored(model).items():
             if isinstance(value, bool) or name in ("iterations", "rank", "distance_sigma"):
                 continue
             if value is None or isinstance(value, int | float):

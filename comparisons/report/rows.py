@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO
+from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO, BlockAgreement
 from comparisons.figures import band, in_sigma, rounded, shown
 from comparisons.report.ladder import Step
-from comparisons.report.models import BlockResult, EkfResult, LogResult, SmootherResult
+from comparisons.report.models import EkfResult, LogResult, SmootherResult
 from comparisons.words import Row
 
 AGREEING_RATIOS = f"{LEAST_VARIANCE_RATIO:g} to {1.0 / LEAST_VARIANCE_RATIO:g}"
@@ -177,7 +177,7 @@ def gap_rows(steps: Sequence[Step]) -> list[Row]:
     return found
 
 
-def block_rows(part: str, whose: str, block: BlockResult, limits: str = "") -> list[Row]:
+def block_rows(part: str, whose: str, block: BlockAgreement, limits: str = "") -> list[Row]:
     """Return how an estimate agrees with the smoother's.
 
     part: of the state. whose: as `EKF`. limits: of the variance ratios, empty where they depend on
@@ -196,7 +196,7 @@ def block_rows(part: str, whose: str, block: BlockResult, limits: str = "") -> l
     return rows
 
 
-def agreeing(blocks: Sequence[BlockResult], whose: str) -> list[Row]:
+def agreeing(blocks: Sequence[BlockAgreement], whose: str) -> list[Row]:
     """Return how many landmarks agree, if there are any. whose: as `EKF`."""
     if not blocks:
         return []
@@ -206,6 +206,6 @@ def agreeing(blocks: Sequence[BlockResult], whose: str) -> list[Row]:
     return [Row(group, name, value, "all", count == len(blocks))]
 
 
-def pose_words(pose: BlockResult) -> str:
+def pose_words(pose: BlockAgreement) -> str:
     """Return in words how two estimates agree in the last pose."""
     return f"last pose {'agrees' if pose.agrees else 'disagrees'} ({in_sigma(pose.distance_sigma)})"

@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
+from comparisons.checks.agreement import BlockAgreement
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.heat_map import heat_maps
@@ -24,7 +25,7 @@ from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.models import BlockResult, Result
+from comparisons.report.models import Result
 from comparisons.report.panels import (
     ConsistencyPanels,
     consistency_panels,
@@ -94,7 +95,7 @@ def run_page(
     """Return what stands on the page. pictures: files of those that have been drawn."""
     c, a = comparison, result.agreement.landmarks
     ekf, found = c.ekf.estimate, c.findings.values()
-    marked = farthest(np.array([block.distance for block in c.agreement.landmarks]))
+    marked = farthest(np.array([block.distance_sigma for block in c.agreement.landmarks]))
     labelled = c.prepared.labelled
     errors = landmark_errors(ekf.landmark_id, ekf.landmark, c.log, labelled=labelled)
     rows = [LandmarkRow(str(a[i].id), str(a[i].id), a[i], errors[i]) for i in marked.tolist()]
@@ -146,7 +147,7 @@ def run_page(
     )
 
 
-def _facts(result: Result, landmarks: Sequence[BlockResult]) -> list[tuple[str, str]]:
+def _facts(result: Result, landmarks: Sequence[BlockAgreement]) -> list[tuple[str, str]]:
     """What the verdict rests on, beside the lines of findings. landmarks: that both have."""
     gaps, smoother = result.agreement, result.smoother
     agreeing = sum(row.agrees for row in landmarks)
@@ -184,10 +185,10 @@ def run_map(c: Comparison, marked: Index) -> MapContent:
         ],
         keys=ids.tolist(),
         labels=[
-            f"landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
+            f"landmark {i}: {b.difference_m:.3f} m apart, {b.distance_sigma:.2g} sigma"
             for i, b in zip(ids.tolist(), blocks, strict=True)
         ],
-        ratio=np.array([b.least for b in blocks]),
+        ratio=np.array([b.variance_ratio_least for b in blocks]),
         view=[
             place
             for one in (ekf, smoothed, *(estimate for _, _, estimate in more))

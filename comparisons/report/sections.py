@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.config import EkfConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import finite
@@ -109,14 +108,3 @@ def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> Smoo
         random_starts=explored.draws,
         chance_missed=explored.missed,
     )
-
-
-def block_fields(b: BlockAgreement) -> dict[str, float | bool | None]:
-    """How a block of two estimates agrees, by the names of BlockResult."""
-    return {
-        "difference_m": b.difference_m,
-        "distance_sigma": b.distance,
-        "variance_ratio_least": finite(b.least),
-        "variance_ratio_largest": finite(b.largest),
-        "agrees": block_agrees(b),
-    }

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from comparisons.atomic import check_file, write_whole
+from comparisons.atomic import Kind, begins, check_file, write_whole
 from comparisons.errors import InputError, printable
 from comparisons.figures import current
 from comparisons.logs.log_meta import first_fault
@@ -124,14 +124,18 @@ def check_table(path: Path) -> None:
     if path.suffix.lower() not in _TABLES:
         known = ", ".join(_TABLES)
         raise InputError(f"{path}: its suffix names no kind of table, expected {known}")
-    check_file(path)
+    check_file(path, _KINDS[path.suffix.lower()])
 
 
 def write_table(titles: Sequence[str], rows: Sequence[Row], path: Path) -> None:
     """Write CSV with every digit, or LaTeX or HTML as printed, by the suffix. Raises InputError."""
     check_table(path)
     text = _TABLES[path.suffix.lower()](titles, rows)
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(
+        path,
+        lambda part: part.write_text(text, encoding="utf-8"),
+        _KINDS[path.suffix.lower()],
+    )
 
 
 def _read(folder: Path) -> Found:
@@ -305,4 +309,14 @@ _TABLES: dict[str, Callable[[Sequence[str], Sequence[Row]], str]] = {
     ".csv": _csv,
     ".tex": _latex,
     ".html": _html,
+}
+_FIRST = rb"(verdict|first cause|grade|job|log|filter|association|attributes|gps)"
+"""Name of a table's first row."""
+_KINDS = {
+    suffix: Kind("an earlier table of compare", begins(pattern))
+    for suffix, pattern in {
+        ".csv": rb"name,[^\n]*\n" + _FIRST + rb",",
+        ".tex": rb"\\begin\{tabular\}\{lr+\}\n & [^\n]* \\hline\n" + _FIRST + rb" & ",
+        ".html": rb"(?s)<!doctype html>\n<html.{,1000}<title>Results side by side</title>",
+    }.items()
 }

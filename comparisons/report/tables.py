@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from comparisons.arrays import Array, Index
+from comparisons.checks.agreement import BlockAgreement, LandmarkAgreement
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.config import JobConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import stored
 from comparisons.innovations import SensorInnovations
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import ExternalCheck
@@ -24,7 +26,6 @@ from comparisons.report.check import build_check_result
 from comparisons.report.folder import leaves
 from comparisons.report.ladder import check_ladder, ladder
 from comparisons.report.result import build_result
-from comparisons.report.sections import block_fields
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -143,9 +144,7 @@ def comparison_tables(c: Comparison) -> Tables:
     """Return what `Comparison.to_pandas` offers."""
 
     def landmarks() -> Columns:
-        ids = c.ekf.estimate.landmark_id.tolist()
-        rows = zip(ids, c.agreement.landmarks, strict=True)
-        return [{"id": number, **block_fields(block)} for number, block in rows]
+        return [_landmark(block) for block in c.agreement.landmarks]
 
     return {
         "gaps": lambda: [asdict(step) for step in ladder(build_result(c))],
@@ -163,10 +162,7 @@ def check_tables(c: ExternalCheck) -> Tables:
     given, found = c.given, c.agreement
 
     def landmarks() -> Columns:
-        rows = zip(found.landmark_id.tolist(), found.landmarks, strict=True)
-        return [
-            {"id": number, **asdict(block), "agrees": found.agrees(block)} for number, block in rows
-        ]
+        return [_landmark(block) for block in found.landmarks]
 
     return {
         "gaps": lambda: [asdict(step) for step in check_ladder(build_check_result(c))],
@@ -214,6 +210,10 @@ def _nis(sensors: Sequence[SensorInnovations]) -> Columns:
             (one.windows.time_s, one.windows.mean, one.windows.low, one.windows.high)
         ).tolist()
     ]
+
+
+def _landmark(block: LandmarkAgreement) -> Mapping[str, Any]:
+    return {"id": block.id, **stored(block, BlockAgreement)}
 
 
 def _causes(causes: Sequence[Cause]) -> Columns:

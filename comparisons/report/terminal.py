@@ -159,7 +159,7 @@ def _ladder(steps: Sequence[Step]) -> list[Line]:
         if step.error_m is not None:
             far = f"{step.error_m:.3g} m"
         below = textwrap.shorten(f"-> {step.below}", 37, placeholder=" ...")
-        text = f"{step.gap:<14}{below:<37}{mean:>9}{most:>7}{far:>13}"
+        text = f"{step.gap:<14}{below:<37}{mean:>9} {most:>6}{far:>13}"
         lines.append(Line(text, "red" if step.fails else ""))
     return lines
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.scan_source import ScanSource
 from comparisons.arrays import Array
-from comparisons.atomic import check_file, write_whole
+from comparisons.atomic import Kind, begins, check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Poses
@@ -23,6 +23,7 @@ from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, 
 from graphslam.scan import planar
 
 SUFFIX = ".rrd"
+_RECORDING = Kind("a recording of rerun", begins(b"RR(F|IO)"))
 _TIME = "time"
 _MOST_POSES, _MOST_SCANS = 2000, 1000
 _SIGMAS = 3.0
@@ -41,7 +42,7 @@ def check_viewer(live: bool, record: Path | None) -> None:
     if record is not None and record.suffix != SUFFIX:
         raise InputError(f"{record}: expected a file name that ends with {SUFFIX}")
     if record is not None:
-        check_file(record)
+        check_file(record, _RECORDING)
     if live or record is not None:
         load_rerun()
 
@@ -71,7 +72,7 @@ def record_run(comparison: Comparison, path: Path) -> None:
             raise InputError(f"{path}: cannot be written ({reason})") from None
         _send(comparison, stream)
 
-    write_whole(path, write)
+    write_whole(path, write, _RECORDING)
 
 
 def _send(comparison: Comparison, stream: Any) -> None:

@@ -71,6 +71,7 @@ class AckermannModel:
     """Car-like vehicle, pose at the laser, speed from an encoder on the rear left wheel.
 
     Control: (encoder speed v_e [m/s], steering alpha [rad], positive to the left).
+    Without offsets it is the bicycle of eq. 2.6, pose and speed at the middle of the rear axle.
     Source: Nieto 2005, eqs. A.3 to A.15; Guivant 2002, eq. 1. Errata: A.7, A.9 and A.11 print the
     first term without dt, and A.9 prints it with a minus; the corrected form is used.
 
@@ -112,20 +113,6 @@ class AckermannModel:
         way = duration_s * speed
         moved = way * east, way * north, way * curvature
         return MotionStep.by(T_world_vehicle, *moved, jacobian_control)  # A.4, A.15
-
-
-def bicycle_model(wheelbase_m: float) -> AckermannModel:
-    """Return the classic bicycle, pose and speed at the middle of the rear axle.
-
-    Args:
-        wheelbase_m: L, from rear to front axle [m].
-
-    Returns:
-        An AckermannModel without offsets.
-
-    Source: Nieto 2005, eq. 2.6.
-    """
-    return AckermannModel(wheelbase_m)
 
 
 @dataclass(frozen=True)

@@ -158,34 +158,3 @@ def surface_normals(points: Array) -> tuple[Array, NDArray[np.bool_]]:
     normal = np.zeros((len(points), 3))
     normal[:, :2] = patch.normal
     return normal, patch.flat
-
-
-def information_from_open3d(information: Array, motion: Array, sigma_m: float = 1.0) -> Array:
-    """(3, 3) information on x, y, heading of the right perturbation of a planar motion (3,).
-
-    information: (6, 6) by Open3D's get_information_matrix_from_point_clouds, which orders turns
-    about x, y, z, then shifts, perturbs on the left, in the target's frame about its origin, and
-    takes every coordinate of a pair as known to 1 m; sigma_m puts that right. Roll, pitch and
-    height count as known: the rows of x, y and heading are taken as they are.
-    """
-    order = [3, 4, 2]
-    left = information[np.ix_(order, order)] / sigma_m**2
-    cos, sin = np.cos(motion[2]), np.sin(motion[2])
-    adjoint = np.array(((cos, -sin, motion[1]), (sin, cos, -motion[0]), (0.0, 0.0, 1.0)))
-    right: Array = adjoint.T @ left @ adjoint
-    return right
-
-
-def point_information(
-    source: Array, target: Array, motion: Array, reach_m: float, sigma_m: float
-) -> Array:
-    """(3, 3) what the pairs of source (N, 3) and target (M, 3) would tell if points were points.
-
-    Pairs are nearest neighbours within reach_m. It says that every direction is fixed by every
-    pair, along walls as well: the judge's covariance is the one to believe. Order and tangent as
-    in information_from_open3d.
-    """
-    found = open3d().pipelines.registration.get_information_matrix_from_point_clouds(
-        as_open3d(source), as_open3d(target), reach_m, planar.matrix(motion)
-    )
-    return information_from_open3d(np.asarray(found), motion, sigma_m)

@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -26,6 +27,7 @@ from comparisons.baseline import (
     write_junit,
 )
 from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.agreement import Agreement
 from comparisons.config import CheckConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -36,7 +38,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import CheckResult, build_check_result
-from comparisons.report.models import AgreementResult, EkfResult, Result
+from comparisons.report.models import EkfResult, Result
 from comparisons.report.result import build_result, metrics
 from comparisons.settings import run_config
 from tests.commands import refused, slamcheck, works
@@ -76,9 +78,9 @@ def kept(result: Result) -> Baseline:
     return build_baseline([result, result], run_config())
 
 
-def changed(result: Result, **agreement: float | None) -> Result:
+def changed(result: Result, **agreement: Any) -> Result:
     """The result with other figures of agreement."""
-    return result.model_copy(update={"agreement": result.agreement.model_copy(update=agreement)})
+    return result.model_copy(update={"agreement": replace(result.agreement, **agreement)})
 
 
 def test_the_same_run_holds(result: Result, kept: Baseline) -> None:
@@ -231,7 +233,7 @@ def test_less_of_an_error_is_better_and_beyond_the_tolerance_other_changes_are_n
 def test_every_figure_has_a_side_and_a_reason(result: Result, checked: CheckResult) -> None:
     """Broken variant: a figure that nobody thought of."""
     names = {".".join(path) for path in number_paths(CheckResult)}
-    for part, model in (("ekf", EkfResult), ("agreement", AgreementResult)):
+    for part, model in (("ekf", EkfResult), ("agreement", Agreement)):
         names |= {".".join(path) for path in number_paths(model, (part,)) if len(path) == 2}
     names |= {".".join(path) for path in number_paths(Accuracy, ("accuracy", "ekf"))}
     names |= figures(result).keys() | figures(checked).keys()

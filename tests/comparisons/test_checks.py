@@ -7,7 +7,7 @@ import pytest
 
 from comparisons import statistics
 from comparisons.checks.accuracy import aligned, assess, match_by_distance, relative_errors
-from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
+from comparisons.checks.agreement import BlockAgreement, Gap, Gaussian, compare, gap
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
 from comparisons.statistics import eigenvalue_range
@@ -31,8 +31,8 @@ def test_a_gaussian_has_no_gap_to_itself() -> None:
     nothing = compare(same, same, same, same)
     for found in (nothing.algebra, nothing.model, nothing.linearisation):
         assert found.within(1e-12)
-    assert nothing.whole.distance == 0.0
-    assert np.isclose(nothing.whole.least, 1.0)
+    assert nothing.map.distance_sigma == 0.0
+    assert np.isclose(nothing.optimism, 1.0)
 
 
 def test_gaps_land_where_they_arise() -> None:
@@ -43,7 +43,7 @@ def test_gaps_land_where_they_arise() -> None:
     assert np.isclose(compare(e, shifted, shifted, e).algebra.sigma, 1.0 / sigma[4])
     assert compare(e, shifted, shifted, e).model.sigma == 0.0
     assert np.isclose(compare(e, e, wider, e).model.covariance, 0.5)
-    assert np.isclose(compare(e, e, e, wider).whole.least, 0.5)
+    assert np.isclose(compare(e, e, e, wider).optimism, 0.5)
     assert np.isclose(compare(e, e, e, wider).linearisation.covariance, 0.5)
 
 
@@ -59,6 +59,13 @@ def test_asymmetry_and_indefiniteness_are_gaps() -> None:
     skew[0, 5] += 0.1
     sigma = np.sqrt(np.diag(e.covariance))
     assert gap(replace(e, covariance=skew), e, sigma).covariance > 1e-3
+    skew = e.covariance.copy()  # even in all that eigenvalues of the even part see
+    skew[0, 5] += 0.1
+    skew[5, 0] -= 0.1
+    odd = replace(e, covariance=skew)
+    for found in (gap(odd, e, sigma), gap(e, odd, sigma)):
+        assert np.isclose(found.asymmetry, 0.2 / (sigma[0] * sigma[5]))
+        assert found.covariance >= found.asymmetry
     assert gap(e, replace(e, covariance=-e.covariance), sigma).covariance == float("inf")
     assert not gap(replace(e, mean=e.mean * np.nan), e, sigma).within(1.0)
 
@@ -74,7 +81,36 @@ def test_asymmetry_and_indefiniteness_are_gaps() -> None:
     ],
 )
 def test_block_limits(distance: float, least: float, largest: float, agrees: bool) -> None:
-    assert block_agrees(BlockAgreement(0.0, distance, least, largest)) is agrees
+    apart, given = np.array((distance * 2**0.5, 0.0)), np.diag((least, largest))
+    assert BlockAgreement.of(apart, np.eye(2), given).agrees is agrees
+
+
+def test_the_map_as_a_whole_is_judged(comparison: Comparison) -> None:
+    """Each landmark may agree while all of them together do not."""
+    far = BlockAgreement.of(np.full(2, 10.0), np.eye(2), np.eye(2))
+    a = replace(comparison.agreement, map=far)
+    verdict = judge(a, comparison.smoother, comparison.ekf, Diagnosis())
+    assert verdict.outcome == "disagree"
+    assert [cause.gap for cause in verdict.causes] == ["linearisation"]
+
+
+@pytest.mark.parametrize(
+    ("gap_of_algebra", "fails"),
+    [
+        (Gap(0.01, 0.5, least=1.0), False),
+        (Gap(0.06, 0.5, least=1.0), True),
+        (Gap(0.01, 0.5, least=0.99), True),
+        (Gap(0.01, 0.5, least=1.0, asymmetry=1e-3), True),
+    ],
+)
+def test_a_conservative_filter_may_have_too_much_covariance_alone(
+    comparison: Comparison, gap_of_algebra: Gap, fails: bool
+) -> None:
+    a = replace(comparison.agreement, algebra=gap_of_algebra)
+    verdict = judge(a, comparison.smoother, comparison.ekf, Diagnosis(), conservative=True)
+    assert (verdict.outcome == "disagree") is fails
+    exact = judge(a, comparison.smoother, comparison.ekf, Diagnosis())
+    assert exact.outcome == "disagree"
 
 
 def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:

@@ -53,6 +53,7 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert names == sorted(
         [
             "config.toml",
+            "files.sha256",
             "report.html",
             "result.json",
             *(f"{e}/{n}" for e in ("ekf", "smoother") for n in estimate),

@@ -69,7 +69,7 @@ def test_both_maps_agree_where_the_filter_is_right(comparison: Comparison) -> No
     assert len(check.regions) > 10
     assert check.regions[0].distance_m == max(row.distance_m for row in check.regions)
     assert present(check.occupancy_share) > 0.9
-    assert set(check.errors) == {"points", "occupancy", "smoother"}
+    assert set(check.surface_errors) == {"points", "occupancy", "smoother"}
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_a_dense_disagreement_is_a_cause(
     assert found.verdict.outcome == "disagree"
     assert [cause.gap for cause in found.verdict.causes] == ["dense"]
     assert "region" in found.verdict.causes[0].evidence
-    result = found.find(DenseMapsFinding).result
+    result = present(found.find(DenseMapsFinding).agreement)
     assert not result.agrees
     assert len(result.regions) <= 20
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 from functools import cache
 from pathlib import Path
 
@@ -13,13 +12,11 @@ from comparisons.experiments.reproduction.decorrelation_example import (
     decorrelation_example,
 )
 from comparisons.experiments.reproduction.dense_figures import (
-    decorrelation_figure,
-    displacement_figure,
     draw_displacement,
-    neglected_figure,
+    draw_example_3_1,
+    draw_example_3_2,
 )
-from comparisons.experiments.reproduction.neglected_change import neglected_change
-from comparisons.report.picture import save
+from comparisons.report.picture import blank, save
 from tests.helpers import present, simulated
 
 
@@ -35,7 +32,8 @@ def legend(axis: Axes) -> set[str]:
 
 def test_the_decorrelation_is_drawn_as_in_fig_3_5(tmp_path: Path) -> None:
     shown = example()
-    figure = decorrelation_figure(shown)
+    figure = blank(9.0, 7.5)
+    draw_example_3_1(figure, shown)
     region, base, decorrelation, sigma = figure.axes
     assert legend(region) == {"landmarks", "point $i$ in its region", "to landmark $j$"}
     assert legend(base) == {"L1", "L2", "L3"}
@@ -49,22 +47,13 @@ def test_the_decorrelation_is_drawn_as_in_fig_3_5(tmp_path: Path) -> None:
 
 def test_the_change_of_place_is_drawn_as_in_fig_3_12(tmp_path: Path) -> None:
     shown = example()
-    figure = displacement_figure(shown)
+    figure = blank(9.0, 4.2)
+    draw_example_3_2(figure, shown)
     change, wandering = figure.axes
     assert legend(change) == {"in the world", "in its region"}
     assert legend(wandering) == {"estimates", "the first", "truth"}
     save(figure, tmp_path / "displacement.png")
     assert (tmp_path / "displacement.png").stat().st_size > 10_000
-
-
-def test_what_regions_neglect_is_drawn(tmp_path: Path) -> None:
-    log = simulated(2, extra_s=10.0)
-    found = neglected_change(log, (0.02, math.radians(0.1)), np.random.default_rng(0))
-    figure = neglected_figure(found)
-    assert [axis.get_title().split()[0] for axis in figure.axes[:2]] == ["correlation"] * 2
-    assert figure.axes[2].get_title().endswith("within 2 sigma")
-    save(figure, tmp_path / "neglected.png")
-    assert (tmp_path / "neglected.png").stat().st_size > 10_000
 
 
 def test_what_is_drawn_is_what_is_given() -> None:

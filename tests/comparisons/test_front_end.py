@@ -15,11 +15,6 @@ from comparisons.config import FrontEndConfig, OdometryConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
 from comparisons.extensions.scan_motion.extension import ScanMotionFinding
-from comparisons.extensions.scan_motion.result import (
-    IncrementResult,
-    ScanOdometryResult,
-    ThreeWayResult,
-)
 from comparisons.extensions.scan_motion.three_way import ThreeWay, find_inconsistent_source
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
@@ -66,6 +61,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
     assert names == {
         "config.toml",
+        "files.sha256",
         "odometry.json",
         "map.png",
         "graph.g2o",
@@ -92,11 +88,12 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", ["pcd", "ply"])
 @pytest.mark.usefixtures("open3d_library")
 def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
-    from graphslam.scan.clouds import read_cloud
+    from graphslam.scan.libraries import open3d
 
     arguments = ("scan-loop-fine", "--cloud", suffix, "--no-loop-closure", "--out", "scans")
     works("odometry", *arguments, cwd=tmp_path)
-    points = read_cloud(tmp_path / f"scans/map.{suffix}")
+    cloud = open3d().io.read_point_cloud(str(tmp_path / f"scans/map.{suffix}"))
+    points = np.asarray(cloud.points)
     assert len(points) > 20_000
     assert np.isfinite(points).all()
 
@@ -138,9 +135,9 @@ def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
     assert three.inconsistent_source == ""
     assert three.loops > 10
     extra = present(Result.model_validate_json(build_result(c).model_dump_json()).model_extra)
-    assert ThreeWayResult.model_validate(extra["three_way"]).ekf.landmarks == 34
-    assert ScanOdometryResult.model_validate(extra["scan_odometry"]).used == 248
-    assert IncrementResult.model_validate(extra["increments"]).against == "truth"
+    assert extra["three_way"]["ekf"]["landmarks"] == 34
+    assert extra["scan_odometry"]["used"] == 248
+    assert extra["increments"]["against"] == "truth"
 
 
 @pytest.fixture(scope="module")

@@ -105,7 +105,7 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
         if isinstance(one, ScanLandmarksExtension):
             one.options = CARELESS
     found = compare_prepared(prepared)
-    slam, own = found.find(ScanLandmarksFinding).result, found.find(OwnMatchingFinding).result
+    slam, own = found.find(ScanLandmarksFinding).result, found.find(OwnMatchingFinding).own
     assert slam.fused == len(found.ekf.pose_landmarks.merges.first) >= 2
     initialised = len(slam.landmarks) + slam.fused
     assert (

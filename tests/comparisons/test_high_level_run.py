@@ -20,8 +20,8 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.extension import DenseMapsFinding
 from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.extensions.high_level.extension import HighLevel, HighLevelFinding
-from comparisons.extensions.high_level.result import HighLevelResult
 from comparisons.extensions.high_level.source import SEARCHED, HighLevelOptions, HighLevelSource
+from comparisons.figures import stored
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison
@@ -76,9 +76,8 @@ def test_at_least_three_are_found_and_kept_and_the_estimates_agree(seed: int) ->
     assert len(found.ekf.estimate.pose_landmarks) == np.count_nonzero(made.landmark_index >= 0)
     assert made.looks["seen"] > 20
     assert_followed(found, 1e-6)
-    result = found.find(HighLevelFinding).result
-    assert (build_result(found).model_extra or {})["high_level"] == result
-    assert result.kept <= result.found == len(made.landmark_index)
+    assert (build_result(found).model_extra or {})["high_level"] == stored(made)
+    assert made.kept <= made.found == len(made.landmark_index)
 
 
 @pytest.mark.slow
@@ -218,16 +217,3 @@ def test_the_command_line(tmp_path: Path) -> None:
     assert result["high_level"]["searches"] == 2
     page = (tmp_path / "out" / "report.html").read_text()
     assert "high level" in page
-
-
-def test_results_of_before_corners_were_counted_are_read() -> None:
-    """Of a run side by side with an older one."""
-    reported = {
-        "searches": 3,
-        "candidates": 2,
-        "poor": 1,
-        "found": 1,
-        "kept": 1,
-        "looks": {"seen": 4},
-    }
-    assert HighLevelResult.model_validate(reported).corners is None

@@ -237,7 +237,7 @@ def test_of_many_landmarks_the_farthest_apart_are_shown(
     monkeypatch.setattr(map_page, "MOST_LANDMARKS", 5)
     blocks = comparison.agreement.landmarks
     text = drawn(comparison, build_result(comparison))
-    distance = np.array([block.distance for block in blocks])
+    distance = np.array([block.distance_sigma for block in blocks])
     farthest = comparison.ekf.estimate.landmark_id[np.argsort(-distance)[:5]].tolist()
     rows = re.findall(r'<tr data-key="(\d+)"', text)
     assert sorted(map(int, rows)) == sorted(farthest)
@@ -340,7 +340,10 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     gone = np.where(np.arange(len(ekf.pose)) % 7 == 3, np.nan, 1.0)[:, None]
     landmark = ekf.landmark.copy()
     landmark[2] = np.inf
-    blocks = tuple(replace(b, least=np.nan, distance=np.inf) for b in c.agreement.landmarks)
+    blocks = tuple(
+        replace(b, variance_ratio_least=np.nan, distance_sigma=np.inf)
+        for b in c.agreement.landmarks
+    )
     broken = altered(c, "ekf.estimate", replace(ekf, pose=gone * ekf.pose, landmark=landmark))
     broken = altered(broken, "gaps.agreement.landmarks", blocks)
     worse = altered(c.consistency, "ekf.poses.error", gone[1:] * poses.error)

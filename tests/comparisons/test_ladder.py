@@ -110,7 +110,7 @@ def test_nothing_is_drawn_of_nothing() -> None:
 
 def test_a_grade_does_not_need_the_linearisation(result: Result) -> None:
     """An external filter like the reference passes far from the optimum: the gap is not judged."""
-    trace = result.agreement.model_copy(update={"linearisation_gap_sigma": 2.2})
+    trace = replace(result.agreement, linearisation_gap_sigma=2.2)
 
     class Check:
         causes: tuple[Cause, ...] = ()

@@ -21,7 +21,7 @@ def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison
     assert set(c.smoother.optimality.agreeing) == {"ekf", "relaxed"}
     assert_followed(c, 1e-6)
     assert c.agreement.linearisation.sigma > 3.0
-    assert c.agreement.whole.least < 0.05
+    assert c.agreement.optimism < 0.05
     assert c.verdict.outcome == "disagree"
     assert [cause.gap for cause in c.verdict.causes] == ["linearisation"]
     assert any("too low" in remark for remark in c.verdict.remarks)

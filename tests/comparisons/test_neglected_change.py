@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction import neglected_change as check
-from comparisons.experiments.reproduction.neglected_change import (
+from comparisons.logs.log import Log, Truth
+from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
+from ekf_reference.core.geometry import Index
+from tests.comparisons import neglected_change as check
+from tests.comparisons.neglected_change import (
     NeglectedChange,
     correlation,
     neglected_change,
 )
-from comparisons.logs.log import Log, Truth
-from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
-from ekf_reference.core.geometry import Index
-from ekf_reference.dense.passive_states import PassiveStates
+from tests.ekf_reference.dense.passive_states import PassiveStates
 from tests.helpers import Array, simulated
 
 SEEDS = range(4)

@@ -23,6 +23,7 @@ from comparisons.extensions.own_matching.check import (
 from comparisons.extensions.own_matching.extension import OwnMatchingFinding
 from comparisons.extensions.own_matching.page import matching_differences
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.figures import stored
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
 from ekf_reference.scan_matching.alignment_covariance import ScanAlignment, scan_align
@@ -75,7 +76,7 @@ def planted(
 def best_seen() -> tuple[int, Array]:
     """The landmark that both saw the most, and which way (2,) its alignments are the surest."""
     own = matched().find(OwnMatchingFinding).own
-    landmark_index = max(own.landmarks, key=lambda one: one.common).landmark_index
+    landmark_index = max(own.landmarks, key=lambda one: one.common).id
     rows = np.flatnonzero(own.alignments.landmark == landmark_index)[1:]
     turn = to_tangent(own.alignments.measured[rows, 2])
     seen = np.linalg.inv(turn.transpose(0, 2, 1) @ own.alignments.covariance[rows] @ turn)
@@ -88,8 +89,8 @@ def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
     own = c.find(OwnMatchingFinding).own
     assert c.verdict.outcome == "agree"
     assert own.agrees
-    assert own.optimality.verified
-    assert own.measurements[2] > 0.7 * own.measurements[0]
+    assert own.verified
+    assert own.common > 0.7 * own.filter
     # Sharing template and scan they differ by much less than both covariances.
     assert np.mean(own.squared) / 3.0 < 0.5
     assert present(present(own.accuracy).ate_m) < 0.5
@@ -102,7 +103,7 @@ def test_joined_segments_are_seen_by_both(open3d_library: ModuleType) -> None:
     own = c.find(OwnMatchingFinding).own
     assert c.verdict.outcome == "agree"
     assert own.agrees
-    assert own.measurements[2] > 0.7 * own.measurements[0]
+    assert own.common > 0.7 * own.filter
     assert np.mean(own.squared) / 3.0 < 1.0
 
 
@@ -116,8 +117,8 @@ def test_no_alignment_of_the_filter_is_used(
     assert all(cause.gap == "matching" for cause in c.verdict.causes)  # S sees nothing
     assert c.verdict.outcome == "disagree"
     assert own.shifted
-    assert np.rad2deg(own.shift[2]) == pytest.approx(2.0, abs=0.8)
-    assert np.hypot(*own.shift[:2]) < 0.05
+    assert np.rad2deg(own.shift_rad) == pytest.approx(2.0, abs=0.8)
+    assert np.hypot(*own.shift_m) < 0.05
     assert "all alignments of the filter are shifted by" in c.verdict.causes[0].evidence
     assert "heading" in c.verdict.causes[0].hint
 
@@ -134,18 +135,18 @@ def test_an_offset_of_one_landmark_is_named(
     assert [cause.gap for cause in c.verdict.causes] == ["matching"]
     assert not own.shifted
     (worst,) = own.contradicting
-    assert worst.landmark_index == which
-    assert worst.shift[:2] @ way == pytest.approx(MOVED_M, rel=0.3)
-    assert f"scan landmark {worst.landmark_index} differ by 0." in c.verdict.causes[0].evidence
-    table = matching_differences(c.find(OwnMatchingFinding).result)
+    assert worst.id == which
+    assert np.array(worst.shift_m) @ way == pytest.approx(MOVED_M, rel=0.3)
+    assert f"scan landmark {worst.id} differ by 0." in c.verdict.causes[0].evidence
+    table = matching_differences(own)
     assert table.count("contradicts") == 1
 
 
 @pytest.mark.slow
 def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     c = matched()
-    result, own = build_result(c), c.find(OwnMatchingFinding).result
-    assert (result.model_extra or {})["own_matching"] == own
+    result, own = build_result(c), c.find(OwnMatchingFinding).own
+    assert (result.model_extra or {})["own_matching"] == stored(own)
     assert own.agrees
     assert own.reasons["initialised"] == len(c.ekf.estimate.pose_landmarks)
     assert own.reasons["used"] == own.own
@@ -249,12 +250,12 @@ def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> Non
         agreeing=("a", "b"),
         agreed=True,
     )
-    some = frames(np.zeros((2, 3)), 1.0)
+    some = replace(frames(np.zeros((2, 3)), 1.0), time_s=np.arange(5.0))
     found = check_own_matching((filters_, own), some, some, some, optimality)
-    assert found.measurements == (3, 3, 2)
+    assert (found.filter, found.own, found.common) == (3, 3, 2)
     (one,) = found.landmarks
     assert one.common == 2
-    assert one.worst_epoch == 1
+    assert one.worst_time_s == 1.0
     # The landmark's own y is the pose's x: turned by a quarter.
     np.testing.assert_allclose(sorted(found.squared), (0.0, (0.5 / 5.0) ** 2), atol=1e-12)
     assert found.agrees

@@ -315,13 +315,13 @@ def test_landmarks_with_a_direction_are_blocks_of_three() -> None:
     assert max(g.sigma for g in (same.algebra, same.model, same.linearisation)) < 1e-12
     off = replace(e, mean=e.mean + 0.5 * np.eye(13)[12])
     found = compare(off, e, e, e)
-    assert found.pose_landmarks[1].distance > 0.01
+    assert found.pose_landmarks[1].distance_sigma > 0.01
     assert found.pose_landmarks[1].difference_m == 0.0
-    assert found.pose_landmarks[0].distance == 0.0
-    assert max(block.distance for block in found.landmarks) == 0.0
+    assert found.pose_landmarks[0].distance_sigma == 0.0
+    assert max(block.distance_sigma for block in found.landmarks) == 0.0
     own = covariance[10:, 10:]
     d = np.array([0.0, 0.0, 0.5])
-    assert found.pose_landmarks[1].distance == pytest.approx(
+    assert found.pose_landmarks[1].distance_sigma == pytest.approx(
         np.sqrt(d @ np.linalg.solve(own, d) / 3.0)
     )
     shifted = compare(replace(e, mean=e.mean + 3.0 * np.eye(13)[7]), e, e, e)

@@ -122,7 +122,7 @@ def test_the_estimates_agree_along_the_chain(
     assert len(found.pose_landmarks) == run.pose_landmarks.count - 1 > 4
     assert found.algebra.within(1e-6)
     assert found.model.within(1e-6)
-    assert max(block.distance for block in found.pose_landmarks) < 1.0
+    assert max(block.distance_sigma for block in found.pose_landmarks) < 1.0
 
 
 class Flipped(RelativePose):
@@ -174,7 +174,7 @@ def test_the_smoothers_own_association_is_told_of_frames_too() -> None:
     found = compared(log(), Source(Frames), ekf=choices, smoother_association="own")
     assert found.verdict.outcome == "agree"
     own = found.find(OwnAssociationFinding).own
-    assert own.pose.least > 0.9
+    assert present(own.pose.variance_ratio_least) > 0.9
 
 
 class Half(KalmanState):

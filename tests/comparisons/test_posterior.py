@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.extensions.posterior.check import (
     Judged,
-    PosteriorCheck,
+    check_posterior,
     fails,
     failures,
     judged,
 )
 from comparisons.extensions.posterior.extension import PosteriorFinding
-from comparisons.extensions.posterior.result import posterior_result, posterior_rows
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.report.result import build_result, run_rows
 from comparisons.settings import run_config
@@ -76,7 +75,7 @@ def test_a_filter_that_is_overconfident_is_found_out() -> None:
     """The broken variant: half of the filter's sigmas."""
     estimate = short().ekf.estimate
     quarter = replace(estimate, joint_covariance=0.25 * estimate.joint_covariance)
-    found = judged(finding().check.draws, quarter)
+    found = judged(finding().check.posterior, quarter)
     assert fails(found.pose)
     assert found.pose.least.value == pytest.approx(0.25, abs=0.03)
     assert failures(found, estimate.landmark_id)[0] == "the last pose"
@@ -98,22 +97,17 @@ def test_what_fails_is_named() -> None:
 def test_chance_does_not_fail_a_gaussian() -> None:
     near = Judgement(Estimated(0.895, 0.003), Estimated(0.75, 0.02), Estimated(1.0, 0.02))
     assert not fails(near)
-    assert fails(near._replace(coverage=Estimated(0.885, 0.003)))
+    assert fails(replace(near, coverage=Estimated(0.885, 0.003)))
 
 
 def test_without_convergence_nothing_is_judged() -> None:
     draws = np.random.default_rng(0).standard_normal((16, 100, 7))
     draws[0] += 3.0
     stuck = PosteriorDraws(draws=draws, acceptance=0.9, step=1.0, evidence=chain_evidence(draws))
-    check = PosteriorCheck(stuck, None, None)
-    result = posterior_result(check)
-    assert (result.converged, result.moments, result.ekf, result.smoother) == (
-        False,
-        None,
-        None,
-        None,
-    )
-    rows = posterior_rows(check, result)
+    check = check_posterior(stuck, short().ekf.estimate, short().gaps.smoothed)
+    assert not check.converged
+    assert (check.moments, check.ekf, check.smoother) == (None, None, None)
+    rows = PosteriorFinding(check, np.arange(2)).rows()
     assert rows[-1].value == "not converged"
     assert any(row.inside is False for row in rows)
     assert "did not converge: R-hat" in PosteriorFinding(check, np.arange(2)).remarks[0]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from comparisons.atomic import LIST
 from comparisons.logs.log_folder import write_log_folder
 from tests.commands import refused, slamcheck, works
 from tests.helpers import simulated
@@ -27,6 +28,8 @@ def steady(path: Path) -> object:
             if isinstance(found.get(key), dict):
                 found[key].pop("scans_per_second", None)
         return found
+    if path.name == LIST:
+        return [line.split()[1] for line in path.read_text().splitlines()]
     if path.name == "report.html":
         return _TIMED.sub("", path.read_text())
     return path.read_bytes()

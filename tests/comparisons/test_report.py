@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.atomic import check_replaceable, folder_name, fresh_folder
+from comparisons.atomic import LIST, _write_list, check_replaceable, folder_name, fresh_folder
 from comparisons.config import CheckConfig, MapConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate, write_estimate
@@ -82,10 +82,8 @@ def test_a_converted_log_keeps_its_hash(name: str, shared_data: Path, tmp_path: 
 
 def test_figures_that_do_not_exist_are_null(comparison: Comparison) -> None:
     gaps = comparison.gaps
-    algebra = replace(gaps.agreement.algebra, covariance=float("inf"))
-    broken = replace(
-        comparison, gaps=replace(gaps, agreement=replace(gaps.agreement, algebra=algebra))
-    )
+    agreement = replace(gaps.agreement, algebra_gap_covariance=float("inf"))
+    broken = replace(comparison, gaps=replace(gaps, agreement=agreement))
     text = build_result(broken).model_dump_json()
     assert '"algebra_gap_covariance":null' in text
     assert "Infinity" not in text
@@ -103,20 +101,19 @@ def test_nothing_is_left_when_writing_fails(tmp_path: Path) -> None:
 
 
 def test_the_earlier_report_survives_a_failure(tmp_path: Path) -> None:
-    target = tmp_path / "report"
-    names = frozenset({"result.json"})
-    with fresh_folder(target, names) as work:
+    target, mark = tmp_path / "report", "result.json"
+    with fresh_folder(target, mark) as work:
         (work / "result.json").write_text("first")
 
     def interrupted() -> None:
-        with fresh_folder(target, names) as work:
+        with fresh_folder(target, mark) as work:
             (work / "result.json").write_text("second")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert (target / "result.json").read_text() == "first"
-    with fresh_folder(target, names) as work:
+    with fresh_folder(target, mark) as work:
         (work / "result.json").write_text("third")
     assert (target / "result.json").read_text() == "third"
     assert [p.name for p in tmp_path.iterdir()] == ["report"]
@@ -126,8 +123,8 @@ def test_the_earlier_report_is_put_back_when_the_new_one_cannot_take_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     target = tmp_path / "report"
-    target.mkdir()
-    (target / "result.json").write_text("first")
+    with fresh_folder(target, "result.json") as work:
+        (work / "result.json").write_text("first")
     moves: list[str] = []
     move = os.replace
 
@@ -140,7 +137,7 @@ def test_the_earlier_report_is_put_back_when_the_new_one_cannot_take_its_place(
     monkeypatch.setattr("comparisons.atomic.os.replace", fails_once)
     with (
         pytest.raises(InputError, match="input/output error"),
-        fresh_folder(target, frozenset({"result.json"})) as work,
+        fresh_folder(target, "result.json") as work,
     ):
         (work / "result.json").write_text("second")
     assert (target / "result.json").read_text() == "first"
@@ -149,20 +146,20 @@ def test_the_earlier_report_is_put_back_when_the_new_one_cannot_take_its_place(
 
 def test_other_peoples_folders_are_safe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = tmp_path / "mine"
-    mine.mkdir()
-    (mine / "result.json").write_text("{}")
+    with fresh_folder(mine, "result.json") as work:
+        (work / "result.json").write_text("{}")
     (mine / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match=r"already holds thesis\.tex"):
-        check_replaceable(mine, frozenset({"result.json"}))
+        check_replaceable(mine, "result.json")
     deep = tmp_path / "deep"
     (deep / "ekf").mkdir(parents=True)
     (deep / "ekf" / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match=r"already holds ekf/thesis\.tex"):
-        check_replaceable(deep, frozenset({"result.json", "ekf/trajectory.tum"}))
+        check_replaceable(deep, "result.json")
     monkeypatch.chdir(mine)
     for target in (Path(), Path(".."), Path("../mine")):
         with pytest.raises(InputError, match="is the current folder or holds it"):
-            check_replaceable(target, frozenset({"result.json", "thesis.tex"}))
+            check_replaceable(target, "result.json")
     link = tmp_path / "link"
     link.symlink_to(tmp_path / "elsewhere")
     with fresh_folder(link) as work:
@@ -251,6 +248,10 @@ def test_a_folder_of_another_run_is_refused(comparison: Comparison, tmp_path: Pa
         check_free(folder, other, replace=True)
     path = folder / "config.toml"
     path.write_text(path.read_text().replace("[ekf]", "[kalman]"))
+    with pytest.raises(InputError, match=r"config\.toml, which is not as it was written"):
+        check_free(folder, same, replace=True)
+    (folder / LIST).unlink()
+    _write_list(folder)
     with pytest.raises(InputError, match="is not of this version"):
         check_free(folder, same)
     (folder / "mine.txt").write_text("keep")

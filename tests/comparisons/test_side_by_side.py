@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,7 @@ def printed(titles: list[str], rows: list[Row], width: int) -> str:
 
 
 def test_only_what_differs_is_shown(tmp_path: Path, result: Result) -> None:
-    agreement = result.agreement.model_copy(update={"optimism": 0.123})
+    agreement = replace(result.agreement, optimism=0.123)
     other = result.model_copy(update={"agreement": agreement})
     places = [
         folder(tmp_path / name, "result", one.model_dump_json(by_alias=True))

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import gzip
 import importlib.util
 import io
 import os
 import tempfile
+import tomllib
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 
 from comparisons import archive
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles, check_folder
 from comparisons.experiments.montecarlo.runs import Records
+from comparisons.logs.table import parse_toml
+from comparisons.trace.recorder import Recorder
 from tests.fuzz.damage import Damage
 from tests.fuzz.subjects import BAGS, SUBJECTS, chunk_files
 from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome, run_main
@@ -70,7 +76,12 @@ REPLACED = {
         ("[ekf]", '["one\\ntwo"]', "is unknown"),
         (".dynamic]", f'."{ENDLESS}"]', "is unknown"),
     ],
-    ("log folder", "log.toml"): [("time_s = 0.0", "time_s = nan", "time_s is nan")],
+    ("log folder", "log.toml"): [
+        ("time_s = 0.0", "time_s = nan", "time_s is nan"),
+        ("[prior]", f"a{'.a' * 50_000} = 1\n[prior]", "a key of more than 64 parts"),
+        ("[prior]", f"a = {{a{' . a' * 50_000} = 1}}\n[prior]", "a key of more than 64 parts"),
+        ("[prior]", f"[{'a.' * 50_000}a]\n[prior]", "a key of more than 64 parts"),
+    ],
 }
 """By subject and file: what is replaced, by what, and what is said of it."""
 
@@ -121,7 +132,7 @@ def test_an_archive_larger_than_memory_is_not_unpacked(
 ) -> None:
     np.savez_compressed(tmp_path / "a.npz", pose=np.zeros(10_000))
     monkeypatch.setattr(archive, "_MOST_BYTES", 10_000)
-    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
+    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", {"pose": ("N",)}))
     assert code == 2
     assert "bytes unpacked, expected 10000 at most" in reported
 
@@ -245,10 +256,70 @@ def test_only_what_is_read_is_unpacked(
         return read(entry, n)
 
     monkeypatch.setattr(zipfile.ZipExtFile, "read", watched)
-    code, reported = outcome(lambda: archive.read_arrays(path, ("pose",)))
+    code, reported = outcome(lambda: archive.read_arrays(path, {"pose": ("N",)}))
     assert code == 2
     assert ("pose is said to be (10,)" if header else "pose is not an array of numbers") in reported
     assert max(asked) <= 10_000
+
+
+ZEROS = np.zeros((1500, 1500), dtype=np.uint8)
+
+
+def packed_arrays(**arrays: np.ndarray) -> Callable[[Path], object]:
+    return lambda path: np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
+def packed_matlab(path: Path) -> None:
+    scipy.io.savemat(path, {"LASER": ZEROS}, do_compression=True)
+
+
+def packed_rawlog(path: Path) -> None:
+    path.write_bytes(gzip.compress(gzip.decompress(path.read_bytes()) + bytes(4 * ZEROS.nbytes)))
+
+
+BEAMS = np.arange(1500.0)
+SMALL_AND_LARGE: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
+    "another shape": (
+        "estimate folder",
+        "covariances.npz",
+        packed_arrays(last_pose_and_landmarks=ZEROS),
+        "last_pose_and_landmarks has shape (1500, 1500), expected (",
+    ),
+    "a right shape": (
+        "log folder",
+        "scans.npz",
+        packed_arrays(time_s=BEAMS, angle_rad=BEAMS, range_m=ZEROS, intensity=ZEROS),
+        "holds 36024000 bytes unpacked, expected",
+    ),
+    "beams of another number": (
+        "log folder",
+        "scans.npz",
+        packed_arrays(time_s=BEAMS, angle_rad=BEAMS[1:], range_m=ZEROS, intensity=ZEROS),
+        "range_m has shape (1500, 1500), expected (1500, 1499)",
+    ),
+    "matlab": ("aa3", "aa3_lsr2.mat", packed_matlab, "LASER of 18000000 bytes, expected"),
+    "rawlog": ("rawlog, packed", "drive.rawlog", packed_rawlog, "bytes unpacked, expected at most"),
+}
+"""Subject, file, what makes it a small file of much, and what is said."""
+
+
+@pytest.mark.parametrize("name", SMALL_AND_LARGE)
+def test_a_small_file_takes_little_memory(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subject, file, write, message = SMALL_AND_LARGE[name]
+    SUBJECTS[subject].write(tmp_path)
+    write(tmp_path / file)
+    monkeypatch.setattr(archive, "_SPARE_BYTES", 2**22)
+    tracemalloc.start()
+    try:
+        code, reported = outcome(lambda: SUBJECTS[subject].read(tmp_path))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert code == 2
+    assert message in reported
+    assert peak < 2**24 + 50 * (tmp_path / file).stat().st_size
 
 
 def test_memory_that_is_short_is_not_a_damaged_file(
@@ -260,7 +331,7 @@ def test_memory_that_is_short_is_not_a_damaged_file(
         raise MemoryError
 
     monkeypatch.setattr(np, "frombuffer", short)
-    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
+    code, reported = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", {"pose": ("N",)}))
     assert (code, reported) == (2, "slamcheck: not enough memory for this log\n")
 
 
@@ -294,6 +365,69 @@ def twice(folder: Path) -> None:
 def dangling(folder: Path) -> None:
     (folder / "trajectory.tum").unlink()
     os.symlink("nowhere", folder / "trajectory.tum")
+
+
+BEYOND = {
+    "drives": (["reproduce", "N3.5", "--drives", "9" * 30], "expected 1 to 10000"),
+    "runs": (["baseline", "save", "victoria-park", "k.json", "--runs", "1001"], "1 to 1000"),
+    "study": (["montecarlo", "--runs", "9" * 400], "less than or equal to 1000000"),
+    "tolerance": (["audit", "a.trace", "--tolerance", "inf"], "tolerance is inf"),
+    "deep setting": (["solve", "--set", f"log{'.a' * 2000}=1"], "2001 parts, expected SECTION"),
+    "deep value": (["solve", "--set", f"log.seed={{a{'.a' * 2000}=1}}"], "log.seed is '{a.a.a"),
+}
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_settings_beyond_every_need(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words, message = BEYOND[name]
+    code, reported = outcome(lambda: run_main(words))
+    assert code == 2
+    assert message in reported
+    assert reported.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_figures_that_overflow(tmp_path: Path) -> None:
+    """They are no result, nor is half of one left."""
+    with Recorder(tmp_path / "a.trace") as record:
+        record.prior({"a": 1}, [[1e-300]], point=[0.0])
+        for _ in range(20):
+            record.update("s", [1.0], [[1.0]], [[1e-300]])
+            record.snapshot([[1e-300]], error=[1.0])
+    words = ["audit", str(tmp_path / "a.trace"), "--out", str(tmp_path / "out")]
+    code, reported = outcome(lambda: run_main(words))
+    assert code == 2
+    assert "numbers of the input are so large that it overflows" in reported
+    assert [path.name for path in tmp_path.iterdir()] == ["a.trace"]
+
+
+def test_what_is_nested_too_deep_is_one_line() -> None:
+    def deeper() -> None:
+        deeper()
+
+    assert outcome(deeper) == (2, "slamcheck: an input is nested too deep\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "sound"),
+    [
+        ("a.b.c = 'a.b" + ".c" * 100 + "'", True),
+        ("a = [" + "1.0, " * 100 + "]\nb = 1.5", True),
+        ("a" + ".a" * 64 + " = 1", True),
+        ("a" + ".a" * 65 + " = 1", False),
+        ("'a'" + ".'a'" * 65 + " = 1", False),
+        ("a = " + "[" * 3000, False),
+    ],
+)
+def test_a_key_has_few_parts(text: str, sound: bool) -> None:
+    if sound:
+        assert parse_toml(text) == tomllib.loads(text)
+        return
+    with pytest.raises(ValueError, match=r"parts|too deep"):
+        parse_toml(text)
 
 
 @pytest.mark.parametrize(

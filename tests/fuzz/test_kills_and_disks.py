@@ -32,7 +32,7 @@ WRITER = """
 import sys, time
 from pathlib import Path
 from comparisons.cli.app import _stop_on_signals
-from comparisons.atomic import fresh_folder, write_whole
+from comparisons.atomic import OWN, fresh_folder, write_whole
 
 _stop_on_signals()
 kind, target, wait = sys.argv[1], Path(sys.argv[2]), float(sys.argv[3])
@@ -47,10 +47,10 @@ print("begins", flush=True)
 while True:
     for text in ("a" * 1000, "b" * 1000):
         if kind == "folder":
-            with fresh_folder(target, frozenset(names)) as work:
+            with fresh_folder(target, "0.txt") as work:
                 fill(work, text)
         else:
-            write_whole(target, lambda part: (part.write_text(text), time.sleep(wait)))
+            write_whole(target, lambda part: (part.write_text(text), time.sleep(wait)), OWN)
 """
 """Writes the same target for ever."""
 
@@ -114,7 +114,7 @@ def grow_old(folder: Path) -> None:
 def write_beside(folder: Path, name: str = "next") -> None:
     """What a next process does: it writes beside."""
     atomic._sweep.cache_clear()
-    write_whole(folder / name, lambda part: part.write_text("x"))
+    write_whole(folder / name, lambda part: part.write_text("x"), atomic.OWN)
 
 
 def one_kill(kind: str, number: int, delay_s: float, folder: Path) -> None:
@@ -324,7 +324,7 @@ BAD_TARGETS = (
 TARGETS: dict[str, Callable[[Path], object]] = {
     "file": lambda path: write_whole(path, lambda part: part.write_text("x")),
     "folder": lambda path: fresh_folder(path).__enter__(),
-    "file, before": atomic.check_file,
+    "file, before": lambda path: atomic.check_file(path, atomic.NEW),
     "folder, before": atomic.check_replaceable,
     "study, before": check_folder,
     "log": lambda path: _start_log(path),

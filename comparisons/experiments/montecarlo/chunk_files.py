@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.archive import read_entries
-from comparisons.atomic import check_above, is_unfinished, write_whole
+from comparisons.atomic import OWN, check_above, is_unfinished, write_whole
 from comparisons.errors import InputError
+from comparisons.experiments.montecarlo.config import is_config
 from comparisons.experiments.montecarlo.runs import Records
 
 CHUNK = 25
@@ -36,6 +37,7 @@ def check_folder(folder: Path) -> None:
         if folder.name == ".." and not folder.exists():
             raise InputError(f"{folder}: no such folder")
         check_above(folder / CONFIG)
+        _check_reports(folder)
         chunks = folder / "chunks"
         for path in (*_sorted(folder), *_sorted(chunks)):
             inside, name = path.parent == chunks, path.name
@@ -49,6 +51,15 @@ def check_folder(folder: Path) -> None:
                 )
     except OSError as error:
         raise InputError(f"{folder}: cannot be read ({error.strerror or error})") from None
+
+
+def _check_reports(folder: Path) -> None:
+    """Raise InputError where reports stand beside no settings of a study, which come first."""
+    found = sorted(name for name in _REPORTS if os.path.lexists(folder / name))
+    if found and not is_config(str(folder / CONFIG)):
+        raise InputError(
+            f"{folder}: already holds {found[0]}, and no study's {CONFIG}; give a new folder"
+        )
 
 
 def _sorted(folder: Path) -> list[Path]:
@@ -94,4 +105,4 @@ class ChunkFiles:
                 file.flush()
                 os.fsync(file.fileno())
 
-        write_whole(self.path(name, chunk), save)
+        write_whole(self.path(name, chunk), save, OWN)

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from comparisons.atomic import write_whole
+from comparisons.atomic import OWN, write_whole
 from comparisons.experiments.montecarlo.chunk_files import CONFIG, LOGS
 from comparisons.experiments.montecarlo.external import FailedRun
 from comparisons.experiments.montecarlo.page import study_page
@@ -111,8 +111,8 @@ def write_montecarlo(outcome: Outcome, folder: Path) -> None:
         "runs.csv": _run_rows(outcome),
     }
     for name, text in texts.items():
-        write_whole(folder / name, partial(Path.write_text, data=text, encoding="utf-8"))
-    write_whole(folder / "curves.png", lambda part: save(curves_figure(outcome), part))
+        write_whole(folder / name, partial(Path.write_text, data=text, encoding="utf-8"), OWN)
+    write_whole(folder / "curves.png", lambda part: save(curves_figure(outcome), part), OWN)
 
 
 def _run_rows(outcome: Outcome) -> str:

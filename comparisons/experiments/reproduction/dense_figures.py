@@ -9,10 +9,8 @@ from matplotlib.figure import Figure
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction.decorrelation_example import DecorrelationExample
 from comparisons.experiments.reproduction.drawing import chart, frame, plan
-from comparisons.experiments.reproduction.neglected_change import NeglectedChange
 from comparisons.report.figures.style import draw_reference
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
-from comparisons.report.picture import blank
 
 WORLD_COLOUR, LOCAL_COLOUR = EKF_COLOUR, SMOOTHER_COLOUR
 _CORNER_COLOURS = (SMOOTHER_COLOUR, SCANS_COLOUR, TRUTH_COLOUR)
@@ -84,38 +82,6 @@ def draw_wandering(axis: Axes, point: Array, true_point: Array | None) -> None:
     chart(axis, "", "east [m]", "north [m]")
 
 
-def draw_changes(axis: Axes, expected: Array, found: Array, wanted: str) -> None:
-    """Predicted changes (R, 2) against observed ones or errors, east and north of all regions."""
-    axis.axline((0.0, 0.0), slope=1.0, color="#bbbbbb", linewidth=0.9)
-    for column, marker, name in ((0, "o", "east"), (1, "x", "north")):
-        axis.plot(
-            expected[:, column], found[:, column], marker, markersize=4,
-            color=LOCAL_COLOUR, markerfacecolor="none", label=name,
-        )  # fmt: skip
-    axis.set_aspect("equal", adjustable="datalim")
-    chart(axis, "", "predicted change [m]", wanted)
-
-
-def draw_bound(axis: Axes, sigma_m: Array, size_m: Array) -> None:
-    """Sizes of observed changes (R,) against the error layer's sigma, with twice of it."""
-    axis.plot(sigma_m, size_m, "o", color=LOCAL_COLOUR, markersize=4, markerfacecolor="none")
-    for times, style in ((1.0, "--"), (2.0, "-")):
-        label = f"{times:.0f} sigma"
-        axis.axline(
-            (0.0, 0.0), slope=times, linestyle=style, color=WORLD_COLOUR, linewidth=0.9, label=label
-        )
-    axis.set_xlim(left=0.0)
-    axis.set_ylim(bottom=0.0)
-    chart(axis, "", "sigma of the error layer [m]", "observed change [m]")
-
-
-def decorrelation_figure(example: DecorrelationExample) -> Figure:
-    """Nieto 2005, Fig. 3.5, in a figure of its own."""
-    figure = blank(9.0, 7.5)
-    draw_example_3_1(figure, example)
-    return figure
-
-
 def draw_example_3_1(figure: Figure, example: DecorrelationExample) -> None:
     """Nieto 2005, Fig. 3.5: solid in east or along axis a, dashed in north or along axis b."""
     axes, found, time = figure.subplots(2, 2).ravel(), example.correlations, example.time_s
@@ -125,30 +91,8 @@ def draw_example_3_1(figure: Figure, example: DecorrelationExample) -> None:
     draw_sigma(axes[3], time, found.sigma_world_m, found.sigma_local_m)
 
 
-def displacement_figure(example: DecorrelationExample) -> Figure:
-    """Nieto 2005, Fig. 3.12, in a figure of its own."""
-    figure = blank(9.0, 4.2)
-    draw_example_3_2(figure, example)
-    return figure
-
-
 def draw_example_3_2(figure: Figure, example: DecorrelationExample) -> None:
     """Nieto 2005, Fig. 3.12."""
     left, right = figure.subplots(1, 2)
     draw_displacement(left, example.time_s, example.moved.world_m, example.moved.local_m)
     draw_wandering(right, example.point, example.true_point)
-
-
-def neglected_figure(changes: NeglectedChange) -> Figure:
-    """What regions neglect: predicted, observed, true, and bounded beforehand."""
-    figure = blank(12.0, 4.2)
-    first, second, third = figure.subplots(1, 3)
-    draw_changes(
-        first, changes.predicted, changes.observed, "change in a filter with the points [m]"
-    )
-    draw_changes(second, changes.predicted, changes.error, "error by truth [m]")
-    draw_bound(third, changes.sigma_m, changes.observed_m)
-    first.set_title(f"correlation {changes.agreement:.3f}", fontsize=10)
-    second.set_title(f"correlation {changes.explained:.2f}", fontsize=10)
-    third.set_title(f"{changes.within_two_sigmas:.0%} within 2 sigma", fontsize=10)
-    return figure

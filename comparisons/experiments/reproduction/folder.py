@@ -11,27 +11,23 @@ from rich.console import Console
 
 from comparisons.atomic import fresh_folder
 from comparisons.experiments.reproduction.interface import Claim, FigureResult, ReproductionResult
-from comparisons.experiments.reproduction.registry import FIGURES
 from comparisons.experiments.reproduction.runner import Picture, Reproduction
 from comparisons.report.html.shell import document, picture, table
 
-CONTENTS = frozenset(
-    {"gallery.html", "claims.json"}
-    | {f"{figure.name}.{kind}" for figure in FIGURES for kind in ("png", "pdf")}
-)
-"""What the folder holds; a folder with nothing else may be replaced by the next."""
+CLAIMS = "claims.json"
+"""By which such a folder is told from others."""
 
 
 def write_gallery(found: Reproduction, folder: Path) -> None:
     """Write everything; the folder appears whole or not at all. Raises InputError."""
     result, pictures = found
-    with fresh_folder(folder, CONTENTS) as work:
+    with fresh_folder(folder, CLAIMS) as work:
         for name, one in pictures.items():
             (work / f"{name}.png").write_bytes(one.png)
             (work / f"{name}.pdf").write_bytes(one.pdf)
         (work / "gallery.html").write_text(_gallery(result, pictures), encoding="utf-8")
         text = TypeAdapter(ReproductionResult).dump_json(result, indent=2)
-        (work / "claims.json").write_bytes(text + b"\n")
+        (work / CLAIMS).write_bytes(text + b"\n")
 
 
 def print_claims(result: ReproductionResult, folder: Path, console: Console) -> None:

@@ -22,6 +22,9 @@ Relation = Literal["at most", "at least"]
 _DOCUMENTS = {"G": "Guivant et al. 2002", "M": "Misono et al. 2007", "N": "Nieto 2005"}
 
 
+MOST_DRIVES = 10_000
+
+
 @dataclass(frozen=True)
 class Sources:
     """What experiments may draw on.
@@ -35,8 +38,8 @@ class Sources:
 
     def __post_init__(self) -> None:
         """Raises InputError."""
-        if self.drives < 1:
-            raise InputError(f"--drives is {self.drives}, expected 1 or more")
+        if not 1 <= self.drives <= MOST_DRIVES:
+            raise InputError(f"--drives is {self.drives}, expected 1 to {MOST_DRIVES}")
         if self.data is None:
             return
         if not self.data.is_dir():

@@ -97,7 +97,7 @@ def runs(log: Log) -> dict[str, SplitRun]:
         number = c.ekf.trace.measurements[POINT].number
         found[name] = SplitRun(
             gap=c.agreement.linearisation.sigma,
-            optimism=c.agreement.whole.least,
+            optimism=c.agreement.optimism,
             parts=len(number) / len(np.unique(number)),
         )
     return found

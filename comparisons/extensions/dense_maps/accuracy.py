@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from comparisons.arrays import Array
+from comparisons.figures import Figure
+from comparisons.words import Row
 from ekf_reference.dense.layers.layer import Samples
 
 OCCUPIED = 0.8
@@ -17,14 +21,27 @@ _STEP_M = 0.5
 
 @dataclass(frozen=True)
 class SurfaceError:
-    """Distances to the nearest true surface [m]; NaN where nothing is occupied.
+    """Distance of what is occupied from true surfaces; no number where nothing is occupied.
 
-    occupied: how many samples are above OCCUPIED.
+    Attributes:
+        median_m: median.
+        p95_m: 95 % quantile.
+        occupied: cells or points that were measured.
     """
 
-    median_m: float
-    p95_m: float
+    median_m: Figure
+    p95_m: Figure
     occupied: int
+
+
+def surface_error_rows(errors: Mapping[str, SurfaceError]) -> list[Row]:
+    """Return how far what is occupied is from true surfaces."""
+    return [
+        Row("Distance to true surfaces", f"{name}, {part}", f"{value:.3f} m")
+        for name, error in errors.items()
+        for part, value in (("median", error.median_m), ("95 %", error.p95_m))
+        if math.isfinite(value)
+    ]
 
 
 def surface_error(samples: Samples, segment: Array) -> SurfaceError:

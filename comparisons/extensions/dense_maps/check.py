@@ -6,7 +6,6 @@ smoother's poses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +20,12 @@ from comparisons.extensions.dense_maps.accuracy import (
     SurfaceError,
     error_of_points,
     surface_error,
+    surface_error_rows,
 )
 from comparisons.extensions.dense_maps.source import DenseRun, grid_model
+from comparisons.figures import Aside
 from comparisons.logs.log import Log
+from comparisons.words import Row
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
@@ -31,30 +33,43 @@ from ekf_reference.dense.regions_at_map import RegionsAtMap
 AGREE_M = 0.3
 """Two maps agree when half of what the one holds is no farther than this from the other, in all
 and in every region that holds enough."""
-_ENOUGH = 20
+_ENOUGH = _LISTED = 20
 _DECIDED = (0.35, 0.65)
 """A cell below is free, one above occupied."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LayerAgreement:
-    """What a layer holds occupied, against the smoother's returns, as clouds.
+    """A layer of the filter's dense map, compared with the returns at the smoother's poses.
 
-    median_m, p95_m: distances of the layer's samples to the smoother's returns.
-    missed_m: median distance of the smoother's returns, inside regions, to the layer's samples.
-    point: (N, 2) the samples, distance_m: (N,).
+    Attributes:
+        samples: cells, points or Gaussians that were compared.
+        median_m: median distance from the nearest return.
+        p95_m: 95 % quantile of it.
+        missed_m: median distance from the smoother's returns, inside regions, to the layer: what it
+            misses.
+        point: (N, 2) the samples.
+        distance_m: (N,) theirs.
     """
 
+    samples: int
     median_m: float
     p95_m: float
     missed_m: float
-    point: Array
-    distance_m: Array
+    point: Aside[Array]
+    distance_m: Aside[Array]
 
 
 @dataclass(frozen=True)
 class RegionAgreement:
-    """One region of one layer: how many samples, and their median distance."""
+    """One region of one layer.
+
+    Attributes:
+        layer: name of the layer.
+        region: number of the region.
+        samples: samples that were compared.
+        distance_m: median distance of the samples from the smoother's returns.
+    """
 
     layer: str
     region: int
@@ -63,31 +78,81 @@ class RegionAgreement:
 
 
 @dataclass(frozen=True)
-class DenseAgreement:
-    """Filter's dense map against the smoother's.
+class FirstCondition:
+    """The first condition of regions (Nieto 2005, section 3.5) as the run had it.
 
-    layers: by name. regions: those with enough samples, the worst first. occupancy_share: of the
-    cells that are decided in both maps, those decided alike; None without an occupancy layer.
-    smoother_point: (M, 2) the smoother's returns inside regions. errors: of both against true
-    surfaces, where the log has them: layers by name, and `smoother`.
+    Attributes:
+        rule: the rule, in words.
+        regions: regions that were made.
+        by_correlation: of these, regions all of whose pairs met it by their correlation at birth,
+            the vehicle's position among them where a corner is virtual.
+        by_relative_sigma: the others, which the thesis' rule refuses.
     """
 
-    layers: Mapping[str, LayerAgreement]
-    regions: tuple[RegionAgreement, ...]
+    rule: str
+    regions: int
+    by_correlation: int
+    by_relative_sigma: int
+
+    @classmethod
+    def of(cls, dense: DenseRun) -> FirstCondition:
+        """Return it, and how many met it in which way."""
+        met = dense.dense.regions.by_correlation
+        by, count = int(np.count_nonzero(met)), len(dense.dense.regions.base)
+        return cls(dense.options.first_condition, count, by, int(np.count_nonzero(~met)))
+
+    def rows(self) -> list[Row]:
+        """Return the regions, and how many met the first condition in which way."""
+        group, met = "Regions of the dense map", "regions that met the first condition by"
+        return [
+            Row(group, "first condition", self.rule),
+            Row(group, "regions", f"{self.regions:,}"),
+            Row(group, f"{met} correlation", f"{self.by_correlation:,}"),
+            Row(group, f"{met} relative sigma alone", f"{self.by_relative_sigma:,}"),
+        ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenseAgreement:
+    """Entry `dense`: dense maps of filter and smoother.
+
+    Attributes:
+        agrees: whether the maps agree.
+        first_condition: how the regions met the first condition.
+        layers: each layer, by name.
+        occupancy_share: of the cells that both maps decide, the share that they decide alike; None
+            without an occupancy layer.
+        regions: the worst regions first, at most twenty.
+        surface_errors: distance from true surfaces, by layer, and of the `smoother`.
+        median_m: of the worst layer.
+        far: regions that differ by more than the limit.
+        smoother_point: (M, 2) the smoother's returns inside regions.
+    """
+
+    agrees: bool
+    first_condition: FirstCondition
+    layers: dict[str, LayerAgreement]
     occupancy_share: float | None
-    smoother_point: Array
-    errors: Mapping[str, SurfaceError]
+    regions: tuple[RegionAgreement, ...]
+    surface_errors: dict[str, SurfaceError]
+    median_m: Aside[float]
+    far: Aside[int]
+    smoother_point: Aside[Array]
 
-    @property
-    def median_m(self) -> float:
-        """Of the worst layer."""
-        return max((a.median_m for a in self.layers.values()), default=0.0)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the maps agree."""
-        worst = self.regions[0].distance_m if self.regions else 0.0
-        return bool(self.median_m <= AGREE_M and worst <= AGREE_M)
+    def rows(self) -> list[Row]:
+        """Return how far the filter's map is from the returns as the smoother places them."""
+        rows, group = self.first_condition.rows(), "Dense map, EKF and smoother"
+        for name, layer in self.layers.items():
+            rows += [
+                Row(group, f"{name}: occupied samples", f"{layer.samples:,}"),
+                Row(group, f"{name}: map to returns, median", f"{layer.median_m:.3f} m"),
+                Row(group, f"{name}: map to returns, 95 %", f"{layer.p95_m:.3f} m"),
+                Row(group, f"{name}: returns to map, median", f"{layer.missed_m:.3f} m"),
+            ]
+        if self.occupancy_share is not None:
+            alike = "occupancy: cells decided in both maps that are alike"
+            rows.append(Row(group, alike, f"{100.0 * self.occupancy_share:.1f} %"))
+        return rows + surface_error_rows(self.surface_errors)
 
 
 def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreement | None:
@@ -105,8 +170,8 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
             errors[name] = surface_error(samples, surfaces.segment)
         found = _against(samples, other)
         if found is not None:
-            layers[name], worst = found
-            rows += [RegionAgreement(name, *row) for row in worst]
+            layers[name], each = found
+            rows += [RegionAgreement(name, *row) for row in each]
     if not layers:
         return None
     if surfaces is not None:
@@ -116,8 +181,20 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
         seen = grid.samples()
         mine = dense.dense.layers["occupancy"].occupancy(seen.point, by_filter)
         share = _decided_alike(mine, seen.occupancy)
-    worst_first = tuple(sorted(rows, key=lambda row: -row.distance_m))
-    return DenseAgreement(layers, worst_first, share, other, errors)
+    rows.sort(key=lambda row: -row.distance_m)
+    median_m = max(layer.median_m for layer in layers.values())
+    worst = rows[0].distance_m if rows else 0.0
+    return DenseAgreement(
+        agrees=bool(median_m <= AGREE_M and worst <= AGREE_M),
+        first_condition=FirstCondition.of(dense),
+        layers=layers,
+        occupancy_share=share,
+        regions=tuple(rows[:_LISTED]),
+        surface_errors=errors,
+        median_m=median_m,
+        far=len({row.region for row in rows if row.distance_m > AGREE_M}),
+        smoother_point=other,
+    )
 
 
 def _returns(
@@ -148,11 +225,12 @@ def _against(
             median = float(np.median(distance[region == number]))
             rows.append((int(number), int(count), median))
     agreement = LayerAgreement(
-        float(np.median(distance)),
-        float(np.percentile(distance, 95.0)),
-        float(np.median(missed)),
-        point,
-        distance,
+        samples=len(point),
+        median_m=float(np.median(distance)),
+        p95_m=float(np.percentile(distance, 95.0)),
+        missed_m=float(np.median(missed)),
+        point=point,
+        distance_m=distance,
     )
     return agreement, rows
 
@@ -173,10 +251,9 @@ def dense_cause(maps: DenseAgreement) -> Cause:
     evidence = f"the dense maps differ by {maps.median_m:.2f} m (median of the worst layer)"
     if maps.regions:
         worst = maps.regions[0]
-        far = len({row.region for row in maps.regions if row.distance_m > AGREE_M})
         evidence += (
-            f"; {far} regions differ by more than {AGREE_M:g} m, region {worst.region} most, by "
-            f"{worst.distance_m:.2f} m ({worst.layer})"
+            f"; {maps.far} regions differ by more than {AGREE_M:g} m, region {worst.region} most, "
+            f"by {worst.distance_m:.2f} m ({worst.layer})"
         )
     return Cause(
         "dense",

@@ -12,7 +12,6 @@ from comparisons.checks.check import Finding
 from comparisons.extensions.dense_maps.check import DenseAgreement, compare_dense, dense_cause
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.memory import Demand
-from comparisons.extensions.dense_maps.result import dense_result, dense_rows
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
 from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Log
@@ -70,14 +69,13 @@ class DenseMapsFinding(Finding):
                 "compared"
             ]
             return
-        self.result = dense_result(agreement, dense)
-        self.entries = {"dense": self.result}
+        self.entries = {"dense": agreement}
         if not agreement.agrees:
             self.causes = [dense_cause(agreement)]
 
     def rows(self) -> Sequence[Row]:
         """Return how far the maps are apart."""
-        return [] if self.agreement is None else dense_rows(self.result)
+        return [] if self.agreement is None else self.agreement.rows()
 
     def figures(self) -> Mapping[str, Figure]:
         """Return every layer over the smoother's returns."""

@@ -34,11 +34,15 @@ AXES = ("east", "north", "heading")
 
 @dataclass(frozen=True, kw_only=True)
 class StretchCheck:
-    """One stretch: a Gaussian of d = 3 + 2 D numbers, the last pose and D landmarks.
+    """Clouds against the smoother over one stretch of the log, in its last pose and its landmarks.
 
-    energy: of the draws, over its mean where the posteriors are one. shift: distance of the clouds'
-    mean last pose from the smoother's, in sigma. spread: variance of the draws over the smoother's,
-    mean of all d directions.
+    Attributes:
+        begin_s: time at which the pose is known.
+        end_s: time of the last pose.
+        landmarks: point landmarks of the stretch.
+        energy: energy distance over its mean where both posteriors are one.
+        shift: distance of the clouds' mean last pose from the smoother's, in sigma.
+        spread: variance of pose and map over the smoother's, mean of all directions.
     """
 
     begin_s: float
@@ -51,10 +55,12 @@ class StretchCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class ExactCheck:
-    """Clouds, and the smoother's Gaussian, against draws of its exact posterior.
+    """Draws of the smoother's exact posterior, which stretches that are short enough have.
 
-    stretches: how many could be sampled. clouds: p of the energy distance between the clouds' draws
-    and those. gaussian: p of that between those and the Gaussian.
+    Attributes:
+        stretches: stretches that could be sampled.
+        clouds: p of the energy distance between them and the clouds.
+        gaussian: p of the energy distance between them and the smoother's Gaussian.
     """
 
     stretches: int

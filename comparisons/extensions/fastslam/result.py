@@ -2,52 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
-from comparisons.extensions.fastslam.check import LEVEL, CloudCheck
+from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, ExactCheck, StretchCheck
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import Depletion
 from comparisons.figures import Model
 
 _AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
-
-
-class StretchResult(Model):
-    """Clouds against the smoother over one stretch of the log.
-
-    Attributes:
-        begin_s: time at which the pose is known.
-        end_s: time of the last pose.
-        landmarks: point landmarks of the stretch.
-        energy: energy distance over its mean where both posteriors are one.
-        shift: distance of the clouds' mean last pose from the smoother's, in sigma.
-        spread: variance of pose and map over the smoother's, mean of all directions.
-    """
-
-    begin_s: float
-    end_s: float
-    landmarks: int
-    energy: float
-    shift: float
-    spread: float
-
-
-class ExactResult(Model):
-    """Draws of the smoother's exact posterior, which stretches that are short enough have.
-
-    Attributes:
-        stretches: stretches that could be sampled.
-        clouds: p of the energy distance between them and the clouds.
-        gaussian: p of the energy distance between them and the smoother's Gaussian.
-    """
-
-    stretches: int
-    clouds: float
-    gaussian: float
 
 
 class FastSlamResult(Model):
@@ -84,7 +48,7 @@ class FastSlamResult(Model):
 
     particles: int
     clouds: int
-    stretches: list[StretchResult]
+    stretches: tuple[StretchCheck, ...]
     length_s: float
     energy: float
     p: float
@@ -95,7 +59,7 @@ class FastSlamResult(Model):
     independent: float
     agrees: bool | None
     verdict: str
-    exact: ExactResult | None
+    exact: ExactCheck | None
     shape: list[str]
     path_m: float
     difference_m: float
@@ -117,7 +81,7 @@ def fastslam_result(
     return FastSlamResult(
         particles=settings.particles,
         clouds=check.clouds,
-        stretches=[StretchResult(**asdict(one)) for one in check.stretches],
+        stretches=check.stretches,
         length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
         energy=check.energy,
         p=check.p,
@@ -128,7 +92,7 @@ def fastslam_result(
         independent=check.independent,
         agrees=check.agrees,
         verdict=_AGREES[check.agrees],
-        exact=check.exact and ExactResult(**asdict(check.exact)),
+        exact=check.exact,
         shape=list(check.shape),
         path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
         difference_m=float(np.hypot(*apart[-1, :2])),

@@ -12,7 +12,6 @@ from comparisons.checks.check import Finding
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
-from comparisons.extensions.high_level.result import high_level_result, high_level_rows
 from comparisons.extensions.high_level.source import (
     SEARCHED,
     HighLevelOptions,
@@ -56,12 +55,24 @@ class HighLevelFinding(Finding):
 
     def __init__(self, made: HighLevelRun) -> None:
         """No causes: whether the landmarks agree is part of the agreement."""
-        self.made, self.result = made, high_level_result(made)
-        self.entries = {"high_level": self.result}
+        self.made = made
+        self.entries = {"high_level": made}
 
     def rows(self) -> Sequence[Row]:
-        """Return found, kept, seen."""
-        return high_level_rows(self.result)
+        """Return what was searched, found and kept, and how often it was measured."""
+        made = self.made
+        counts = {
+            "searches of the dense map": made.searches,
+            "corners found": made.corners,
+            "pairs of corners tried": made.pairs,
+            "candidates with too few Gaussians": made.poor,
+            "landmarks found": made.found,
+            "landmarks measured again and kept": made.kept,
+            "landmarks deactivated where something moves": made.deactivated,
+            "measurements": made.looks.get("seen", 0),
+            **{f"no measurement: {why}": n for why, n in made.looks.items() if why != "seen"},
+        }
+        return [Row("High level landmarks", name, f"{count:,}") for name, count in counts.items()]
 
     def draw(self, axis: Axes) -> None:
         """Draw rectangles and axes."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -17,6 +17,7 @@ from comparisons.arrays import Array
 from comparisons.extensions.dense_maps.config import BARE, DenseMapsConfig, Layer
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
+from comparisons.figures import Aside
 from comparisons.logs.log import Log
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
@@ -74,14 +75,23 @@ class HighLevelOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class HighLevelRun:
-    """What became of the search in a drive.
+    """Entry `high_level`: what became of the search in a drive.
 
-    searches: made. corners: in all of these, and pairs of them. candidates: rectangles that
-    overlapped nothing known; poor: of these, with too few Gaussians. looks: at landmarks
-    within reach, by outcome, `seen` among them. landmark_index: (K,) of all that were found, among
-    the filter's pose landmarks; negative where one was never seen again. moving: how
-    many are used no more, since their template lies where something moves. place: (K, 3) and
-    rectangle: (K, 4, 2), at the end, NaN where what it hung on has left the map.
+    Attributes:
+        searches: searches of the dense map.
+        corners: corners of all searches.
+        pairs: pairs of corners of all searches.
+        candidates: candidates for a landmark, which overlap nothing known.
+        poor: candidates with too few Gaussians.
+        found: candidates that a search accepted.
+        kept: landmarks that were seen again, and since then are in the state.
+        deactivated: landmarks that are no longer used, since their template is where something
+            moves.
+        looks: attempts to measure a landmark within reach, by outcome, `seen` among them.
+        landmark_index: (K,) of all that were found, among the filter's pose landmarks; negative
+            where one was never seen again.
+        place: (K, 3) at the end, NaN where what it hung on has left the map.
+        rectangle: (K, 4, 2) as place.
     """
 
     searches: int
@@ -89,11 +99,13 @@ class HighLevelRun:
     pairs: int
     candidates: int
     poor: int
-    looks: Mapping[str, int]
-    landmark_index: NDArray[np.intp]
-    moving: int
-    place: Array
-    rectangle: Array
+    found: int
+    kept: int
+    deactivated: int
+    looks: dict[str, int]
+    landmark_index: Aside[NDArray[np.intp]]
+    place: Aside[Array]
+    rectangle: Aside[Array]
 
     @property
     def axes(self) -> tuple[Array, Array]:
@@ -172,17 +184,18 @@ class HighLevelSource:
 
     def run(self) -> HighLevelRun:
         """What came of it, once the filter has finished."""
+        index = [one.landmark_index for one in self.landmarks.landmark]
         return HighLevelRun(
             searches=len(self._searches),
             corners=sum(len(one.corner) for one in self._searches),
             pairs=sum(len(one.candidate) + one.known for one in self._searches),
             candidates=sum(len(one.candidate) for one in self._searches),
             poor=sum(one.poor for one in self._searches),
-            looks=dict(self.landmarks.counts),
-            landmark_index=np.array(
-                [one.landmark_index for one in self.landmarks.landmark], dtype=np.intp
-            ),
-            moving=len(self.landmarks.moving),
+            found=len(index),
+            kept=sum(one >= 0 for one in index),
+            deactivated=len(self.landmarks.moving),
+            looks=dict(sorted(self.landmarks.counts.items())),
+            landmark_index=np.array(index, dtype=np.intp),
             place=self._place,
             rectangle=self._rectangle,
         )

@@ -12,7 +12,6 @@ from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
 from comparisons.checks.association import (
     AssociationScore,
-    PartitionAgreement,
     compare_partitions,
     counterparts,
     differing_measurements,
@@ -20,35 +19,58 @@ from comparisons.checks.association import (
 from comparisons.checks.causes import Cause
 from comparisons.checks.misfit import squared_misfit
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import Aside
 from comparisons.logs.log import LandmarkMeasurements
 from graphslam.optimum import Optimality
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnAssociationCheck:
-    """The association gap, S - S'.
+    """Entry `own_association`: the smoother with its own association, the gap S - S'.
 
-    partition: the filter's association first, the smoother's own second. pose: S against S' in the
-    last pose. landmark_rms_m: between landmarks that share most of their measurements, None without
-    any. landmark_index: (M,) the smoother's own landmarks of the measurements, negative for unused.
-    matched: (L,) the filter's counterpart of each of its landmarks, -1 for none. differing: the
-    measurements that the two do not give to counterparts. cost: (D, 2) squared misfit of each of
-    these, in units of its noise, at S with the filter's landmark and at S' with its own, NaN where
-    it is unused.
-    estimate, optimality, accuracy, score: of S'.
+    Attributes:
+        landmarks: landmarks of the smoother's association.
+        agreement: share of the pairs of measurements of either that both put together.
+        pairs_both: pairs that both put together.
+        pairs_filter: pairs that the filter puts together.
+        pairs_smoother: pairs that the smoother puts together.
+        splits: landmarks of the filter that the smoother splits.
+        merges: landmarks of the filter that the smoother merges.
+        pose_difference_m: distance of the last poses with either association.
+        pose_distance_sigma: the same, in sigma.
+        landmark_rms_m: root mean square distance of landmarks that share most of their
+            measurements; None without any.
+        verified: whether the optimum with the smoother's association is verified.
+        accuracy: errors with the smoother's association.
+        association: the smoother's association compared with the log's labels.
+        landmark_index: (M,) the smoother's own landmarks of the measurements, negative for unused.
+        matched: (L,) the filter's counterpart of each of its landmarks, -1 for none.
+        differing: the measurements that the two do not give to counterparts.
+        cost: (D, 2) squared misfit of each of these, in units of its noise, at S with the filter's
+            landmark and at S' with its own, NaN where it is unused.
+        pose: S against S' in the last pose.
+        estimate: of S'.
     """
 
-    landmark_index: Index
-    matched: Index
-    differing: Index
-    cost: Array
-    partition: PartitionAgreement
-    pose: BlockAgreement
+    landmarks: int
+    agreement: float
+    pairs_both: int
+    pairs_filter: int
+    pairs_smoother: int
+    splits: int
+    merges: int
+    pose_difference_m: float
+    pose_distance_sigma: float
     landmark_rms_m: float | None
-    estimate: Estimate
-    optimality: Optimality
+    verified: bool
     accuracy: Accuracy | None = None
-    score: AssociationScore | None = None
+    association: AssociationScore | None = None
+    landmark_index: Aside[Index]
+    matched: Aside[Index]
+    differing: Aside[Index]
+    cost: Aside[Array]
+    pose: Aside[BlockAgreement]
+    estimate: Aside[Estimate]
 
 
 def check_own_association(
@@ -62,8 +84,7 @@ def check_own_association(
     """Compare. seen, epoch: the measurements, of which the first M are compared, and their epochs.
 
     landmark_indices: (M,) landmarks of each by the filter, and by the smoother. smoothed: S.
-    estimate,
-    optimality: of S'.
+    estimate, optimality: of S'.
     """
     filters, own = landmark_indices
     first, second = counterparts(filters, own)
@@ -79,28 +100,37 @@ def check_own_association(
         cost[used, column] = squared_misfit(
             seen, rows, e.pose[epoch[rows]], e.landmark[landmark_index[rows]]
         )
+    partition, pose = compare_partitions(filters, own), block_agreement(*poses)
     return OwnAssociationCheck(
+        landmarks=len(estimate.landmark),
+        agreement=partition.agreement,
+        pairs_both=partition.pairs_both,
+        pairs_filter=partition.pairs_first,
+        pairs_smoother=partition.pairs_second,
+        splits=partition.splits,
+        merges=partition.merges,
+        pose_difference_m=pose.difference_m,
+        pose_distance_sigma=pose.distance_sigma,
+        landmark_rms_m=float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
+        verified=optimality.verified,
         landmark_index=own,
         matched=matched,
         differing=differing,
         cost=cost,
-        partition=compare_partitions(filters, own),
-        pose=block_agreement(*poses),
-        landmark_rms_m=float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
+        pose=pose,
         estimate=estimate,
-        optimality=optimality,
     )
 
 
 def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
     """S against S', whose optimum is verified: it stands where S misfits by this association."""
-    p = own.partition
     return Cause(
         "association",
-        f"the smoother's own association moves its last pose by {own.pose.difference_m:.2f} m "
-        f"({own.pose.distance:.1f} sigma); the two associations share {100.0 * p.agreement:.0f} % "
-        f"of their pairs of measurements, the smoother splits {p.splits} landmarks of the filter "
-        f"and merges others into {p.merges}" + _costliest(own, run),
+        f"the smoother's own association moves its last pose by {own.pose_difference_m:.2f} m "
+        f"({own.pose_distance_sigma:.1f} sigma); the two associations share "
+        f"{100.0 * own.agreement:.0f} % of their pairs of measurements, the smoother splits "
+        f"{own.splits} landmarks of the filter and merges others into {own.merges}"
+        + _costliest(own, run),
         "check the measurements whose association differs: for a wrong loop closure, and for "
         "landmarks too close to distinguish",
         alone=True,

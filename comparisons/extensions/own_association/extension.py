@@ -12,9 +12,8 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows, smoothed_estimate
 from comparisons.arrays import Index
-from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
-from comparisons.checks.agreement import block_agrees
-from comparisons.checks.association import AssociationScore, association_rows, score_association
+from comparisons.checks.accuracy import accuracy_rows, assess
+from comparisons.checks.association import association_rows, score_association
 from comparisons.checks.check import Finding
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -25,7 +24,7 @@ from comparisons.extensions.own_association.check import (
     check_own_association,
 )
 from comparisons.extensions.own_association.config import When
-from comparisons.figures import Model, in_sigma
+from comparisons.figures import in_sigma
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
@@ -69,14 +68,13 @@ class OwnAssociationFinding(Finding):
     def __init__(self, known: Known, own: OwnAssociationCheck) -> None:
         """Heard in the verdict when its optimum is verified."""
         self.own, self._known = own, known
-        self.result = _result(own)
-        self.entries = {"own_association": self.result}
-        if own.optimality.verified and not block_agrees(own.pose):
+        self.entries = {"own_association": own}
+        if own.verified and not own.pose.agrees:
             self.causes = [association_cause(own, known.ekf)]
 
     def rows(self) -> Sequence[Row]:
         """Return how the associations compare, and how good the smoother is with its own."""
-        own, group = self.result, "Smoother with its own association"
+        own, group = self.own, "Smoother with its own association"
         return [
             Row(group, "landmarks", f"{own.landmarks:,}"),
             Row(group, "pairs of measurements as the filter's", f"{100.0 * own.agreement:.1f} %"),
@@ -164,60 +162,5 @@ def compare_with_own_association(known: Known, found: OwnSolution) -> OwnAssocia
     return replace(
         own,
         accuracy=assess(estimate, known.prepared.judged, labelled=False),
-        score=score_association(found.landmark_index, estimate.landmark, log),
+        association=score_association(found.landmark_index, estimate.landmark, log),
     )
-
-
-def _result(own: OwnAssociationCheck) -> OwnAssociationResult:
-    p = own.partition
-    return OwnAssociationResult(
-        landmarks=len(own.estimate.landmark),
-        agreement=p.agreement,
-        pairs_both=p.pairs_both,
-        pairs_filter=p.pairs_first,
-        pairs_smoother=p.pairs_second,
-        splits=p.splits,
-        merges=p.merges,
-        pose_difference_m=own.pose.difference_m,
-        pose_distance_sigma=own.pose.distance,
-        landmark_rms_m=own.landmark_rms_m,
-        verified=own.optimality.verified,
-        accuracy=own.accuracy,
-        association=own.score,
-    )
-
-
-class OwnAssociationResult(Model):
-    """Entry `own_association`: the smoother with its own association.
-
-    See comparisons.extensions.own_association.check.
-
-    Attributes:
-        landmarks: landmarks of the smoother's association.
-        agreement: share of the pairs of measurements of either that both put together.
-        pairs_both: pairs that both put together.
-        pairs_filter: pairs that the filter puts together.
-        pairs_smoother: pairs that the smoother puts together.
-        splits: landmarks of the filter that the smoother splits.
-        merges: landmarks of the filter that the smoother merges.
-        pose_difference_m: distance of the last poses with either association.
-        pose_distance_sigma: the same, in sigma.
-        landmark_rms_m: root mean square distance of the landmarks.
-        verified: whether the optimum with the smoother's association is verified.
-        accuracy: errors with the smoother's association.
-        association: the smoother's association compared with the log's labels.
-    """
-
-    landmarks: int
-    agreement: float
-    pairs_both: int
-    pairs_filter: int
-    pairs_smoother: int
-    splits: int
-    merges: int
-    pose_difference_m: float
-    pose_distance_sigma: float
-    landmark_rms_m: float | None
-    verified: bool
-    accuracy: Accuracy | None
-    association: AssociationScore | None

@@ -7,24 +7,24 @@ against that sum. A shift that all have in common is held against how much they 
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2, f
 
-from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, aligned
-from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
+from comparisons.checks.agreement import Gaussian, block_agreement
 from comparisons.checks.causes import Cause
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import Aside, Figure
 from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Optimality
 from graphslam.problem import PoseLandmarkMeasurements
 
+MATCHER = "Open3D, generalised ICP"
 GATE = float(chi2.ppf(0.99, 3))
 """A landmark's alignments contradict when their mean squared distance is more: as the filter's own
 gate, for alignments that differ as if nothing were shared."""
@@ -41,79 +41,99 @@ _SHIFTED = 0.999
 class LandmarkMatching:
     """How the alignments of one template differ, the filter's minus the smoother's own.
 
-    landmark_index: of the landmark. common: scans that both aligned it with. squared: mean squared
-    distance by the sum of both covariances, 3 if they were independent. shift: (3,) the weighted
-    mean difference, in the vehicle's frame. worst_epoch: of the scan where they are farthest apart;
-    worst: the difference (3,) there, and worst_squared its squared distance. Of differences only
-    what the shape fixes is compared.
+    Of differences only what the shape fixes is compared.
+
+    Attributes:
+        id: id of the landmark.
+        common: scans that both aligned with it.
+        distance_sigma: root of the mean squared distance over 3, by the sum of both covariances.
+        shift_m: weighted mean difference in x and y, in the vehicle's frame.
+        shift_rad: weighted mean difference in heading.
+        worst_time_s: time of the alignment that differs most.
+        worst_m: its difference in x and y.
+        worst_rad: its difference in heading.
+        worst_sigma: its distance, in sigma.
+        contradicts: whether they are farther apart than both covariances allow.
     """
 
-    landmark_index: int
+    id: int
     common: int
-    squared: float
-    shift: Array
-    worst_epoch: int
-    worst: Array
-    worst_squared: float
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether they are farther apart than both covariances allow."""
-        return self.common >= LEAST_SEEN and self.squared > GATE
+    distance_sigma: Figure
+    shift_m: tuple[float, float]
+    shift_rad: float
+    worst_time_s: float
+    worst_m: tuple[float, float]
+    worst_rad: float
+    worst_sigma: Figure
+    contradicts: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnMatchingCheck:
-    """The matching gap, S - S''.
+    """Entry `own_matching`: the smoother with its own matcher, the gap S - S''.
 
-    measurements: alignments, initialised landmarks left out: the filter's, the smoother's own, and
-    those of one landmark in one scan that both made. squared: (C,) squared distances of these by
-    the sum of both covariances. landmarks: farthest apart first. shift: (3,) what all differences
-    have in common, few landmarks that contradict left out; shift_squared: its squared distance, 0
-    for fewer than three landmarks; shift_freedom: degrees of freedom of the scatter that this is
-    by.
-    ekf, smoother: each of the two against S'', all scan landmarks that
-    they share. pose: S against S'' in the last pose, by the sum of both covariances. path_rms_m:
-    between the paths of the EKF and S'', and of S and S''. estimate, optimality, accuracy: of S''.
-    alignments: the own ones, as the matcher made them. reasons: what became of the own matches.
+    Attributes:
+        matcher: name of the matcher.
+        filter: alignments of the filter, initialised landmarks left out.
+        own: alignments of the smoother.
+        common: alignments of both.
+        distance_sigma: root mean square distance of the common ones, in sigma; None without any.
+        shift_m: what all differences have in common, x and y; few landmarks that contradict are
+            left out.
+        shift_rad: the same in heading.
+        shift_sigma: the same in sigma; None for too few alignments.
+        landmarks: each landmark, farthest apart first.
+        ekf: the EKF's scan landmarks and those of this smoother.
+        smoother: the first smoother's scan landmarks and those of this smoother.
+        pose_difference_m: distance of the last poses.
+        pose_distance_sigma: the same, by the sum of both covariances.
+        path_ekf_m: root mean square distance of the EKF's path from this smoother's path.
+        path_smoother_m: root mean square distance of the first smoother's path from this
+            smoother's.
+        agrees: whether the two matchers agree.
+        verified: whether the optimum of this smoother is verified.
+        chi2: its chi-square.
+        dof: its degrees of freedom.
+        reasons: scans without an alignment of its own, by reason.
+        accuracy: errors of this smoother.
+        shifted: whether all alignments are shifted together.
+        estimates_agree: whether S and S'' agree, as far as both are sure.
+        squared: (C,) squared distances of the common ones by the sum of both covariances.
+        estimate: of this smoother.
+        alignments: the own ones, as the matcher made them.
     """
 
-    measurements: tuple[int, int, int]
-    squared: Array
+    matcher: str = MATCHER
+    filter: int
+    own: int
+    common: int
+    distance_sigma: Figure | None
+    shift_m: tuple[float, float]
+    shift_rad: float
+    shift_sigma: Figure | None
     landmarks: tuple[LandmarkMatching, ...]
-    shift: Array
-    shift_squared: float
-    shift_freedom: int
     ekf: Pair
     smoother: Pair
-    pose: BlockAgreement
-    path_rms_m: tuple[float, float]
-    estimate: Estimate
-    optimality: Optimality
-    alignments: PoseLandmarkMeasurements
+    pose_difference_m: float
+    pose_distance_sigma: Figure
+    path_ekf_m: float
+    path_smoother_m: float
+    agrees: bool
+    verified: bool
+    chi2: float
+    dof: int
+    reasons: dict[str, int] = field(default_factory=dict)
     accuracy: Accuracy | None = None
-    reasons: Counter[str] = field(default_factory=Counter)
+    shifted: Aside[bool]
+    estimates_agree: Aside[bool]
+    squared: Aside[Array]
+    estimate: Aside[Estimate]
+    alignments: Aside[PoseLandmarkMeasurements]
 
     @property
     def contradicting(self) -> tuple[LandmarkMatching, ...]:
         """Landmarks whose alignments contradict."""
         return tuple(one for one in self.landmarks if one.contradicts)
-
-    @property
-    def shifted(self) -> bool:
-        """Whether all alignments are shifted together: F, for the scatter is measured, too."""
-        freedom = self.shift_freedom
-        return freedom > 0 and self.shift_squared > 3.0 * float(f.ppf(_SHIFTED, 3, freedom))
-
-    @property
-    def estimates_agree(self) -> bool:
-        """Whether S and S'' agree, as far as both are sure."""
-        return self.smoother.agrees and self.pose.distance**2 * 3.0 <= GATE
-
-    @property
-    def agrees(self) -> bool:
-        """Whether nothing speaks against the filter's matcher."""
-        return self.estimates_agree and not self.shifted and not self.contradicting
 
 
 def check_own_matching(
@@ -134,13 +154,12 @@ def check_own_matching(
     information = np.linalg.inv(spread).astype(np.float64)
     squared = np.einsum("ni,nij,nj->n", difference, information, difference)
     epoch, landmark_index = np.array(common, dtype=np.intp).reshape(-1, 2).T
+    at_s, which = ekf.time_s[epoch], np.unique(landmark_index).tolist()
     landmarks = [
-        _of_landmark(
-            s, np.flatnonzero(landmark_index == s), epoch, difference, information, squared
-        )
-        for s in np.unique(landmark_index).tolist()
+        _of_landmark(s, np.flatnonzero(landmark_index == s), at_s, difference, information, squared)
+        for s in which
     ]
-    wrong = [one.landmark_index for one in landmarks if one.contradicts]
+    wrong = [one.id for one in landmarks if one.contradicts]
     # Of a shift that all share, all speak; a few that contradict are no part of it.
     sound = ~np.isin(landmark_index, wrong if 2 * len(wrong) < len(landmarks) else [])
     initialised = tuple(ones.count for ones in (filters, own))
@@ -150,23 +169,33 @@ def check_own_matching(
     shift, squared_shift, freedom = common_shift(
         landmark_index[sound], difference[sound], information[sound]
     )
+    pose, frames = block_agreement(last[0], both), compare_frames(smoothed, estimate)
+    # F, for the scatter is measured, too.
+    shifted = freedom > 0 and squared_shift > 3.0 * float(f.ppf(_SHIFTED, 3, freedom))
+    agree = frames.agrees and pose.distance_sigma**2 * 3.0 <= GATE
     return OwnMatchingCheck(
-        measurements=(
-            len(filters.measured) - initialised[0],
-            len(own.measured) - initialised[1],
-            len(common),
-        ),
-        squared=squared,
-        landmarks=tuple(sorted(landmarks, key=lambda one: -one.squared)),
-        shift=shift,
-        shift_squared=squared_shift,
-        shift_freedom=freedom,
+        filter=len(filters.measured) - initialised[0],
+        own=len(own.measured) - initialised[1],
+        common=len(common),
+        distance_sigma=_sigma(squared.mean()) if len(squared) else None,
+        shift_m=_place(shift),
+        shift_rad=float(shift[2]),
+        shift_sigma=_sigma(squared_shift) if squared_shift > 0.0 else None,
+        landmarks=tuple(sorted(landmarks, key=lambda one: -one.distance_sigma)),
         ekf=compare_frames(ekf, estimate),
-        smoother=compare_frames(smoothed, estimate),
-        pose=block_agreement(last[0], both),
-        path_rms_m=(_rms(path[0]), _rms(path[1])),
+        smoother=frames,
+        pose_difference_m=pose.difference_m,
+        pose_distance_sigma=pose.distance_sigma,
+        path_ekf_m=_rms(path[0]),
+        path_smoother_m=_rms(path[1]),
+        agrees=agree and not shifted and not any(one.contradicts for one in landmarks),
+        verified=optimality.verified,
+        chi2=optimality.chi_square.chi2,
+        dof=optimality.chi_square.dof,
+        shifted=shifted,
+        estimates_agree=agree,
+        squared=squared,
         estimate=estimate,
-        optimality=optimality,
         alignments=own,
     )
 
@@ -219,7 +248,7 @@ def compare_frames(first: Estimate, second: Estimate) -> Pair:
 def _of_landmark(
     landmark_index: int,
     rows: Index,
-    epoch: Index,
+    time_s: Array,
     difference: Array,
     information: Array,
     squared: Array,
@@ -227,16 +256,29 @@ def _of_landmark(
     weight, worst = information[rows], int(rows[np.argmax(squared[rows])])
     mean = np.einsum("nij,nj->i", weight, difference[rows]) / len(rows)
     shift = np.linalg.solve(weight.mean(axis=0) + _NOTHING, mean)
-    there = information[worst]
+    there, mean_squared = information[worst], float(squared[rows].mean())
+    apart = np.linalg.solve(there + _NOTHING, there @ difference[worst])
     return LandmarkMatching(
-        landmark_index=landmark_index,
+        id=landmark_index,
         common=len(rows),
-        squared=float(squared[rows].mean()),
-        shift=shift,
-        worst_epoch=int(epoch[worst]),
-        worst=np.linalg.solve(there + _NOTHING, there @ difference[worst]),
-        worst_squared=float(squared[worst]),
+        distance_sigma=_sigma(mean_squared),
+        shift_m=_place(shift),
+        shift_rad=float(shift[2]),
+        worst_time_s=float(time_s[worst]),
+        worst_m=_place(apart),
+        worst_rad=float(apart[2]),
+        worst_sigma=_sigma(float(squared[worst])),
+        contradicts=len(rows) >= LEAST_SEEN and mean_squared > GATE,
     )
+
+
+def _place(difference: Array) -> tuple[float, float]:
+    return float(difference[0]), float(difference[1])
+
+
+def _sigma(squared: float) -> float:
+    """Root of a squared distance over its three degrees of freedom."""
+    return float(np.sqrt(squared / 3.0))
 
 
 def _later(seen: PoseLandmarkMeasurements) -> dict[tuple[int, int], int]:
@@ -267,22 +309,22 @@ _NAMED = 3
 """So many landmarks are named."""
 
 
-def matching_cause(own: OwnMatchingCheck, run: EkfRun) -> Cause:
+def matching_cause(own: OwnMatchingCheck) -> Cause:
     """S against S''."""
     parts, hint = (
         [],
         "check the alignments that only one of the two made: at loops, and where places look alike",
     )
     if own.shifted:
-        x, y, turn = own.shift
+        (x, y), turn = own.shift_m, own.shift_rad
         parts.append(
             f"all alignments of the filter are shifted by {x:.3f} m forward, {y:.3f} m left "
             f"and {np.degrees(turn):.2f} degrees from the smoother's own "
-            f"({np.sqrt(own.shift_squared / 3.0):.1f} sigma)"
+            f"({own.shift_sigma:.1f} sigma)"
         )
         hint = "check the sign and zero of the alignment's heading, and the mount of the scanner"
     if own.contradicting:
-        parts += [_apart_for(one, run) for one in own.contradicting[:_NAMED]]
+        parts += [_apart_for(one) for one in own.contradicting[:_NAMED]]
         if len(own.contradicting) > _NAMED:
             parts.append(f"{len(own.contradicting) - _NAMED} more landmarks differ like this")
         if not own.shifted:
@@ -291,27 +333,27 @@ def matching_cause(own: OwnMatchingCheck, run: EkfRun) -> Cause:
                 "place that looks alike"
             )
     if not own.estimates_agree:
-        pair, (theirs, ours, both) = own.smoother, own.measurements
+        pair = own.smoother
         if own.landmarks and not (own.contradicting or own.shifted):
-            parts.append(f"the largest difference: {_apart_for(own.landmarks[0], run)}")
+            parts.append(f"the largest difference: {_apart_for(own.landmarks[0])}")
         parts.append(
-            f"the smoother's own matcher moves its last pose by {own.pose.difference_m:.2f} m "
-            f"({own.pose.distance:.1f} sigma) and its path by {own.path_rms_m[1]:.2f} m (RMS), and "
+            f"the smoother's own matcher moves its last pose by {own.pose_difference_m:.2f} m "
+            f"({own.pose_distance_sigma:.1f} sigma) and its path by {own.path_smoother_m:.2f} m "
+            f"(RMS), and "
             f"{pair.outside} of {pair.landmarks} scan landmarks lie outside their 99 % "
-            f"region; the filter has {theirs:,} alignments and the smoother {ours:,}, of which "
-            f"{both:,} have the same landmark and scan"
+            f"region; the filter has {own.filter:,} alignments and the smoother {own.own:,}, of "
+            f"which {own.common:,} have the same landmark and scan"
         )
     return Cause("matching", "; ".join(parts), hint)
 
 
-def _apart_for(one: LandmarkMatching, run: EkfRun) -> str:
+def _apart_for(one: LandmarkMatching) -> str:
     """How two matchers differ on a landmark, and in which scan the most."""
-    place, worst = np.hypot(*one.shift[:2]), np.hypot(*one.worst[:2])
+    place, worst = np.hypot(*one.shift_m), np.hypot(*one.worst_m)
     return (
-        f"the filter's alignments of scan landmark {one.landmark_index} differ by {place:.2f} m "
-        "and "
-        f"{np.degrees(one.shift[2]):.1f} degrees from the smoother's own "
-        f"({np.sqrt(one.squared / 3.0):.1f} sigma over {one.common} scans; in the scan at "
-        f"{run.estimate.time_s[one.worst_epoch]:.1f} s {worst:.2f} m and "
-        f"{np.degrees(one.worst[2]):.1f} degrees, {np.sqrt(one.worst_squared / 3.0):.1f} sigma)"
+        f"the filter's alignments of scan landmark {one.id} differ by {place:.2f} m and "
+        f"{np.degrees(one.shift_rad):.1f} degrees from the smoother's own "
+        f"({one.distance_sigma:.1f} sigma over {one.common} scans; in the scan at "
+        f"{one.worst_time_s:.1f} s {worst:.2f} m and "
+        f"{np.degrees(one.worst_rad):.1f} degrees, {one.worst_sigma:.1f} sigma)"
     )

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from comparisons.adapters.smoother_input import smoothed_estimate
-from comparisons.checks.accuracy import assess
+from comparisons.checks.accuracy import accuracy_rows, assess
 from comparisons.checks.check import Finding
 from comparisons.extensions.interface import Extension
 from comparisons.extensions.own_matching.check import (
@@ -14,9 +16,9 @@ from comparisons.extensions.own_matching.check import (
     check_own_matching,
     matching_cause,
 )
-from comparisons.extensions.own_matching.result import own_matching_result, own_matching_rows
 from comparisons.extensions.own_matching.source import own_measurements
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
+from comparisons.figures import in_sigma
 from comparisons.pipeline.gaps import Known
 from comparisons.words import Row
 from graphslam.smoother import smooth
@@ -33,36 +35,66 @@ class OwnMatching(Extension):
         if slam is None:
             return None
         with known.prepared.clock.stage("own matcher"):
-            return OwnMatchingFinding(known, solve_with_own_matching(known, slam))
+            return OwnMatchingFinding(solve_with_own_matching(known, slam))
 
 
 class OwnMatchingFinding(Finding):
     """S against S''. own: the check."""
 
-    def __init__(self, known: Known, own: OwnMatchingCheck) -> None:
+    def __init__(self, own: OwnMatchingCheck) -> None:
         """Heard in the verdict when its optimum is verified."""
         self.own = own
-        self.result = own_matching_result(own, known.ekf.estimate.time_s)
-        self.entries = {"own_matching": self.result}
+        self.entries = {"own_matching": own}
         self.estimates = {"own-matcher": own.estimate}
         self.titles = {"own-matcher": "smoother, own matcher"}
-        if not own.optimality.verified:
+        if not own.verified:
             self.remarks = [
                 "the optimum of the smoother with its own matcher is not verified, so the "
                 "verdict ignores it"
             ]
         elif not own.agrees:
-            self.causes = [matching_cause(own, known.ekf)]
+            self.causes = [matching_cause(own)]
 
     def rows(self) -> Sequence[Row]:
         """Return how the alignments compare, and how good the smoother is with its own."""
-        return own_matching_rows(self.result)
+        own = self.own
+        group = "Smoother with its own matcher"
+        shift = float(np.hypot(*own.shift_m))
+        turn = f"{np.degrees(own.shift_rad):.2f} deg"
+        rows = [
+            Row(group, "matcher", own.matcher),
+            Row(group, "alignments by its own matcher", f"{own.own:,}"),
+            Row(group, "alignments by the filter's matcher", f"{own.filter:,}"),
+            Row(group, "alignments by both", f"{own.common:,}"),
+            Row(group, "difference of the alignments (rms)", in_sigma(own.distance_sigma)),
+            Row(group, "common shift of the alignments", f"{shift:.3f} m"),
+            Row(group, "common turn of the alignments", turn),
+            Row(group, "common shift and turn of the alignments", in_sigma(own.shift_sigma)),
+            *(
+                Row(group, f"alignments by its own matcher: {reason}", f"{count:,}")
+                for reason, count in own.reasons.items()
+                if count
+            ),
+        ]
+        for name, pair, path in (
+            ("EKF", own.ekf, own.path_ekf_m),
+            ("smoother", own.smoother, own.path_smoother_m),
+        ):
+            other = f"{name} and smoother with its own matcher"
+            agrees = "yes" if pair.agrees else "no"
+            far = f"{pair.outside} of {pair.landmarks}"
+            rows += [
+                Row(other, "maps agree", agrees, "yes", pair.agrees),
+                Row(other, "scan landmarks beyond the 99 % region", far),
+                Row(other, "difference of the paths (rms)", f"{path:.3f} m"),
+            ]
+        return [*rows, *accuracy_rows("the smoother with its own matcher", own.accuracy)]
 
     def sections(self) -> Sequence[str]:
         """Return the table of alignments by landmark."""
         from comparisons.extensions.own_matching.page import matching_differences
 
-        return [matching_differences(self.result)]
+        return [matching_differences(self.own)]
 
 
 def solve_with_own_matching(known: Known, slam: ScanSlamSource) -> OwnMatchingCheck:
@@ -84,4 +116,4 @@ def solve_with_own_matching(known: Known, slam: ScanSlamSource) -> OwnMatchingCh
         result.optimality,
     )
     accuracy = assess(estimate, prepared.judged, labelled=False)
-    return replace(own, accuracy=accuracy, reasons=found.reasons)
+    return replace(own, accuracy=accuracy, reasons=dict(found.reasons))

@@ -6,11 +6,11 @@ from html import escape
 
 import numpy as np
 
-from comparisons.extensions.own_matching.result import OwnMatchingResult
+from comparisons.extensions.own_matching.check import OwnMatchingCheck
 from comparisons.report.html.shell import number, sortable
 
 
-def matching_differences(own: OwnMatchingResult) -> str:
+def matching_differences(own: OwnMatchingCheck) -> str:
     """Return a table of how the two matchers' alignments differ, by scan landmark."""
     head = (
         "landmark",

@@ -18,11 +18,20 @@ from comparisons.extensions.posterior.check import (
     check_posterior,
     failures,
 )
-from comparisons.extensions.posterior.result import posterior_result, posterior_rows
 from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.words import Row
-from graphslam.sampling import LARGEST_DIMENSION, SamplingOptions, sample_posterior
+from graphslam.chain_diagnostics import Estimated
+from graphslam.sampling import (
+    LARGEST_DIMENSION,
+    LARGEST_R_HAT,
+    LEAST_ACCEPTANCE,
+    LEAST_SAMPLE_SIZE,
+    SamplingOptions,
+    sample_posterior,
+)
+
+_GROUP = "Posterior (draws)"
 
 
 class Posterior(Extension):
@@ -71,10 +80,9 @@ class PosteriorFinding(Finding):
     def __init__(self, check: PosteriorCheck, landmark_id: NDArray[np.int64]) -> None:
         """Only remarks: what the draws say changes no verdict. landmark_id: (L,)."""
         self.check = check
-        self.result = posterior_result(check)
-        self.entries = {"posterior": self.result}
+        self.entries = {"posterior": check}
         if check.smoother is None:
-            self.remarks = [f"the draws of the posterior did not converge: {check.draws.lacks}"]
+            self.remarks = [f"the draws of the posterior did not converge: {check.lacks}"]
             return
         if check.ekf is not None:
             self.line = ("posterior", _line(check.ekf, check.smoother))
@@ -86,8 +94,53 @@ class PosteriorFinding(Finding):
             ]
 
     def rows(self) -> Sequence[Row]:
-        """Return the evidence of convergence, and both Gaussians."""
-        return posterior_rows(self.check, self.result)
+        """Return the evidence of convergence, then both Gaussians."""
+        one = self.check
+        samples = {"bulk": one.bulk, "tails": one.tail}
+        rows = [
+            Row(_GROUP, "draws, unknowns", f"{one.draws:,}, {one.unknowns:,}"),
+            _limited("acceptance", one.acceptance, LEAST_ACCEPTANCE, "at least", ".2f"),
+            _limited("largest R-hat", one.r_hat, LARGEST_R_HAT, "at most", ".3f"),
+            *(
+                _limited(
+                    f"least effective sample size, {part}", size, LEAST_SAMPLE_SIZE, "at least",
+                    ".0f",
+                )
+                for part, size in samples.items()
+            ),
+        ]  # fmt: skip
+        if one.moments is None:
+            return [*rows, Row(_GROUP, "judgement of the Gaussians", "not converged")]
+        skewness = np.abs(one.moments.skewness)
+        rows.append(Row(_GROUP, "largest skewness", f"{skewness.max():.2f}"))
+        for name, judged in (("EKF", one.ekf), ("smoother", one.smoother)):
+            rows += _judged_rows(name, judged) if judged is not None else []
+        return rows
+
+
+def _limited(quantity: str, value: float | None, limit: float, side: str, form: str) -> Row:
+    inside = value is not None and (value <= limit if side == "at most" else value >= limit)
+    shown = "undefined" if value is None else format(value, form)
+    return Row(_GROUP, quantity, shown, f"{side} {limit:g}", inside)
+
+
+def _judged_rows(name: str, judged: Judged) -> list[Row]:
+    blocks = [("last pose", judged.pose), ("whole", judged.whole)]
+    if judged.landmarks:
+        blocks.insert(1, ("worst landmark", judged.landmarks[judged.worst_landmark()]))
+    rows = []
+    for block, one in blocks:
+        held = f"{100.0 * one.coverage.value:.1f} +- {100.0 * one.coverage.error:.1f} %"
+        ratios = f"{_shown(one.least)} to {_shown(one.largest)}"
+        rows += [
+            Row(_GROUP, f"{name}, {block}: posterior in the 95 % ellipsoid", held),
+            Row(_GROUP, f"{name}, {block}: variance ratio (1 is exact)", ratios),
+        ]
+    return rows
+
+
+def _shown(figure: Estimated) -> str:
+    return f"{figure.value:.2f} +- {figure.error:.2f}"
 
 
 def _line(ekf: Judged, smoother: Judged) -> str:

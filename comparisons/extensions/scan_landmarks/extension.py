@@ -15,7 +15,7 @@ from comparisons.errors import InputError
 from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
-    ScanLandmarkResult,
+    ScanLandmark,
     scan_slam_result,
     scan_slam_rows,
 )
@@ -80,7 +80,7 @@ class ScanLandmarksFinding(Finding):
         """Return how many agree, and what became of the measurements."""
         return scan_slam_rows(self.result)
 
-    def landmarks(self) -> Sequence[ScanLandmarkResult]:
+    def landmarks(self) -> Sequence[ScanLandmark]:
         """Return each with how it agrees."""
         return self.result.landmarks
 

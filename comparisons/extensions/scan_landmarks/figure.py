@@ -41,7 +41,7 @@ def scan_landmark_layers(drawing: Drawing, c: Known, found: ScanLandmarks) -> No
     blocks = c.gaps.agreement.pose_landmarks
     for name, colour, estimate in _both(c):
         labels = [
-            f"{name}, scan landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
+            f"{name}, scan landmark {i}: {b.difference_m:.3f} m apart, {b.distance_sigma:.2g} sigma"
             for i, b in zip(ekf.pose_landmark_id.tolist(), blocks, strict=True)
         ]
         place, ends = estimate.pose_landmarks[:, :2], axes_of(estimate)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from comparisons.checks.agreement import PlacedAgreement
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_slam_options
 from comparisons.figures import Model
 from comparisons.pipeline.gaps import Gaps
-from comparisons.report.models import LandmarkResult
-from comparisons.report.sections import block_fields
 from comparisons.words import Row
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
@@ -24,17 +25,14 @@ def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanS
     return ScanSlamResult(
         scans=found.scans,
         landmarks=[
-            ScanLandmarkResult(
-                id=(landmark_index := int(ekf.pose_landmark_id[i])),
-                ekf_m=tuple(ekf.pose_landmarks[i, :2].tolist()),
-                smoother_m=tuple(smoothed.pose_landmarks[i, :2].tolist()),
+            ScanLandmark(
+                **vars(one),
                 ekf_heading_rad=float(ekf.pose_landmarks[i, 2]),
                 smoother_heading_rad=float(smoothed.pose_landmarks[i, 2]),
-                measurements=found.measurements[landmark_index],
-                points=len(found.template[landmark_index].shape),
-                **block_fields(b),
+                measurements=found.measurements[one.id],
+                points=len(found.template[one.id].shape),
             )
-            for i, b in enumerate(gaps.agreement.pose_landmarks)
+            for i, one in enumerate(gaps.agreement.pose_landmarks)
         ],
         rejected=found.rejected,
         dynamic=found.dynamic,
@@ -119,7 +117,8 @@ def in_words(rule: TemplateRule) -> str:
     )
 
 
-class ScanLandmarkResult(LandmarkResult):
+@dataclass(frozen=True, kw_only=True)
+class ScanLandmark(PlacedAgreement):
     """One scan landmark, compared.
 
     Attributes:
@@ -182,7 +181,7 @@ class ScanSlamResult(Model):
     """
 
     scans: int
-    landmarks: list[ScanLandmarkResult]
+    landmarks: list[ScanLandmark]
     rejected: int
     dynamic: int = 0
     deactivated: int = 0

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from matplotlib.axes import Axes
-from pydantic import BaseModel
 
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.checks.accuracy import assess
@@ -17,10 +16,8 @@ from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_motion.increments import check_increments
 from comparisons.extensions.scan_motion.result import (
     increment_remarks,
-    increment_result,
     scan_odometry_result,
     scan_odometry_rows,
-    three_way_result,
     three_way_rows,
 )
 from comparisons.extensions.scan_motion.smoother import smooth_on_scans
@@ -78,10 +75,9 @@ class ScanMotionFinding(Finding):
         """The third estimate is heard in the verdict when its optimum is verified."""
         log, seconds = known.prepared.log, known.prepared.clock.seconds
         self.motion, self.three = motion, three
-        increments = check_increments(motion, log)
         self._odometry = scan_odometry_result(motion, guess=True, seconds=seconds["scan odometry"])
-        self._increments = increment_result(increments)
-        entries: dict[str, BaseModel] = {"scan_odometry": self._odometry}
+        self._increments = check_increments(motion, log)
+        entries: dict[str, object] = {"scan_odometry": self._odometry}
         if self._increments is not None:
             entries["increments"] = self._increments
         remarks = list(motion.remarks)
@@ -90,19 +86,19 @@ class ScanMotionFinding(Finding):
                 f"{beyond} measurements lie outside the time of the scans and were left out"
             )
         if three is not None:
-            self._three = entries["three_way"] = three_way_result(three)
+            entries["three_way"] = three
             self.estimates = {"scans": three.estimate}
             self.titles = {"scans": "smoother on scans"}
             remarks += three.remarks
-            if three.optimality.verified and not three.ekf.agrees:
+            if three.verified and not three.ekf.agrees:
                 self.causes = [motion_cause(three)]
         self.entries = entries
-        self.remarks = [*remarks, *increment_remarks(increments)]
+        self.remarks = [*remarks, *increment_remarks(self._increments)]
 
     def rows(self) -> Sequence[Row]:
         """Return what became of the scans, and how the third estimate compares."""
         rows = scan_odometry_rows(self._odometry, self._increments)
-        return rows if self.three is None else [*rows, *three_way_rows(self._three)]
+        return rows if self.three is None else [*rows, *three_way_rows(self.three)]
 
     def draw(self, axis: Axes) -> None:
         """Draw the smoother on scans."""
@@ -129,13 +125,15 @@ def solve_on_scans(known: Known, motion: ScanMotion) -> ThreeWay:
             accuracy,
         )
     return ThreeWay(
-        estimate=scans.estimate,
-        optimality=scans.result.optimality,
-        chi_square=optimality.chi_square,
-        accuracy=accuracy,
         ekf=ekf,
         smoother=smoother,
         loops=scans.loops,
+        verified=scans.result.optimality.verified,
+        chi2=optimality.chi_square.chi2,
+        dof=optimality.chi_square.dof,
+        accuracy=accuracy,
         inconsistent_source=inconsistent_source,
         evidence=evidence,
+        too_high=optimality.chi_square.reading == "too high",
+        estimate=scans.estimate,
     )

@@ -28,15 +28,20 @@ _WIDEST = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class IncrementCheck:
-    """How the errors of increments compare with their covariances.
+    """Entry `increments`: how the errors of the motion from scans compare with its covariances.
 
-    against: `truth` or `positions`. nees: mean of the normalised squared errors per degree of
-    freedom, 1 when the covariances are right. dof: degrees of freedom it is a mean over. band:
-    where its 95 % lie if the errors were independent. factor: on the increments' sigmas, at which
-    they explain the errors; by positions it is the most likely one, together with
-    reference_factor, on the positions' sigmas, which may be stated too wide as well. median: the
-    median normalised squared error over the median of its distribution, which single bad matches
-    do not pull; by truth only.
+    By positions both factors are the most likely ones together, since the positions' sigmas may be
+    stated too wide as well.
+
+    Attributes:
+        against: reference: truth, or positions.
+        nees: average normalised squared error per degree of freedom; 1 is right.
+        dof: degrees of freedom of the average.
+        band: 95 % band of the average, for independent errors.
+        factor: factor on the sigmas that would fit.
+        reference_factor: factor on the sigmas of the positions, where these are the reference.
+        median: median normalised squared error over the median of its distribution, which single
+            bad matches do not pull; by truth only.
     """
 
     against: str

@@ -9,8 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from comparisons.adapters.scan_odometry import ScanMotion
-from comparisons.checks.accuracy import Accuracy, accuracy_rows
-from comparisons.checks.map_agreement import Pair
+from comparisons.checks.accuracy import accuracy_rows
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.figures import Model, band
@@ -36,11 +35,6 @@ def scan_odometry_result(motion: ScanMotion, *, guess: bool, seconds: float) -> 
     )
 
 
-def increment_result(check: IncrementCheck | None) -> IncrementResult | None:
-    """The consistency of the increments, where something shows it."""
-    return None if check is None else IncrementResult(**vars(check))
-
-
 def increment_remarks(check: IncrementCheck | None) -> list[str]:
     """Remark on increments whose sigmas are much too small."""
     if check is None or check.factor <= _SURE:
@@ -51,7 +45,7 @@ def increment_remarks(check: IncrementCheck | None) -> list[str]:
     ]
 
 
-def scan_odometry_rows(o: ScanOdometryResult, increments: IncrementResult | None) -> list[Row]:
+def scan_odometry_rows(o: ScanOdometryResult, increments: IncrementCheck | None) -> list[Row]:
     """Return scans used and failed, matches, and how honest the increments are."""
     group = "Scan odometry"
     rows = [
@@ -70,22 +64,7 @@ def scan_odometry_rows(o: ScanOdometryResult, increments: IncrementResult | None
     return rows + _increments(increments)
 
 
-def three_way_result(three: ThreeWay) -> ThreeWayResult:
-    """Return how EKF and smoother on wheels compare with the smoother on scans."""
-    return ThreeWayResult(
-        ekf=three.ekf,
-        smoother=three.smoother,
-        loops=three.loops,
-        verified=three.optimality.verified,
-        chi2=three.chi_square.chi2,
-        dof=three.chi_square.dof,
-        accuracy=three.accuracy,
-        inconsistent_source=three.inconsistent_source,
-        evidence=three.evidence,
-    )
-
-
-def three_way_rows(three: ThreeWayResult) -> list[Row]:
+def three_way_rows(three: ThreeWay) -> list[Row]:
     """Return how both estimates on wheels compare with the smoother on scans, and its accuracy."""
     rows = []
     for name, pair in (("EKF on wheels", three.ekf), ("smoother on wheels", three.smoother)):
@@ -105,7 +84,7 @@ def by_reason(reasons: Iterable[str]) -> dict[str, int]:
     return dict(Counter(re.sub(r"[-\d.]+(?:e[-+]?\d+)?", "…", r) for r in reasons).most_common())
 
 
-def _increments(i: IncrementResult | None) -> list[Row]:
+def _increments(i: IncrementCheck | None) -> list[Row]:
     if i is None:
         return []
     group = f"Increments of the scans against {i.against}"
@@ -124,33 +103,6 @@ def _increments(i: IncrementResult | None) -> list[Row]:
         ),
         factor,
     ]
-
-
-class ThreeWayResult(Model):
-    """Entry `three_way`: EKF and smoother on wheels, each compared with the smoother on scans.
-
-    Attributes:
-        ekf: EKF on wheels and smoother on scans.
-        smoother: smoother on wheels and smoother on scans.
-        loops: loop closures.
-        verified: whether the optimum on scans is verified.
-        chi2: chi-square on scans, with closures under their robust kernel, which only lowers it.
-        dof: its degrees of freedom.
-        accuracy: errors of the smoother on scans.
-        inconsistent_source: the motion that is wrong, `wheels` or `scans`; empty where the maps
-            agree, or nothing shows which one is wrong.
-        evidence: what shows it.
-    """
-
-    ekf: Pair
-    smoother: Pair
-    loops: int
-    verified: bool
-    chi2: float
-    dof: int
-    accuracy: Accuracy | None
-    inconsistent_source: str
-    evidence: str
 
 
 class ScanOdometryResult(Model):
@@ -177,27 +129,3 @@ class ScanOdometryResult(Model):
     overlap: float | None
     residual_m: float | None
     scans_per_second: float
-
-
-class IncrementResult(Model):
-    """Entry `increments`: errors of the motion from scans.
-
-    See extensions.scan_motion.increments.
-
-    Attributes:
-        against: reference: truth, or positions.
-        nees: average normalised squared error per degree of freedom; 1 is right.
-        dof: degrees of freedom of the average.
-        band: 95 % band of the average, for independent errors.
-        factor: factor on the sigmas that would fit.
-        reference_factor: factor on the sigmas of the positions, where these are the reference.
-        median: median normalised squared error over the median of its distribution; by truth only.
-    """
-
-    against: str
-    nees: float
-    dof: int
-    band: tuple[float, float]
-    factor: float
-    reference_factor: float | None
-    median: float | None

@@ -13,7 +13,8 @@ from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.causes import Cause
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
-from graphslam.optimum import ChiSquareTest, Optimality, chi_square_test
+from comparisons.figures import Aside
+from graphslam.optimum import Optimality, chi_square_test
 from graphslam.smoother import SmootherResult
 
 _CLEARLY = 1.5
@@ -22,36 +23,47 @@ _CLEARLY = 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class ThreeWay:
-    """The smoother on scans beside the two estimates on wheels.
+    """Entry `three_way`: EKF and smoother on wheels, each compared with the smoother on scans.
 
-    estimate, optimality, accuracy: of the smoother on scans. chi_square: see readable. ekf,
-    smoother: each of the two on wheels against it. loops: closures in its graph.
-    inconsistent_source: `wheels`, `scans`, or empty where all agree, or nothing shows which one is
-    wrong. evidence: why.
+    Attributes:
+        ekf: EKF on wheels and smoother on scans.
+        smoother: smoother on wheels and smoother on scans.
+        loops: loop closures.
+        verified: whether the optimum on scans is verified.
+        chi2: chi-square on scans, with closures under their robust kernel, which only lowers it.
+        dof: its degrees of freedom.
+        accuracy: errors of the smoother on scans.
+        inconsistent_source: the motion that is wrong, `wheels` or `scans`; empty where the maps
+            agree, or nothing shows which one is wrong.
+        evidence: what shows it.
+        too_high: whether that chi-square is.
+        estimate: of the smoother on scans.
     """
 
-    estimate: Estimate
-    optimality: Optimality
-    chi_square: ChiSquareTest
-    accuracy: Accuracy | None
     ekf: Pair
     smoother: Pair
     loops: int
+    verified: bool
+    chi2: float
+    dof: int
+    accuracy: Accuracy | None
     inconsistent_source: str
     evidence: str
+    too_high: Aside[bool]
+    estimate: Aside[Estimate]
 
     @property
     def remarks(self) -> list[str]:
         """How far this estimate can be trusted."""
-        remarks, test = [], self.chi_square
-        if not self.optimality.verified:
+        remarks = []
+        if not self.verified:
             remarks.append(
                 "the optimum of the smoother on scans is not verified, so the verdict ignores "
                 "its map"
             )
-        if test.reading == "too high":
+        if self.too_high:
             remarks.append(
-                f"on scans, chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is too "
+                f"on scans, chi-square {self.chi2:.0f} for {self.dof} degrees of freedom is too "
                 "high: the sigmas of the scan odometry are too small, or scans and measurements "
                 "contradict each other"
             )

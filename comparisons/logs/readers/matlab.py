@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from comparisons.archive import most_unpacked
 from comparisons.arrays import Array
 from comparisons.errors import InputError, check_regular
 
@@ -20,7 +21,6 @@ _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f
 _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX_FLAG = 0x0800
 _HEADER_BYTES = 128
-_MOST_BYTES = 2**30
 
 
 def load_matlab(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
@@ -59,14 +59,16 @@ def _variables(content: bytes, names: tuple[str, ...]) -> dict[str, Array | None
     if order is None:
         raise ValueError("its header does not say so")
     found: dict[str, Array | None] = {}
+    most = most_unpacked(len(content))
     for kind, data in _elements(memoryview(content)[_HEADER_BYTES:], order):
         body = data
         if kind == _COMPRESSED:
-            kind, body = next(_elements(_inflated(data, order), order), (0, data))
+            kind, body = next(_elements(_inflated(data, order, most), order), (0, data))
         if kind == _MATRIX:
-            name, value = _matrix(body, order, names)
+            name, value = _matrix(body, order, names, most)
             if name in names:
                 found[name] = value
+                most -= 0 if value is None else value.nbytes
     return found
 
 
@@ -87,22 +89,27 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
         at = start + (room if kind == _COMPRESSED or room == 4 else -(-room // 8) * 8)
 
 
-def _inflated(data: memoryview, order: str) -> memoryview:
-    """One compressed element, no longer than its own tag says."""
+def _inflated(data: memoryview, order: str, most: int) -> memoryview:
+    """One compressed element, no longer than its own tag says, and than `most`."""
     stream = zlib.decompressobj()
     try:
         tag = stream.decompress(data, 8)
         size = int(np.frombuffer(tag, order + "u4")[1]) if len(tag) == 8 else 0
-        if size > _MOST_BYTES:
-            raise ValueError(f"a variable of {size} bytes, expected {_MOST_BYTES} at most")
+        if size > most:
+            raise ValueError(f"a variable of {size} bytes, expected {most} at most")
         rest = stream.decompress(stream.unconsumed_tail, size) if size else b""
     except zlib.error as error:
         raise ValueError(str(error)) from None
     return memoryview(tag + rest)
 
 
-def _matrix(data: memoryview, order: str, names: tuple[str, ...]) -> tuple[str, Array | None]:
-    """Name and value: flags, dimensions, name and real part, one element each, by column."""
+def _matrix(
+    data: memoryview, order: str, names: tuple[str, ...], most: int
+) -> tuple[str, Array | None]:
+    """Name and value: flags, dimensions, name and real part, one element each, by column.
+
+    most: bytes that the value may take as float64.
+    """
     parts = _elements(data, order)
     kinds = [next(parts, (0, memoryview(b""))) for _ in range(3)]
     flags, shape, name = (part for _, part in kinds)
@@ -120,5 +127,7 @@ def _matrix(data: memoryview, order: str, names: tuple[str, ...]) -> tuple[str, 
         count *= max(length, 0)
     if dtype is None or len(real) != count * dtype.itemsize or min(dims) < 0:
         raise ValueError(f"{title} is said to be {dims} and holds {len(real)} bytes")
+    if 8 * count > most:
+        raise ValueError(f"{title} of {8 * count} bytes, expected {most} at most")
     values = np.frombuffer(real, dtype).astype(float)
     return title, np.ascontiguousarray(values.reshape(dims, order="F"))

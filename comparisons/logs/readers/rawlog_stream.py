@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.archive import most_unpacked
 from comparisons.arrays import Array
 from comparisons.errors import InputError, check_regular
 from comparisons.logs.table import shorten
@@ -132,12 +133,13 @@ def _unpacked(path: Path) -> bytes:
             packed = file.read(2) == _GZIP
         with gzip.open(path) if packed else path.open("rb") as file:
             chunks, total = [], 0
+            most = min(MOST_BYTES, most_unpacked(path.stat().st_size))
             while chunk := file.read(_CHUNK):
                 chunks.append(chunk)
                 total += len(chunk)
-                if total > MOST_BYTES:
+                if total > most:
                     raise InputError(
-                        f"{path}: more than {MOST_BYTES} bytes unpacked, expected at most so many "
+                        f"{path}: more than {most} bytes unpacked, expected at most so many "
                         "(cut it with MRPT's rawlog-edit --cut)"
                     )
     except (EOFError, zlib.error, gzip.BadGzipFile):

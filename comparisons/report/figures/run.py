@@ -16,7 +16,7 @@ def map_figure(comparison: Comparison) -> Figure:
     title = (
         f"{comparison.log.name}: EKF and smoother {comparison.verdict.headline}\n"
         f"gaps: algebra {a.algebra.sigma:.1e}, model {a.model.sigma:.1e}, "
-        f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.whole.least:.3g}"
+        f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.optimism:.3g}"
     )
     estimates = {"smoother": comparison.smoothed, "EKF": comparison.ekf.estimate}
     figure = estimates_figure(comparison.log, comparison.dead_reckoned, estimates, title)

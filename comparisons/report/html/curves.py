@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from itertools import pairwise
 from math import floor, isfinite, log10
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.arrays import Array, Index
+from comparisons.figures import json_text
 from comparisons.report.html.shell import themed
 from comparisons.report.marks import Panel
 
@@ -74,7 +74,7 @@ def curve_data(panels: Iterable[Panel], start_s: float) -> list[dict[str, Any]]:
 
 def data_block(data: object) -> str:
     """A block of JSON for the page that no text within can end or turn into markup."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    text = json_text(data)
     for sign in "<>&":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
     return f'<script type="application/json" id="data">{text}</script>'

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from comparisons.report.html.shell import number, sortable
 
 if TYPE_CHECKING:
-    from comparisons.report.models import BlockResult
+    from comparisons.checks.agreement import BlockAgreement
     from comparisons.report.settings import SettingLine
 
 
@@ -19,7 +19,7 @@ class LandmarkRow(NamedTuple):
 
     key: str
     name: str
-    block: BlockResult
+    block: BlockAgreement
     error_m: float = math.nan
 
 

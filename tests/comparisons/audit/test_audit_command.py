@@ -34,13 +34,14 @@ def test_exit_codes_folder_and_json(tmp_path: Path) -> None:
     assert (sound.returncode, sound.stdout.splitlines()[0]) == (0, "verdict: sound")
     assert max(map(len, sound.stdout.splitlines())) <= 80
     folder = tmp_path / "slamcheck-audit-sound"
-    assert {p.name for p in folder.iterdir()} == {"audit.json", "curves.png", "report.html"}
+    names = ["audit.json", "curves.png", "files.sha256", "report.html"]
+    assert sorted(p.name for p in folder.iterdir()) == names
     faulty = command("audit", "faulty.trace", "--json", "--out", "there", cwd=tmp_path)
     assert faulty.returncode == 1
     found = AuditResult.model_validate(json.loads(faulty.stdout))
     assert found.verdict == "faulty"
     assert found.findings[0].blocks == ["position", "bias"]
-    assert sorted(found.files) == ["audit.json", "curves.png", "report.html"]
+    assert sorted(found.files) == names
     assert (tmp_path / "there" / "audit.json").read_text() == faulty.stdout
     again = command("audit", "faulty.trace", "--quiet", "--out", "there", cwd=tmp_path)
     assert (again.returncode, again.stdout) == (1, "")

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import chi2, kstest
+from scipy.stats import binom, chi2, kstest
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import audit
-from comparisons.audit.consistency import Departure, _onset, departures
+from comparisons.audit.consistency import Departure, _gating, _onset, departures
 from comparisons.innovations import (
     InnovationLog,
     SensorInnovations,
@@ -107,6 +107,15 @@ def test_a_gate_that_begins_to_reject_has_a_time() -> None:
     timed = [one for one in departed(z, used, 0.99999) if "rejects" in one.what]
     assert len(timed) == 1
     assert timed[0].event == 7000
+
+
+@pytest.mark.parametrize("rejected", [0, 3, 20, 34])
+def test_a_rate_of_rejections_has_the_binomials_two_tails(rejected: int) -> None:
+    used = np.arange(2000) >= rejected
+    gating = figures(white(2000, 5), used, 0.99).gating
+    (found,) = _gating(gating, 2.0)
+    tails = binom.cdf(rejected, 2000, 0.01), binom.sf(rejected - 1, 2000, 0.01)
+    assert found.p_value == pytest.approx(min(1.0, 2.0 * min(tails)), rel=1e-9)
 
 
 def test_the_onset_of_a_step() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit.replay import Replay
+from comparisons.audit.replay import Replay, check_gain
 from comparisons.trace.events import Augment, Clone, Predict, Prior, Remove, Reset, Update
 
 RNG = np.random.default_rng(0)
@@ -64,6 +64,19 @@ def test_any_gain_has_josephs_covariance_and_a_lost_correction_shows() -> None:
     a = np.eye(6) - gain @ whole(("a",), h)
     np.testing.assert_allclose(replay.covariance, a @ p @ a.T + gain @ r @ gain.T, atol=1e-12)
     np.testing.assert_allclose(replay.mean, gain @ residual, atol=1e-12)
+
+
+def test_a_gain_is_wrong_where_it_is_off_by_what_counts_beside_the_rest() -> None:
+    """A block whose gain is off by 1e-5 of the gain's size is not named beside one off by half."""
+    replay, h, r, residual = start(), np.eye(2), spread(2), np.ones(2)
+    event = Update(1, None, "s", ("a",), residual, h, r, True, None, None)
+    kalman = replay.copy().update(event).gain
+    gain = kalman * np.repeat((0.5, 1.0, 1.0 + 1e-5), (2, 1, 3))[:, None]
+    given = Update(1, None, "s", ("a",), residual, h, r, True, None, gain)
+    fused = replay.update(given)
+    sigma = np.sqrt(replay.covariance.diagonal())
+    (found,) = check_gain(given, fused, sigma, replay.layout, 1e-6)
+    assert found.blocks == ("a",)
 
 
 def test_a_rejected_measurement_changes_nothing() -> None:

@@ -28,12 +28,14 @@ def dense(columns: NDArray[np.intp], jacobian: Array, n: int) -> Array:
     return full
 
 
-def test_prediction_equals_the_full_product() -> None:
+@pytest.mark.parametrize("landmarks", [1, 4])
+def test_prediction_equals_the_full_product(landmarks: int) -> None:
     rng = np.random.default_rng(0)
-    state = mapped_state(rng, 4)
-    f = np.eye(11)
+    state = mapped_state(rng, landmarks)
+    n = 3 + 2 * landmarks
+    f = np.eye(n)
     f[:3, :3] += rng.standard_normal((3, 3))
-    q = np.zeros((11, 11))
+    q = np.zeros((n, n))
     q[:3, :3] = random_covariance(rng, 3)
     expected = f @ state.covariance @ f.T + q  # eq. 2.33
     state.predict(np.arange(3.0), f[:3, :3], q[:3, :3])

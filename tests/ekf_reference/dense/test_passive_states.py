@@ -15,11 +15,11 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import UpdateSplitter
 from ekf_reference.core.trace import RecordedTrace, StepRecord
-from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from ekf_reference.dense.triangles import local_jacobians, to_local
 from ekf_reference.filters.compressed import CompressedEkf
 from ekf_reference.filters.misono import DirectionCosineEkf
 from ekf_reference.models.motion import UnicycleModel
+from tests.ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from tests.ekf_reference.numerics import point_columns, relative_error
 from tests.ekf_reference.worlds import LOOP_S, build, circuit, follow
 

@@ -7,8 +7,8 @@ import numpy as np
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord
-from ekf_reference.dense.passive_states import PassiveStates, points
 from tests.ekf_reference.both_kinds import Script, build, drive
+from tests.ekf_reference.dense.passive_states import PassiveStates, points
 from tests.ekf_reference.numerics import relative_error
 
 Z = np.array([[4.0, 0.5], [6.0, -1.0]])

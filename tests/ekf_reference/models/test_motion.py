@@ -11,14 +11,13 @@ from ekf_reference.models.motion import (
     MotionModel,
     RelativePoseModel,
     UnicycleModel,
-    bicycle_model,
 )
 from tests.ekf_reference.numerics import central_difference, relative_error
 
 UTE = AckermannModel(2.83, 0.76, 3.78, 0.5)
 MODELS: dict[str, tuple[MotionModel, int]] = {
     "ackermann": (UTE, 2),
-    "bicycle": (bicycle_model(2.83), 2),
+    "bicycle": (AckermannModel(2.83), 2),
     "unicycle": (UnicycleModel(), 2),
     "relative pose": (RelativePoseModel(), 3),
     "ackermann, arc": (IntegratedModel(UTE, "euler", "arc"), 2),
@@ -77,7 +76,7 @@ def test_bicycle_is_equation_2_6() -> None:
     pose, control, dt = random_case(1, 2)
     v, alpha = control
     expected = pose + dt * v * np.array((np.cos(pose[2]), np.sin(pose[2]), np.tan(alpha) / 2.83))
-    assert np.allclose(bicycle_model(2.83).step(pose, control, dt).pose, expected, atol=1e-14)
+    assert np.allclose(AckermannModel(2.83).step(pose, control, dt).pose, expected, atol=1e-14)
 
 
 def test_ackermann_follows_the_laser_of_a_turning_axle() -> None:

@@ -11,7 +11,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from graphslam.scan import planar
 from graphslam.scan.libraries import (
     PACKAGES,
     MissingLibraryError,
@@ -22,7 +21,6 @@ from graphslam.scan.libraries import (
     remedy,
     require,
 )
-from tests.graphslam.numerics import Array
 from tests.graphslam.scan.shapes import box, seen_from
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -86,29 +84,6 @@ def test_it_keeps_to_one_thread_and_says_nothing(open3d_library: ModuleType) -> 
     assert utility.get_verbosity_level() == utility.VerbosityLevel.Error
     if hasattr(utility, "get_max_threads"):
         assert utility.get_max_threads() == 1
-
-
-@pytest.mark.parametrize("motion", [np.zeros(3), np.array((3.0, -2.0, 0.8))])
-def test_information_by_hand(open3d_library: ModuleType, motion: Array) -> None:
-    """Points p in the source's frame shift by (dx - y dh, dy + x dh) when it is perturbed."""
-    from graphslam.scan.open3d_matchers import point_information
-
-    rng = np.random.default_rng(1)
-    source = np.column_stack((rng.uniform(-9.0, 9.0, (50, 2)), np.zeros(50)))
-    x, y, _ = source.T
-    expected = np.array(
-        (
-            (50.0, 0.0, -y.sum()),
-            (0.0, 50.0, x.sum()),
-            (-y.sum(), x.sum(), (x**2 + y**2).sum()),
-        )
-    )
-    target = planar.moved(motion, source)
-    found = point_information(source, target, motion, 0.01, 0.1)
-    np.testing.assert_allclose(found, expected / 0.1**2, rtol=1e-9, atol=1e-8)
-    if motion.any():
-        twice = point_information(planar.moved(motion, source), target, np.zeros(3), 0.01, 0.1)
-        assert np.abs(twice * 0.1**2 - expected).max() > 1.0, "as if about the target's origin"
 
 
 def test_normals_of_a_planar_cloud_lie_in_the_plane(open3d_library: ModuleType) -> None:

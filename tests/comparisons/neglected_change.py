@@ -21,11 +21,11 @@ from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
-from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, to_local
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 
 _FIRST_LABEL = 1_000_000
 """Of dense points in the state; log labels lie below."""
