@@ -275,7 +275,8 @@ def read_g2o(path: Path) -> G2oContents:
         for k in range(count - 1):
             increment[k] = planar.wrapped(planar.between(guess[k], guess[k + 1]))
     increment[step], covariance[step] = motion[chain], spread[chain]
-    prior_pose, prior_covariance = _prior(path, found, start, nodes, closed=len(closed) > 0)
+    unfiltered = len(closed) > 0 or not seen
+    prior_pose, prior_covariance = _prior(path, found, start, nodes, unfiltered=unfiltered)
     fixes = found["EDGE_PRIOR_SE2_XY"]
     polar = _polar(path, seen)
     problem = SlamProblem(
@@ -378,11 +379,12 @@ def _spanned(
 
 
 def _prior(
-    path: Path, found: Mapping[str, list[_Record]], start: Array, nodes: _Nodes, *, closed: bool
+    path: Path, found: Mapping[str, list[_Record]], start: Array, nodes: _Nodes, *, unfiltered: bool
 ) -> tuple[Array, Array]:
     """Pose (3,) and covariance (3, 3), of the additive global error.
 
-    closed: there are loop closures, so that no filter, which must know its start, reads the graph.
+    unfiltered: there are loop closures, or no landmarks, so that no filter, which must know its
+    start, reads the graph.
     """
     records, fixed = found["EDGE_PRIOR_SE2"], found["FIX"]
     wrong = [r for r in (*fixed, *records) if r.ids[0] != nodes.ids[0]]
@@ -394,7 +396,7 @@ def _prior(
         )
     if not records:
         placed = {r.ids for r in (*found["EDGE_PRIOR_SE2_XY"], *found["EDGE_PRIOR_XY"])}
-        held = fixed or not closed or len(placed) < _FIXING
+        held = fixed or not unfiltered or len(placed) < _FIXING
         return start, _FREE_PRIOR * np.eye(3) if held else OPEN_PRIOR
     [record] = records
     pose = np.array(record.numbers[:3])

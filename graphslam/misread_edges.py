@@ -1,27 +1,32 @@
 """Edges of a pose graph that fit when they are read otherwise.
 
 A graph whose chi-square is far outside its band was often written by a program that means other
-numbers: covariances or square roots where informations belong, or closures in the other direction.
+numbers: covariances or square roots where informations belong, closures in the other direction, or
+closures of a sensor's frame beside odometry of the vehicle's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammainc, gammaincc
+from scipy.special import betainc, gammainc, gammaincc
 
 from graphslam.arrays import Array
 from graphslam.graph_builder import build_graph
+from graphslam.increments import dead_reckoned
 from graphslam.optimisers import optimise, polish
 from graphslam.optimum import ChiSquareTest, chi_square_test
-from graphslam.problem import SlamProblem
+from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.search import relaxed_values
 
 EXTREME = 1e-20
 """A chi-square as far out by chance is no matter of noise that is somewhat larger or smaller."""
+_NEAR = 0.1
+"""A frame that the odometry tells leaves at most so much of the chi-square, before it is fitted."""
 
 
 class EdgeReading(NamedTuple):
@@ -31,42 +36,61 @@ class EdgeReading(NamedTuple):
     chi_square: ChiSquareTest
 
 
-def misread_edges(problem: SlamProblem, test: ChiSquareTest) -> EdgeReading | None:
+def misread_edges(
+    problem: SlamProblem, test: ChiSquareTest, *, verified: bool = False
+) -> EdgeReading | None:
     """Return the first other reading of the edges between poses whose chi-square is plausible.
+
+    Closures may be inverted where informations are too small to tell: that they are is told by an
+    optimum that is lower than chance makes it, whatever its chi-square.
 
     Args:
         problem: A graph with closures.
         test: Of its optimum.
+        verified: Whether nothing speaks against that optimum but, perhaps, its chi-square.
 
     Returns:
         None where the chi-square at hand needs no other reading, or none fits.
     """
     if not len(problem.loop_closures.first) or test.dof <= 0:
         return None
-    if min(tail(0.5 * test.dof, 0.5 * test.chi2) for tail in (gammainc, gammaincc)) > EXTREME:
+    tails = (tail(0.5 * test.dof, 0.5 * test.chi2) for tail in (gammainc, gammaincc))
+    extreme = min(tails) <= EXTREME
+    if verified and not extreme:
         return None
-    for words, other in _readings(problem):
-        graph = build_graph(other)
+    first = _inverted(problem)
+    for words, other in chain((first,), _readings(problem, test) if extreme else ()):
         try:
-            end = optimise(graph, relaxed_values(other))[0]
-            error = polish(graph, end)[1]
+            found = chi_square_test(_optimum(other), test.dof)
         except RuntimeError:
             continue
-        found = chi_square_test(error, test.dof)
-        if found.reading == "plausible":
+        lower = found.reading != "too high" and _far_less(found, test)
+        if lower if words is first[0] else found.reading == "plausible":
             return EdgeReading(words, found)
     return None
 
 
-def _readings(problem: SlamProblem) -> Iterator[tuple[str, SlamProblem]]:
+def _far_less(found: ChiSquareTest, test: ChiSquareTest) -> bool:
+    """Whether no chance makes one optimum of the same weights so much lower than another."""
+    if not found.chi2 < test.chi2:
+        return False
+    half = 0.5 * test.dof
+    return bool(betainc(half, half, found.chi2 / (found.chi2 + test.chi2)) <= EXTREME)
+
+
+def _optimum(problem: SlamProblem) -> float:
+    """Return the error at an optimum. Raises RuntimeError where there is none."""
+    graph = build_graph(problem)
+    return polish(graph, optimise(graph, relaxed_values(problem))[0])[1]
+
+
+def _readings(problem: SlamProblem, test: ChiSquareTest) -> Iterator[tuple[str, SlamProblem]]:
     """Other meanings of the edges, and the problem that has them."""
     closed = problem.loop_closures
     steps, loops = (
         np.median(np.einsum("nii->ni", np.linalg.inv(one)), axis=0)
         for one in (problem.increment_covariance[problem.steps], closed.covariance)
     )
-    swapped = replace(closed, first=closed.second, second=closed.first)
-    yield "the loop closures fit when inverted", replace(problem, loop_closures=swapped)
     for how, covariance in (("the covariance", _inverse), ("a square root of it", _squared)):
         odometry = replace(problem, increment_covariance=covariance(problem.increment_covariance))
         closures = replace(closed, covariance=covariance(closed.covariance))
@@ -80,6 +104,78 @@ def _readings(problem: SlamProblem) -> Iterator[tuple[str, SlamProblem]]:
             ),
         ):
             yield f"{what} when what stands for their information{size} is {how}", other
+    yield from _of_another_frame(problem, test)
+
+
+def _inverted(problem: SlamProblem) -> tuple[str, SlamProblem]:
+    closed = problem.loop_closures
+    swapped = replace(closed, first=closed.second, second=closed.first)
+    return "the loop closures fit when inverted", replace(problem, loop_closures=swapped)
+
+
+def _of_another_frame(
+    problem: SlamProblem, test: ChiSquareTest
+) -> Iterator[tuple[str, SlamProblem]]:
+    """Closures of a sensor that stands elsewhere on the vehicle, which the odometry alone tells."""
+    if len(problem.steps) < len(problem.increment):
+        return
+    from scipy.optimize import minimize  # takes long to load, and is rarely needed
+
+    closed, moved_on = problem.loop_closures, dead_reckoned(problem.prior_pose, problem.increment)
+
+    def moved(frame: Array) -> SlamProblem:
+        return replace(problem, loop_closures=_in_vehicle(closed, frame))
+
+    def error(frame: Array) -> float:
+        return _optimum(moved(frame))
+
+    frame = _mount(closed, moved_on)
+    try:
+        if 2.0 * error(frame) > _NEAR * test.chi2:
+            return
+        frame = minimize(error, frame, method="BFGS", options={"gtol": 0.01}).x
+    except RuntimeError:
+        return
+    ahead, left, turn = frame[0], frame[1], np.degrees(frame[2])
+    yield (
+        (
+            f"the loop closures fit as motions of a frame {ahead:.2f} m ahead, {left:.2f} m to the "
+            f"left and turned by {turn:.1f} degrees"
+        ),
+        moved(frame),
+    )
+
+
+def _mount(closed: LoopClosures, poses: Array) -> Array:
+    """Return x, y and heading of the frame whose motions closures are, beside poses (K, 3).
+
+    A motion (t, h) of it is one of the vehicle by turn t + (1 - exp(i h)) place, in complex
+    numbers: linear least squares, but for the turn's size.
+    """
+    places, ahead = poses[:, :2] @ (1.0, 1.0j), np.exp(1j * poses[:, 2])
+    moved = (places[closed.second] - places[closed.first]) / ahead[closed.first]
+    motion = closed.motion
+    columns = np.column_stack((motion[:, :2] @ (1.0, 1.0j), 1.0 - np.exp(1j * motion[:, 2])))
+    turn, place = np.linalg.lstsq(columns, moved, rcond=None)[0]
+    return np.array((place.real, place.imag, np.angle(turn)))
+
+
+def _in_vehicle(closed: LoopClosures, frame: Array) -> LoopClosures:
+    """Return motions of a frame as those of the vehicle; covariances by its adjoint."""
+    heading, place, turn = closed.motion[:, 2], complex(*frame[:2]), np.exp(1j * frame[2])
+    moved = turn * (closed.motion[:, :2] @ (1.0, 1.0j)) + (1.0 - np.exp(1j * heading)) * place
+    adjoint = np.array(
+        (
+            (turn.real, -turn.imag, place.imag),
+            (turn.imag, turn.real, -place.real),
+            (0.0, 0.0, 1.0),
+        )
+    )
+    return replace(
+        closed,
+        motion=np.column_stack((moved.real, moved.imag, heading)),
+        covariance=adjoint @ closed.covariance @ adjoint.T,
+    )
 
 
 def _size(ratio: Array, other: str) -> str:

@@ -179,7 +179,8 @@ def solve(
         name = "known" if known else "own"
         estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name)
     with clock.stage("edges"):
-        misread = misread_edges(result.problem, result.optimality.chi_square)
+        optimality = result.optimality
+        misread = misread_edges(result.problem, optimality.chi_square, verified=optimality.verified)
     checked = None
     if own is not None and associator is not None:
         with clock.stage("association check"):

@@ -223,6 +223,30 @@ def test_positions_fix_the_frame_and_not_a_guess(tmp_path: Path) -> None:
     assert (kept.gps, kept.remarks) == ("off", [])
 
 
+def test_poses_alone_need_no_closure(tmp_path: Path) -> None:
+    """A chain is where its odometry leads; positions fix it as they fix a graph with closures."""
+    whole = turned_start(tmp_path, "whole", smooth(rounds(2), {}).poses, 9)
+    lines = whole.read_text().splitlines(True)
+    motions = [one.split() for one in lines if one.startswith("EDGE_SE2 ")]
+    chain = {" ".join(one[:3]) for one in motions if int(one[2]) == int(one[1]) + 1}
+    kept = [
+        one
+        for one in lines
+        if not one.startswith("EDGE_SE2 ") or " ".join(one.split()[:3]) in chain
+    ]
+    (tmp_path / "fixed.g2o").write_text("".join(kept))
+    bare = [one for one in kept if "EDGE_PRIOR" not in one]
+    (tmp_path / "chain.g2o").write_text("".join(bare))
+    fixed, alone = (solve(open_log(str(tmp_path / f"{name}.g2o"))) for name in ("fixed", "chain"))
+    assert fixed.verified
+    assert build_solution_result(fixed).remarks == [FRAME]
+    assert fixed.result.optimality.chi_square.dof == 2 * 9 - 3
+    assert alone.verified
+    assert np.abs(alone.estimate.pose - alone.dead_reckoned).max() < 1e-9
+    write_log_folder(alone.log, tmp_path / "log")
+    assert log_hash(open_log(str(tmp_path / "log"))) == log_hash(alone.log)
+
+
 def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:
     """Before a chi-square that is too low, which only is a note."""
     problem = rounds()

@@ -9,9 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from graphslam.increments import dead_reckoned
 from graphslam.misread_edges import misread_edges
 from graphslam.optimum import chi_square_test
-from graphslam.problem import SlamProblem
+from graphslam.problem import LoopClosures, SlamProblem
+from graphslam.scan import planar
 from graphslam.smoother import smooth
 from tests.graphslam.g2o_files import rounds
 from tests.graphslam.numerics import Array
@@ -68,6 +70,70 @@ def test_what_was_meant_is_found(spoil: Callable[[SlamProblem], SlamProblem], wo
     assert found is not None
     assert pytest.approx(2.0 * right.error, rel=1e-6) == found.chi_square.chi2
     assert re.match(words, found.words)
+
+
+def squares() -> SlamProblem:
+    """Twice round a square, the second lap closed to the first; on a circle no frame shows."""
+    turn = np.where(np.arange(32) % 4 == 3, 0.5 * np.pi, 0.0)
+    moves = np.column_stack((np.ones(32), np.zeros(32), turn))
+    truth = dead_reckoned(np.zeros(3), moves)
+    first = np.arange(1, 14)
+    second = first + 15 + first % 3
+    closed = [planar.between(*pair) for pair in zip(truth[first], truth[second], strict=True)]
+    sigma, rng = np.array((0.05, 0.03, 0.01)), np.random.default_rng(0)
+    spread = np.diag(sigma**2)
+    return replace(
+        rounds(),
+        increment=moves + sigma * rng.standard_normal((32, 3)),
+        increment_covariance=np.tile(spread, (32, 1, 1)),
+        loop_closures=LoopClosures(
+            first,
+            second,
+            np.array(closed) + sigma * rng.standard_normal((13, 3)),
+            np.tile(spread, (13, 1, 1)),
+        ),
+    )
+
+
+def test_closures_of_a_sensors_frame_are_found() -> None:
+    """It looks backwards, 0.3 m ahead and 0.1 m to the left."""
+    problem, sensor = squares(), np.array((0.3, 0.1, np.pi))
+    closed, right = problem.loop_closures, smooth(problem, {})
+    back = planar.between(sensor, np.zeros(3))
+    seen = [planar.compose(planar.compose(back, one), sensor) for one in closed.motion]
+    spoilt = replace(problem, loop_closures=replace(closed, motion=np.array(seen)))
+    found = misread_edges(spoilt, smooth(spoilt, {}).optimality.chi_square)
+    assert found is not None
+    assert found.chi_square.chi2 <= 2.0 * right.error + 1e-6
+    said = re.fullmatch(
+        r"the loop closures fit as motions of a frame (\S+) m ahead, (\S+) m to the left and "
+        r"turned by (\S+) degrees",
+        found.words,
+    )
+    assert said is not None
+    ahead, left, turn = map(float, said.groups())
+    assert abs(ahead - 0.3) < 0.05
+    assert abs(left - 0.1) < 0.05
+    assert abs(abs(turn) - 180.0) < 1.0
+
+
+def test_informations_that_tell_nothing_still_tell_the_direction() -> None:
+    """A plausible chi-square that is not verified; one that is needs no other reading."""
+    problem = rounds()
+    closed = problem.loop_closures
+    loose = replace(
+        problem,
+        increment_covariance=300.0 * problem.increment_covariance,
+        loop_closures=replace(closed, covariance=300.0 * closed.covariance),
+    )
+    wrong = inverted(loose)
+    test = smooth(wrong, {}).optimality.chi_square
+    assert test.reading == "plausible"
+    found = misread_edges(wrong, test)
+    assert found is not None
+    assert found.words == "the loop closures fit when inverted"
+    assert found.chi_square.chi2 < 1e-2 * test.chi2
+    assert misread_edges(wrong, test, verified=True) is None
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.01, 30.0])

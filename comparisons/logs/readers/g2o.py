@@ -37,11 +37,8 @@ def read(path: Path) -> Log:
     except (ValueError, ArithmeticError) as error:
         raise InputError(str(error)) from None
     closed = problem.loop_closures
-    if not len(problem.increment) or not (len(problem.z) or len(closed.first)):
-        raise InputError(
-            f"{path}: expected EDGE_SE2 lines, and EDGE_SE2_XY lines or EDGE_SE2 lines that close "
-            "loops"
-        )
+    if not len(problem.increment):
+        raise InputError(f"{path}: expected EDGE_SE2 lines")
     if len(problem.surveyed):
         raise InputError(f"{path}: EDGE_PRIOR_XY lines can be solved, but not read as a log")
     order = np.argsort(problem.measurement_pose, kind="stable")
@@ -75,7 +72,7 @@ def read(path: Path) -> Log:
             closed.motion,
             closed.covariance,
         )
-        if len(closed.first)
+        if len(closed.first) or not len(problem.z)  # a graph of poses, which may close no loop
         else None,
         provenance={"times": "pose numbers in place of seconds", **notes},
     )
