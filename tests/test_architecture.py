@@ -22,6 +22,7 @@ STANDARD = {
     "dataclasses",
     "functools",
     "importlib",
+    "itertools",
     "math",
     "pathlib",
     "re",

@@ -6,6 +6,7 @@ import re
 import shlex
 import tomllib
 from collections.abc import Iterator
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -262,7 +263,12 @@ def test_flags_and_settings_lie_over_an_earlier_file(tmp_path: Path) -> None:
 def test_an_earlier_runs_folder_is_known(tmp_path: Path) -> None:
     """As one of the same settings, which may be written again, or as of others."""
     (tmp_path / "config.toml").write_text(OLD_FILE)
-    (tmp_path / "result.json").write_text('{"files": ["config.toml", "result.json"]}')
+    (tmp_path / "result.json").write_text("{}")
+    lines = (
+        f"{sha256((tmp_path / name).read_bytes()).hexdigest()}  {name}\n"
+        for name in ("config.toml", "result.json")
+    )
+    (tmp_path / "files.sha256").write_text("".join(lines))
     check_free(tmp_path, run_config(**NOW))
     with pytest.raises(InputError, match=r"scan_landmarks\.template_extraction per-segment, not"):
         check_free(tmp_path, run_config(**{**NOW, "template_extraction": "whole-scan"}))
