@@ -33,7 +33,7 @@ _WORDS = re.compile(rf"(?<![a-z])(?<!loop_)({'|'.join(_FORMER)})")
 
 
 class Model(BaseModel):
-    """Nothing but the fields that are stored down."""
+    """Nothing but the fields that are written down."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -58,16 +57,22 @@ def misread_edges(
     extreme = min(tails) <= EXTREME
     if verified and not extreme:
         return None
-    first = _inverted(problem)
-    for words, other in chain((first,), _readings(problem, test) if extreme else ()):
-        try:
-            found = chi_square_test(_optimum(other), test.dof)
-        except RuntimeError:
-            continue
-        lower = found.reading != "too high" and _far_less(found, test)
-        if lower if words is first[0] else found.reading == "plausible":
+    found = _fitted(_inverted(problem), test.dof)
+    if found is not None and found.reading != "too high" and _far_less(found, test):
+        return EdgeReading("the loop closures fit when inverted", found)
+    for words, other in _readings(problem, test) if extreme else ():
+        found = _fitted(other, test.dof)
+        if found is not None and found.reading == "plausible":
             return EdgeReading(words, found)
     return None
+
+
+def _fitted(problem: SlamProblem, dof: int) -> ChiSquareTest | None:
+    """Return the test of an optimum, None where there is none."""
+    try:
+        return chi_square_test(_optimum(problem), dof)
+    except RuntimeError:
+        return None
 
 
 def _far_less(found: ChiSquareTest, test: ChiSquareTest) -> bool:
@@ -107,10 +112,9 @@ def _readings(problem: SlamProblem, test: ChiSquareTest) -> Iterator[tuple[str, 
     yield from _of_another_frame(problem, test)
 
 
-def _inverted(problem: SlamProblem) -> tuple[str, SlamProblem]:
+def _inverted(problem: SlamProblem) -> SlamProblem:
     closed = problem.loop_closures
-    swapped = replace(closed, first=closed.second, second=closed.first)
-    return "the loop closures fit when inverted", replace(problem, loop_closures=swapped)
+    return replace(problem, loop_closures=replace(closed, first=closed.second, second=closed.first))
 
 
 def _of_another_frame(

@@ -22,7 +22,6 @@ STANDARD = {
     "dataclasses",
     "functools",
     "importlib",
-    "itertools",
     "math",
     "pathlib",
     "re",

@@ -11,13 +11,14 @@ from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
 from graphslam.layout import KINDS, POINT, POSE_LANDMARK, LandmarkKind
-from graphslam.linear_problem import LinearProblem
+from graphslam.linear_problem import LinearProblem, LinearRelations
 from graphslam.model_system import RelationPoints
 from graphslam.recorded_system import (
     RecordedPositions,
     RecordedPrior,
     RecordedRelations,
     RecordedSteps,
+    recorded_motion,
     recorded_system,
 )
 
@@ -36,7 +37,7 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
     fixes = trace.positions
     return recorded_system(
         RecordedPrior(trace.prior_pose, trace.prior_covariance),
-        RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
+        _steps(trace),
         until,
         {
             KINDS[kind.name]: _joined(
@@ -54,6 +55,15 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
             fixes.noise,
         ),
     )
+
+
+def recorded_predictions(trace: TraceArrays, until: Index) -> LinearRelations:
+    """Return predictions alone, composed between these numbers (K,) of steps."""
+    return recorded_motion(_steps(trace), until)
+
+
+def _steps(trace: TraceArrays) -> RecordedSteps:
+    return RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q)
 
 
 def measurement_points(

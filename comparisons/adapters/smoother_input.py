@@ -25,13 +25,11 @@ from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.layout import Layout
-from ekf_reference.core.trace import TraceArrays
 from graphslam.arrays import Marginal
 from graphslam.layout import POINT, POSE_LANDMARK, LandmarkKind
 from graphslam.linear_problem import LinearProblem, LinearRelations, solve
 from graphslam.model_system import LinearisationPoints, model_motion, model_system, moved_to
 from graphslam.problem import LoopClosures, SlamProblem
-from graphslam.recorded_system import RecordedSteps, recorded_motion
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 
@@ -129,11 +127,6 @@ def _recorded_until(run: EkfRun) -> Index:
 def model_system_of(problem: SlamProblem, run: EkfRun) -> LinearProblem:
     """F2: the smoother's own factors, linearised where the EKF was."""
     return model_system(problem, _points(problem, run))
-
-
-def recorded_steps(trace: TraceArrays, until: Index) -> LinearRelations:
-    """Predictions as the filter recorded them, composed between these numbers (K,) of steps."""
-    return recorded_motion(RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q), until)
 
 
 def model_steps(log: Log, problem: SlamProblem, run: EkfRun) -> LinearRelations | None:

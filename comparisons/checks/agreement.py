@@ -334,12 +334,7 @@ class Agreement(GapFigures):
     linearisation: Aside[Gap] = NO_GAP
 
 
-def compare(
-    ekf: Gaussian,
-    recorded: Gaussian,
-    own: Gaussian,
-    smoother: Gaussian,
-) -> Agreement:
+def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:
     """Compare E, F1, F2 and S. Raises LinAlgError when S's covariance is not positive definite."""
     sigma = np.sqrt(np.diag(smoother.covariance))
     difference = _difference(ekf, smoother)

@@ -5,6 +5,7 @@ A recorder's trace, or `trace.npz` of 0.2.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,27 +104,27 @@ def _former_arrays(path: Path) -> dict[str, Array]:
     """
     shapes: dict[str, Shape] = dict(_PRIOR)
     for part in (_STEPS, _UPDATES, _INITIALISATIONS, _POSITIONS):
-        kind = next(iter(part)).partition("_")[0]
+        kind = _kind(part)
         shapes |= {name: (f"{kind}s", *shape) for name, shape in part.items()}
         shapes |= {} if part is _STEPS else {f"{kind}_weight": (f"{kind}s",)}
     stored = read_arrays(path, shapes | {_former(name): one for name, one in shapes.items()})
     found = {_current(name): array for name, array in stored.items()}
-    missing = [n for n in (*_PRIOR, *_STEPS, *_UPDATES, *_INITIALISATIONS) if n not in found]
+    if next(iter(_POSITIONS)) not in found:
+        found |= {name: np.zeros((0, *shape)) for name, shape in _POSITIONS.items()}
+    needed = (*_PRIOR, *_STEPS, *_UPDATES, *_INITIALISATIONS, *_POSITIONS)
+    missing = [name for name in needed if name not in found]
     if missing:
         raise InputError(f"{path}: holds no {missing[0]}")
-    for part in (_STEPS, _UPDATES, _INITIALISATIONS, _POSITIONS):
-        first = next(iter(part))
-        if part is _POSITIONS and first not in found:
-            found |= {name: np.zeros((0, *shape)) for name, shape in part.items()}
-        count = len(found[first])
-        weight = f"{first.partition('_')[0]}_weight"
-        found.setdefault(weight, np.ones(count))
-        for name in part:
-            if name not in found:
-                raise InputError(f"{path}: holds no {name}")
+    for part in (_UPDATES, _INITIALISATIONS, _POSITIONS):
+        found.setdefault(f"{_kind(part)}_weight", np.ones(len(found[next(iter(part))])))
     for name, array in found.items():
         _check(path, name, array)
     return found
+
+
+def _kind(part: Mapping[str, tuple[int, ...]]) -> str:
+    """Return what the names of a part begin with."""
+    return next(iter(part)).partition("_")[0]
 
 
 def _checked(

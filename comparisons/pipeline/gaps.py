@@ -11,12 +11,12 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.recorded import recorded_predictions
 from comparisons.adapters.smoother_input import (
     build_problem,
     model_steps,
     model_system_at,
     model_system_of,
-    recorded_steps,
     recorded_system_of,
     run_smoother,
     smoothed_estimate,
@@ -115,7 +115,7 @@ class Gaps:
         """
         single = self._model_steps is not None
         until = np.arange(len(trace.f) + 1) if single else self.run.timeline.steps_until()
-        return replace(recorded, motion=recorded_steps(trace, until))
+        return replace(recorded, motion=recorded_predictions(trace, until))
 
     def model_differences(
         self, stored: Mapping[tuple[str, str], float] | None = None

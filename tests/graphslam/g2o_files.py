@@ -68,6 +68,16 @@ def everything() -> G2oContents:
     return G2oContents(problem, result.poses, result.landmarks)
 
 
+def loosened(problem: SlamProblem, factor: float) -> SlamProblem:
+    """The same with so many times the covariance of every motion."""
+    closed = problem.loop_closures
+    return replace(
+        problem,
+        increment_covariance=factor * problem.increment_covariance,
+        loop_closures=replace(closed, covariance=factor * closed.covariance),
+    )
+
+
 def rounds(turns: int = 4) -> SlamProblem:
     """Round a circle of twelve poses a few times, with closures over fifteen steps."""
     rng = np.random.default_rng(3)

@@ -15,7 +15,7 @@ from graphslam.optimum import chi_square_test
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.scan import planar
 from graphslam.smoother import smooth
-from tests.graphslam.g2o_files import rounds
+from tests.graphslam.g2o_files import loosened, rounds
 from tests.graphslam.numerics import Array
 
 
@@ -119,14 +119,7 @@ def test_closures_of_a_sensors_frame_are_found() -> None:
 
 def test_informations_that_tell_nothing_still_tell_the_direction() -> None:
     """A plausible chi-square that is not verified; one that is needs no other reading."""
-    problem = rounds()
-    closed = problem.loop_closures
-    loose = replace(
-        problem,
-        increment_covariance=300.0 * problem.increment_covariance,
-        loop_closures=replace(closed, covariance=300.0 * closed.covariance),
-    )
-    wrong = inverted(loose)
+    wrong = inverted(loosened(rounds(), 300.0))
     test = smooth(wrong, {}).optimality.chi_square
     assert test.reading == "plausible"
     found = misread_edges(wrong, test)
