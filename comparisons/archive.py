@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError, check_regular
 
 _MOST_BYTES = 2**32
-_SPARE_BYTES, _MOST_TIMES = 2**26, 20
+_SPARE_BYTES, _MOST_TIMES = 2**26, 50
 """A log of scans packs to a quarter, zeros to a thousandth."""
 _MOST_TEXT = 1000
 _HEADER_BYTES = 10_000

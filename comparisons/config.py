@@ -6,6 +6,7 @@ section for each extension that takes part. An extension that is not named is no
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, cast, get_args, get_origin
@@ -423,7 +424,7 @@ class JobConfig(Section):
 
     def inputs(self) -> tuple[Path, ...]:
         """Return the paths of what the job reads, of which its output takes no place."""
-        source = Path(self.log.source)
+        source = recorded_path(self.log.source)
         return (source,) if source.is_absolute() else ()  # else a log's name
 
     def at_log(self, sha256: str, source: str | None = None) -> Self:
@@ -638,12 +639,19 @@ JOBS: dict[str, type[JobConfig]] = {
 }
 
 
-def full_path(path: Path) -> str:
-    """Return a path as a configuration records it. Raises InputError for a name that is not text.
+def recorded_path(text: str | Path) -> Path:
+    """Return a path as full_path records it, its `~` as the home folder."""
+    return Path(os.path.expanduser(text))
 
-    A file system may hold such names; TOML and JSON cannot.
+
+def full_path(path: Path) -> str:
+    """Return a path as a configuration records it: full, or from the home folder on, with `~`.
+
+    Raises InputError for a name that is not text. A file system may hold such names; TOML and JSON
+    cannot.
     """
-    found = str(path.resolve())
+    full, home = recorded_path(path).resolve(), recorded_path("~").resolve()
+    found = str(Path("~", full.relative_to(home)) if home in full.parents else full)
     if any("\ud800" <= one <= "\udfff" for one in found):
         raise InputError(f"{found}: its full name is not UTF-8, which no file of settings can hold")
     return found

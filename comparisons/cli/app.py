@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import io
 import os
 import signal
 import sys
 import time
 import traceback
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -49,7 +51,7 @@ PANELS = {
 """Names of commands by panel of the help, and where each is found in this package."""
 COMMANDS = {name: place for panel in PANELS.values() for name, place in panel.items()}
 PROGRAM = "slamcheck"
-STOPS = (signal.SIGTERM, signal.SIGHUP)
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 AGAIN_S = 10.0
 """An exit that a signal asked for is tried again after so long."""
 _USAGE: type[Any] = typer.BadParameter.__bases__[0]
@@ -155,6 +157,16 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
     stopped = _stop_on_signals()
+    try:
+        _run(stopped)
+    except BaseException:
+        if stopped:  # whatever a library's import or our own guard made of the exit
+            sys.exit(128 + stopped[0])
+        raise
+
+
+def _run(stopped: Sequence[int]) -> NoReturn:
+    """Run what the command line asks for, and exit. stopped: a signal that has come since."""
     asked = sys.argv[1] if len(sys.argv) > 1 else ""
     try:
         if asked in COMMANDS:  # without the options of all, which take longer to load than help
@@ -180,9 +192,8 @@ def main() -> None:
     except OSError as error:  # of what a command prints outside of its own guard, such as help
         fail(f"standard output: {error.strerror or error}", UNUSABLE)
     except Exception:
-        if stopped:  # a library made another fault of the exit
-            sys.exit(128 + stopped[0])
-        traceback.print_exc()
+        if not stopped:
+            traceback.print_exc()
         sys.exit(BROKEN)
 
 
@@ -210,4 +221,5 @@ def _stop_on_signals() -> list[int]:
     for number in STOPS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, stop)
+    atexit.register(signal.setitimer, signal.ITIMER_REAL, 0.0)  # an exit that is under way is kept
     return asked

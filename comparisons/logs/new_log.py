@@ -26,6 +26,11 @@ _MEASUREMENTS = (
 )
 _VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
 _PLACE = ("time_s", "x_m", "y_m")
+_ALONE = {
+    "bearing_rad": " (ranges alone are not supported)",
+    "range_m": " (bearings alone are not supported)",
+}
+"""What is said where one of two columns is missing."""
 _LARGEST = {"bearing_rad": 2 * np.pi, "steering_rad": 1.55, "yaw_rate_radps": 20.0}
 """Larger angles and rates than a vehicle has are degrees, or wrong."""
 _SHARP = ("sigma_range_m", "sigma_bearing_rad", "sigma_m", "wheelbase_m")
@@ -291,7 +296,8 @@ def _need(table: PlainTable, names: tuple[str, ...]) -> None:
         if name not in table.columns:
             raise InputError(
                 f"{table.path}: no column for {name}, expected one named "
-                f"{' or '.join(NAMES[name])}; found {', '.join(table.headers)}; {SEE}"
+                f"{' or '.join(NAMES[name])}{_ALONE.get(name, '')}; found "
+                f"{', '.join(table.headers)}; {SEE}"
             )
 
 

@@ -7,6 +7,7 @@ does not load the user's `__main__` once more, as the standard library's would.
 
 from __future__ import annotations
 
+import functools
 import os
 import pickle
 import signal
@@ -128,14 +129,19 @@ def _become_worker(parent: int) -> None:
     """Print to standard error only, leave interrupts to the parent, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.dup2(2, 1)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    end_with(parent)
 
 
-def _end_with(parent: int) -> None:
-    """Leave when the process that asked is gone, killed or not."""
-    while os.getppid() == parent:
-        time.sleep(0.2)
-    os._exit(1)
+@functools.cache
+def end_with(parent: int) -> None:
+    """Have this process, a worker, leave when the one that asked is gone, killed or not."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.2)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _measured(function: Callable[..., T], arguments: tuple[Any, ...]) -> tuple[T, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TypeVar
 
-from comparisons.config import JobConfig, LogSection, check_unchanged, full_path
+from comparisons.config import JobConfig, LogSection, check_unchanged, full_path, recorded_path
 from comparisons.logs.bundled import NAMED, SimulationChoices, open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
@@ -19,7 +19,8 @@ def load_log(section: LogSection) -> Log:
     """Return the log that a configuration names, with the features asked for. Raises InputError."""
     choices = SimulationChoices(section.seed, section.loops, section.noise_scale)
     topics = tuple(section.topics or ())
-    log = open_log(section.source, section.format, section.robot, choices, topics)
+    source = str(recorded_path(section.source))
+    log = open_log(source, section.format, section.robot, choices, topics)
     if section.start_s is not None or section.end_s is not None:
         from comparisons.logs.transforms.time_window import cut_log
 

@@ -18,16 +18,37 @@ from comparisons.config import (
     OdometryConfig,
     RunConfig,
     SolveConfig,
+    full_path,
     json_schema,
 )
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.logs.log_folder import write_log_folder
 from comparisons.options import source, table
 from comparisons.options.table import of_job
+from comparisons.pipeline.read import read_for
 from comparisons.settings import configure, run_config
 from tests.commands import slamcheck
+from tests.helpers import simulated
 
 RUN, MAP = of_job("run"), of_job("map")
+
+
+def test_a_path_under_the_home_folder_is_recorded_from_there_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody's name is in a result; the same configuration finds the log again."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    write_log_folder(simulated(2, loop_s=10.0), tmp_path / "mine" / "log")
+    recorded = full_path(tmp_path / "mine" / "log")
+    assert recorded == "~/mine/log"
+    assert full_path(Path(recorded)) == recorded
+    assert full_path(Path("/usr")) == "/usr"
+    config = configure(RunConfig, settings=[f"log.source={recorded}"])
+    log, found, _ = read_for(config)
+    assert log.records
+    assert found.log.source == recorded
+    assert found.inputs() == (tmp_path / "mine" / "log",)
 
 
 def test_the_table_of_options_is_generated_from_the_settings() -> None:

@@ -279,22 +279,63 @@ time.sleep(60)
     assert job.returncode == 143
 
 
+@pytest.mark.parametrize("number", app.STOPS)
+@pytest.mark.parametrize(
+    "fault", [SystemError("recursion depth mismatch"), ImportError("numpy"), SystemExit(2)]
+)
 def test_a_fault_that_an_exit_became_is_no_traceback(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    number: int,
+    fault: BaseException,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """As where an import is interrupted."""
+
     def run(**_: object) -> int:
         try:
-            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), number)
         except SystemExit:
-            raise SystemError("recursion depth mismatch") from None
+            raise fault from None
         return 0
 
     monkeypatch.setattr(app, "build", lambda names: run)
-    with pytest.raises(SystemExit) as stop:
-        run_main(["run"])
+    before = signal.signal(number, signal.SIG_DFL)  # a job in the background ignores SIGINT
+    try:
+        with pytest.raises(SystemExit) as stop:
+            run_main(["run"])
+    finally:
+        signal.signal(number, before)
     signal.setitimer(signal.ITIMER_REAL, 0.0)
-    assert stop.value.code == 143
+    assert stop.value.code == 128 + number
     assert not capsys.readouterr().err
+
+
+AT_ONCE = """
+import atexit, os, signal, sys
+import slamcheck.__main__ as program
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+when, number = sys.argv[1], int(sys.argv[2])
+sys.argv[1:] = ["--version"]
+if when == "start-up":
+    program.check_packages = lambda: os.kill(os.getpid(), number)
+else:
+    atexit.register(os.kill, os.getpid(), number)
+program.main()
+"""
+
+
+@pytest.mark.parametrize("number", app.STOPS)
+@pytest.mark.parametrize("when", ["start-up", "shutdown"])
+def test_a_signal_has_its_code_and_no_traceback_whenever_it_comes(when: str, number: int) -> None:
+    done = subprocess.run(
+        (sys.executable, "-c", AT_ONCE, when, str(int(number))),
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (128 + number, "")
 
 
 def test_an_ignored_signal_stays_ignored(tmp_path: Path) -> None:

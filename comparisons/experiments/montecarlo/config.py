@@ -43,8 +43,8 @@ class MonteCarloConfig(Section):
 
     commands: dict[str, str] = Field(
         {},
-        description="External filters by name: recorded, and run only if --command gives them "
-        "again",
+        description="External filters by name: hash of the words and the files that these name; "
+        "run only if --command gives them again",
     )
 
     @field_validator("filters")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shlex
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.config import check_unchanged, full_path
+from comparisons.config import check_unchanged, full_path, recorded_path
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.chunk_files import CHUNK, LOGS, ChunkFiles, check_folder
 from comparisons.experiments.montecarlo.config import MonteCarloConfig
@@ -74,11 +73,11 @@ def read_study(config: MonteCarloConfig, *, allow_changed: bool = False) -> Stud
 
     Raises InputError where the configuration has another scenario's hash, unless that is allowed.
     """
-    scenario = read_scenario(config.scenario)
+    scenario = read_scenario(str(recorded_path(config.scenario)))
     if not allow_changed:
         option = "--allow-changed-scenario"
         check_unchanged(config.scenario, scenario.sha256, config.sha256, option)
-    path = Path(config.scenario)
+    path = recorded_path(config.scenario)
     full = full_path(path) if path.is_file() else config.scenario
     named = {"scenario": full, "sha256": scenario.sha256}
     return Study(config.model_copy(update=named), scenario)
@@ -368,17 +367,16 @@ def _is_there(files: ChunkFiles, name: str, run: int) -> bool:
 
 
 def record_commands(study: Study, commands: Mapping[str, Command]) -> Study:
-    """Return the study with what runs besides, for its config.toml.
+    """Return the study with what runs besides, for its config.toml: hashes, as words may be secret.
 
     Raises InputError for recorded commands that were not given again: a file names them, and only
     the command line runs them.
     """
-    missing = {k: v for k, v in study.config.commands.items() if k not in commands}
+    missing = [name for name in study.config.commands if name not in commands]
     if missing:
-        name, words = next(iter(missing.items()))
         raise InputError(
-            f"the configuration names the command '{name}', which is never run from a file; give "
-            f"--command {shlex.quote(f'{name}={words}')}"
+            f"the configuration names the command '{missing[0]}', which is never run from a file; "
+            f"give --command '{missing[0]}=COMMAND'"
         )
-    named = {name: shlex.join(one.words) for name, one in commands.items()}
+    named = {name: f"sha256:{one.sha256}" for name, one in commands.items()}
     return Study(study.config.model_copy(update={"commands": named}), study.scenario)

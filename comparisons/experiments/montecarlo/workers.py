@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from typing import Any, TypeVar
 
 from comparisons.errors import InputError
-from comparisons.pipeline.beside import cores
+from comparisons.pipeline.beside import cores, end_with
 
 Result = TypeVar("Result")
 _MOST_WORKERS = 1000
@@ -26,15 +27,17 @@ def spread(
     import joblib
 
     with ExitStack() as stack:
+        parent = None
         if scheduler is None:
             backend: dict[str, Any] = {"n_jobs": min(workers, max(len(tasks), 1))}
             if workers > 1:
                 backend |= {"backend": "loky", "inner_max_num_threads": 1}
+                parent = os.getpid()
         else:
             stack.enter_context(_client(scheduler))
             backend = {"backend": "dask", "n_jobs": -1}
         stack.enter_context(joblib.parallel_config(**backend))
-        jobs = (joblib.delayed(_placed)(function, i, task) for i, task in enumerate(tasks))
+        jobs = (joblib.delayed(_placed)(function, i, task, parent) for i, task in enumerate(tasks))
         yield from joblib.Parallel(return_as="generator_unordered", batch_size=1)(jobs)
 
 
@@ -50,8 +53,11 @@ def check_workers(workers: int) -> None:
 
 
 def _placed(
-    function: Callable[..., Result], place: int, task: tuple[Any, ...]
+    function: Callable[..., Result], place: int, task: tuple[Any, ...], parent: int | None
 ) -> tuple[int, Result]:
+    """parent: process with which a worker ends, None where no other process works for it."""
+    if parent not in (None, os.getpid()):
+        end_with(parent)
     return place, function(*task)
 
 

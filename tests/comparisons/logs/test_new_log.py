@@ -235,6 +235,10 @@ BAD: dict[str, tuple[str, str, str]] = {
     ),
     "twice": ("t,v,speed,w\n0,1,1,0\n", TREES, r"'v' and 'speed' both mean speed_mps"),
     "no time": ("v,w\n1,0\n", TREES, r"no column for time_s, expected one named time or t or"),
+    "ranges alone": (
+        VELOCITY, "id,range,t\n1,5,0.1\n",
+        r"no column for bearing_rad, .*named bearing \(ranges alone are not supported\); found id,",
+    ),
     "two kinds": ("t,v,w,x,y,yaw\n0,1,0,0,0,0\n", TREES, r"holds velocity and poses.*--kind"),
     "no kind": (
         "t,a\n0,1\n",

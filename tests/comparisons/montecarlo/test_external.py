@@ -267,6 +267,8 @@ def test_a_configuration_runs_no_command(
     command = program(COPY + f"\nPath({str(mark)!r}).touch()")
     works(*study(scenario, out, "--command", command), cwd=tmp_path)
     mark.unlink()
+    texts = [path.read_text() for path in out.glob("*.*") if path.suffix != ".png"]
+    assert not any(str(mark) in text or command in text for text in texts)
     again = ("montecarlo", "out/config.toml", "--out", "again")
     said = refused(*again, cwd=tmp_path)
     assert "names the command 'mine', which is never run from a file; give --command" in said
