@@ -133,7 +133,7 @@ def _of_sensor(sensor: SensorInnovations) -> Iterator[tuple[str, Figure]]:
 
 def _of_whiteness(w: Whiteness) -> Iterator[tuple[str, Figure]]:
     name = f"whiteness of {w.component} by {w.order}"
-    within = np.abs(w.coefficient) <= w.band
+    within = np.abs(w.autocorrelation) <= np.array(w.band)
     yield f"{name}, next", _band(bool(within[0]), _TWO_SIGMA)
     yield f"{name}, share of lags", _average(_TWO_SIGMA, float(within.mean()))
     yield f"{name}, p-value over 0.05", _band(w.p_value > 0.05)

@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, gammainc, gammaincinv
 
 from comparisons.arrays import Array, Index
-from comparisons.figures import Model
 from comparisons.statistics import Nis, Whiteness, average, faults, mean_band, whiteness
 from comparisons.trace.events import Sensor
 from comparisons.words import Row
@@ -76,19 +75,44 @@ class Gating:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorInnovations:
-    """One sensor: its measurements (n,) that were used and have a valid S, and their figures.
+class InnovationFigures:
+    """One sensor's innovations.
 
-    nis: of all components jointly, and of each. unusable: without a valid S. event, time_s: (n,).
-    squared: (n,) NIS, of dof (n,) entries each. components: (n, c) whitened, with their names; None
-    where measurements differ in size.
+    Attributes:
+        sensor: name of the sensor.
+        nis: the sensor as a whole, then its components.
+        whiteness: each component, by time and by landmark.
+        unusable: innovations that could not be whitened.
     """
 
     sensor: str
     nis: tuple[Nis, ...]
     whiteness: tuple[Whiteness, ...]
-    windows: Windows
     unusable: int
+
+    def nis_rows(self, group: str) -> list[Row]:
+        """Return the averages of the sensor and its components, in a group of rows."""
+        return [
+            Row(
+                group,
+                f"NIS of {n.name}, mean (expected {n.dof})",
+                f"{n.mean:.3g}",
+                f"{n.band[0]:.3g} to {n.band[1]:.3g}",
+                n.band[0] <= n.mean <= n.band[1],
+            )
+            for n in self.nis
+        ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorInnovations(InnovationFigures):
+    """The measurements (n,) of a sensor that were used and have a valid S, with their figures.
+
+    event, time_s: (n,). squared: (n,) NIS, of dof (n,) entries each. components: (n, c) whitened,
+    with their names; None where measurements differ in size.
+    """
+
+    windows: Windows
     gating: Gating
     event: Index
     time_s: Array
@@ -261,99 +285,3 @@ def _windows(event: Index, time_s: Array, squared: Array, dof: Index) -> Windows
         low=np.array([band.low for band in bands]),
         high=np.array([band.high for band in bands]),
     )
-
-
-class NisResult(Model):
-    """An average of normalised innovations squared, with its own 95 % band.
-
-    Attributes:
-        name: sensor or component.
-        dof: degrees of freedom of a value.
-        count: number of innovations.
-        mean: average; `dof` is right.
-        band: 95 % band of the average.
-        reading: what the average says, in words.
-    """
-
-    name: str
-    dof: int
-    count: int
-    mean: float
-    band: tuple[float, float]
-    reading: str
-
-
-class WhitenessResult(Model):
-    """Autocorrelation of one component's innovations.
-
-    See comparisons.statistics.Whiteness.
-
-    Attributes:
-        component: component of the innovation.
-        order: by time, or by landmark.
-        autocorrelation: coefficients, by lag from 1.
-        band: half widths of their bands, by lag.
-        p_value: chance of such coefficients for white innovations.
-        mean: average of the standardised innovations; 0 is right.
-        mean_band: half width of its 95 % band.
-    """
-
-    component: str
-    order: str
-    autocorrelation: list[float]
-    band: list[float]
-    p_value: float
-    mean: float
-    mean_band: float
-
-
-class InnovationResult(Model):
-    """One sensor's innovations.
-
-    See comparisons.innovations.
-
-    Attributes:
-        sensor: name of the sensor.
-        nis: the sensor as a whole, then its components.
-        whiteness: each component, by time and by landmark.
-        unusable: innovations that could not be whitened.
-    """
-
-    sensor: str
-    nis: list[NisResult]
-    whiteness: list[WhitenessResult]
-    unusable: int
-
-    @classmethod
-    def of(cls, s: SensorInnovations) -> InnovationResult:
-        """Return a sensor's figures as they are stored."""
-        return InnovationResult(
-            sensor=s.sensor,
-            nis=[NisResult(**{**vars(n), "reading": n.reading}) for n in s.nis],
-            whiteness=[
-                WhitenessResult(
-                    component=w.component,
-                    order=w.order,
-                    autocorrelation=w.coefficient.tolist(),
-                    band=w.band.tolist(),
-                    p_value=w.p_value,
-                    mean=w.mean,
-                    mean_band=w.mean_band,
-                )
-                for w in s.whiteness
-            ],
-            unusable=s.unusable,
-        )
-
-    def nis_rows(self, group: str) -> list[Row]:
-        """Return the averages of the sensor and its components, in a group of rows."""
-        return [
-            Row(
-                group,
-                f"NIS of {n.name}, mean (expected {n.dof})",
-                f"{n.mean:.3g}",
-                f"{n.band[0]:.3g} to {n.band[1]:.3g}",
-                n.band[0] <= n.mean <= n.band[1],
-            )
-            for n in self.nis
-        ]

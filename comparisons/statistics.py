@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, computed_field, with_config
 from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 
@@ -159,9 +160,19 @@ def counted(fault: NDArray[np.str_]) -> dict[str, int]:
     return dict(zip(kinds.tolist(), counts.tolist(), strict=True))
 
 
+@with_config(ConfigDict(extra="ignore"))  # the reading of a file is computed anew
 @dataclass(frozen=True)
 class Nis:
-    """An average of `count` normalised innovations squared, each with `dof`, and its 95 % band."""
+    """An average of normalised innovations squared, with its own 95 % band.
+
+    Attributes:
+        name: sensor or component.
+        dof: degrees of freedom of a value.
+        count: number of innovations.
+        mean: average; `dof` is right.
+        band: 95 % band of the average.
+        reading: `plausible`, `too high`: the filter is too sure, or `too low`.
+    """
 
     name: str
     dof: int
@@ -169,9 +180,10 @@ class Nis:
     mean: float
     band: Band
 
+    @computed_field
     @property
     def reading(self) -> str:
-        """`plausible`, `too high`: the filter is too sure, or `too low`."""
+        """What the average says, in a word or two."""
         return self._reading(self.band)
 
     def worded(self, outside: float) -> tuple[str, Band]:
@@ -187,22 +199,28 @@ class Nis:
 
 @dataclass(frozen=True, kw_only=True)
 class Whiteness:
-    """Autocorrelation of a standardised component at lags 1 to k, and its average.
+    """Autocorrelation of one component's standardised innovations, and their average.
 
-    order: `time`, one number per instant, the sum of its n numbers over root n: correlated when
-    something lasts, a bias of the sensor, coloured noise of the motion, a wrong heading.
-    `landmark`, from one measurement of a landmark to the next, with all landmarks pooled:
-    correlated when the filter is overconfident of landmarks, for each then has a lasting
-    error.
-    coefficient, band: (k,), the band being two standard deviations of a white series, root of
-    n / (m (n + 2)) with m products of n numbers. p_value: of the Ljung-Box statistic over the k
-    lags, which are as many as the numbers allow. mean: 0 is right, within mean_band of it.
+    By time there is one number per instant, the sum of its n numbers over root n: correlated when
+    something lasts, a bias of the sensor, coloured noise of the motion, a wrong heading. By
+    landmark, from one measurement of a landmark to the next, with all landmarks pooled: correlated
+    when the filter is overconfident of landmarks, for each then has a lasting error. The band is
+    two standard deviations of a white series, root of n / (m (n + 2)) with m products of n numbers.
+
+    Attributes:
+        component: component of the innovation.
+        order: by `time`, or by `landmark`.
+        autocorrelation: coefficients, by lag from 1; as many lags as the numbers allow.
+        band: half widths of their bands, by lag.
+        p_value: chance of such coefficients for white innovations, by the Ljung-Box statistic.
+        mean: average of the standardised innovations; 0 is right.
+        mean_band: half width of its 95 % band.
     """
 
     component: str
     order: str
-    coefficient: Array
-    band: Array
+    autocorrelation: tuple[float, ...]
+    band: tuple[float, ...]
     p_value: float
     mean: float
     mean_band: float
@@ -225,7 +243,7 @@ def whiteness(
     n, power = len(values), float(np.mean(values**2)) if len(values) else 0.0
     if power <= 0.0:
         return None
-    coefficient, pairs = [], []
+    coefficient, pairs = list[float](), list[int]()
     for k in range(1, min(lags, max(n // _PER_LAG, 1)) + 1):
         product = values[k:] * values[:-k]
         if group is not None:
@@ -241,8 +259,8 @@ def whiteness(
     return Whiteness(
         component=component,
         order=order,
-        coefficient=c,
-        band=2.0 * sigma,
+        autocorrelation=tuple(coefficient),
+        band=tuple((2.0 * sigma).tolist()),
         p_value=chi2_tail(float(np.sum((c / sigma) ** 2)), len(c)),
         mean=float(values.mean()),
         mean_band=2.0 * float(np.sqrt(power / n)),

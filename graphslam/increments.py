@@ -14,9 +14,10 @@ import numpy as np
 
 from graphslam.arrays import Array, Index
 
-Integration = Literal["euler", "middle", "arc"] | int
+Integration = Literal["euler", "middle", "arc"] | int | float
 """A sample's displacement along the departing heading, along the middle one, or on a circle; a
-number: in so many equal steps, each along its departing heading."""
+whole number: in so many equal steps, each along its departing heading; any other number: in equal
+steps of at most so many seconds."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ def ackermann_samples(
         jacobian[:, 2, column] = angle
     displacement = np.column_stack((advance - left_m * turn, forward_m * turn, turn))
     if integration != "euler":
-        displacement, jacobian = _integrated(displacement, jacobian, 0.0, integration)
+        steps = _of_length(integration, duration_s)
+        displacement, jacobian = _integrated(displacement, jacobian, 0.0, steps)
     variances = (sigma[0] ** 2, sigma[1] ** 2)
     return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
 
@@ -139,13 +141,22 @@ def unicycle_samples(
     jacobian[:, 2, 1] = duration_s
     displacement = np.column_stack((chord * cos, chord * sin, turn))
     if integration != "middle":
-        displacement, jacobian = _integrated(displacement, jacobian, 0.5, integration)
+        steps = _of_length(integration, duration_s)
+        displacement, jacobian = _integrated(displacement, jacobian, 0.5, steps)
     variances = (sigma[0] ** 2, sigma[1] ** 2)
     return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
 
 
+def _of_length(integration: Integration, duration_s: Array) -> Integration | Array:
+    """Return in how many steps each sample (N,) is moved, where their length is given."""
+    if not isinstance(integration, float):
+        return integration
+    counts: Array = np.maximum(1.0, np.ceil(duration_s / integration - 1e-9))
+    return counts
+
+
 def _integrated(
-    displacement: Array, jacobian: Array, taken: float, integration: Integration
+    displacement: Array, jacobian: Array, taken: float, integration: Integration | Array
 ) -> tuple[Array, Array]:
     """Integrate samples in another way; `taken`: share of the turn at which they have the heading.
 
@@ -158,12 +169,12 @@ def _integrated(
     by_straight = (jacobian[:, 0] + 1j * jacobian[:, 1]) * np.exp(-1j * taken * turn)[:, None]
     by_straight -= 1j * taken * straight[:, None] * jacobian[:, 2]
     factor, by_turn = np.ones(len(turn), complex), np.zeros(len(turn), complex)
-    if integration == "middle":
+    if isinstance(integration, str) and integration == "middle":
         factor = np.exp(0.5j * turn)
         by_turn = 0.5j * factor
-    elif integration != "euler":
+    elif not isinstance(integration, str) or integration == "arc":
         factor, by_turn = _mean_turn(turn)
-        if isinstance(integration, int):
+        if not isinstance(integration, str):
             part, by_part = _mean_turn(turn / integration)
             factor = factor / part
             by_turn = (by_turn - factor * by_part / integration) / part

@@ -252,7 +252,7 @@ def _bias(column: Array, label: str, level: float) -> list[Departure]:
 def _white(series: Whiteness, level: float) -> list[Departure]:
     if series.order != "time" or series.p_value >= level:
         return []
-    text = f"{series.component} is correlated in time: {series.coefficient[0]:+.2f} at lag 1"
+    text = f"{series.component} is correlated in time: {series.autocorrelation[0]:+.2f} at lag 1"
     return [Departure(text, series.p_value)]
 
 

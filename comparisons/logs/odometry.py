@@ -12,8 +12,9 @@ from comparisons.errors import InputError, RecordError
 from comparisons.logs.validation import check, increasing, positive_definite, within
 
 Named = Literal["euler", "middle", "arc"]
-Integration = Named | int
-"""How a sample's motion is integrated: see docs/models.md. A number: in so many Euler steps."""
+Integration = Named | int | float
+"""How a sample's motion is integrated: see docs/models.md. A whole number: in so many Euler steps;
+any other: in equal Euler steps of at most so many seconds."""
 
 
 @dataclass(frozen=True)

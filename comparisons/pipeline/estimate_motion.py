@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import get_args
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from comparisons.adapters.motion import motion_samples
 from comparisons.adapters.timeline import Timeline
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, Reference, likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
@@ -20,6 +20,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, Named, RelativePoses, own_integration
 from comparisons.pipeline.prepare import Prepared
 from comparisons.pipeline.references import ORDERS, filter_named
+from ekf_reference.core.geometry import wrap_angle
 
 _WORDS: dict[Integration, str] = {
     "euler": "along the heading at their start",
@@ -28,6 +29,8 @@ _WORDS: dict[Integration, str] = {
 }
 _MOST_STEPS = 1000
 """More Euler steps a sample than these are an arc."""
+_LEAST_TURN = 1e-3
+"""Of the median turn: of smaller ones rounding hides in how many steps they were made."""
 _NEARER = 0.01
 """Share of a trace's distance from our integration that another may leave: a fault leaves more."""
 _HALF = 0.5
@@ -51,24 +54,23 @@ def integrations_of(
         return ()
     ours = log.integration or own_integration(log.odometry)
     others: list[Integration] = [one for one in get_args(Named) if one != ours]
-    if given.trace is not None:
-        arrays, timeline = given.trace.trace, prepared.timeline
-        count = len(arrays.departed)
-        if count and count <= len(timeline.control):
-            moved = _moved(arrays.departed, arrays.arrived)
-            others += _euler_steps(log, timeline, moved)
-            apart = {one: _apart(log, timeline, moved, one) for one in (ours, *others)}
-            return _nearer(apart, ours, _NEARER)
+    told = _steps_of(given, prepared.timeline)
+    if len(told.row):
+        steps = told.several(log)
+        apart = {one: told.apart(log, one) for one in (ours, *others, *steps)}
+        found = _nearer(apart, ours, _NEARER)
+        if found or given.trace is not None:
+            return found
     if nearest is None or nearest.reference.smoothed:
         return ()
-    found = {ours: nearest.farthest}
+    far = {ours: nearest.farthest}
     for one, name in product(others, dict.fromkeys((nearest.reference.name, *filters))):
         other = replace(prepared, log=replace(log, integration=one))
         again = _kept(name, other, given, Companion(given, nearest, _HALF, LIKE_SIGMA))
         if again is not None:
-            far = likeness(given, again, labelled=prepared.labelled).farthest
-            found[one] = min(far, found.get(one, far))
-    return _nearer(found, ours, _HALF)
+            apart_sigma = likeness(given, again, labelled=prepared.labelled).farthest
+            far[one] = min(apart_sigma, far.get(one, apart_sigma))
+    return _nearer(far, ours, _HALF)
 
 
 def _kept(
@@ -91,42 +93,77 @@ def _nearer(
     )
 
 
-def _moved(departed: Array, arrived: Array) -> Array:
-    """(N, 3) displacements in the departing frame."""
-    way = (arrived - departed)[:, :2] @ (1.0, 1j) * np.exp(-1j * departed[:, 2])
-    return np.column_stack((way.real, way.imag, arrived[:, 2] - departed[:, 2]))
-
-
 def in_words(integration: Integration) -> str:
     """Return how steps are integrated, after `the estimate's steps lead`."""
     if isinstance(integration, int):
         return f"in {integration} steps each, along the heading at the start of each"
+    if isinstance(integration, float):
+        return f"in steps of at most {integration:.3g} s, along the heading at the start of each"
     return _WORDS[integration]
 
 
-def _euler_steps(log: Log, timeline: Timeline, moved: Array) -> list[Integration]:
-    """Return in how many Euler steps a sample was moved on (N, 3), if the turns tell.
+@dataclass(frozen=True)
+class _Steps:
+    """Steps of a timeline, rows (n,), and how an estimate moves in them (n, 3), seen from there."""
 
-    n of them lead along the heading after (n - 1) / 2 n of the turn.
-    """
-    start = motion_samples(replace(log, integration="euler"), timeline).displacement[: len(moved)]
-    turns = np.abs(start[:, 2]) >= np.median(np.abs(start[:, 2]))
-    way, ours = ((one[turns, :2] @ (1.0, 1j)) for one in (moved, start))
-    turn = start[turns, 2]
-    known = (np.abs(ours) > 0.0) & (turn != 0.0)
-    if not known.any():
-        return []
-    share = float(np.median(np.angle(way[known] / ours[known]) / turn[known]))
-    left = 1.0 - 2.0 * share
-    if not 1.0 / _MOST_STEPS < left < 0.75:
-        return []
-    return [round(1.0 / left)]
+    timeline: Timeline
+    row: Index
+    moved: Array
+
+    @classmethod
+    def between(cls, timeline: Timeline, row: Index, departed: Array, arrived: Array) -> _Steps:
+        """Return displacements from poses (n, 3) to others."""
+        way = (arrived - departed)[:, :2] @ (1.0, 1j) * np.exp(-1j * departed[:, 2])
+        turn = wrap_angle(arrived[:, 2] - departed[:, 2])
+        return cls(timeline, row, np.column_stack((way.real, way.imag, turn)))
+
+    def expected(self, log: Log, integration: Integration) -> Array:
+        """Return the displacements (n, 3) of an integration."""
+        other = replace(log, integration=integration)
+        return motion_samples(other, self.timeline).displacement[self.row]
+
+    def apart(self, log: Log, integration: Integration) -> float:
+        """The median distance [m] from steps of an integration, where they turn."""
+        expected = self.expected(log, integration)
+        turns = np.abs(expected[:, 2]) >= np.median(np.abs(expected[:, 2]))
+        distance = np.linalg.norm((self.moved - expected)[turns, :2], axis=1)
+        return float(np.median(distance))
+
+    def several(self, log: Log) -> list[Integration]:
+        """Return how long Euler steps are, and how many a sample has, if the turns tell.
+
+        n of them lead along the heading after (n - 1) / 2 n of the turn. Of the lengths that
+        explain the numbers of all samples that of the roundest rate.
+        """
+        start = self.expected(log, "euler")
+        way, ours = ((one[:, :2] @ (1.0, 1j)) for one in (self.moved, start))
+        turn, usual = np.abs(start[:, 2]), np.median(np.abs(start[:, 2]))
+        known = (np.abs(ours) > 0.0) & (turn > _LEAST_TURN * usual)
+        if not (known & (turn >= usual)).any():
+            return []
+        left = 1.0 - 2.0 * np.angle(way[known] / ours[known]) / start[known, 2]
+        middle = float(np.median(left[turn[known] >= usual]))
+        if not 1.0 / _MOST_STEPS < middle < 0.75:
+            return []
+        counts = np.round(1.0 / np.clip(left, 1.0 / _MOST_STEPS, 1.0))
+        duration_s = self.timeline.step_duration_s[self.row][known]
+        fastest = 1.0 / float((duration_s / counts).max())
+        below = ((counts - 1.0) / duration_s).max()  # a rate that gives a step less
+        unit = 10.0 ** np.arange(np.ceil(np.log10(fastest)), -4.0, -1.0)
+        rates = np.floor(fastest / unit * (1.0 + 1e-9)) * unit
+        rounded = rates[(rates > below) & (rates > 0.0)]
+        return [1.0 / float(rounded[0]) if len(rounded) else 1.0 / fastest, round(1.0 / middle)]
 
 
-def _apart(log: Log, timeline: Timeline, moved: Array, integration: Integration) -> float:
-    """The median distance [m] of steps (N, 3) from those of an integration, where they turn."""
-    samples = motion_samples(replace(log, integration=integration), timeline)
-    expected = samples.displacement[: len(moved)]
-    turns = np.abs(expected[:, 2]) >= np.median(np.abs(expected[:, 2]))
-    distance = np.linalg.norm((moved - expected)[turns, :2], axis=1)
-    return float(np.median(distance))
+def _steps_of(given: ExternalEstimate, timeline: Timeline) -> _Steps:
+    """Return the steps that a trace has, or else those between poses with nothing fused."""
+    if given.trace is not None:
+        arrays = given.trace.trace
+        count = len(arrays.departed)
+        row = np.arange(count if count <= len(timeline.control) else 0)
+        return _Steps.between(timeline, row, arrays.departed[row], arrays.arrived[row])
+    begin_s, end_s = timeline.step_begin_s, timeline.step_end_s
+    plain = np.isin(begin_s, given.time_s) & np.isin(end_s, given.time_s)
+    row = np.flatnonzero(plain & ~np.isin(end_s, timeline.observed_s()))
+    departed, arrived = (np.searchsorted(given.time_s, one[row]) for one in (begin_s, end_s))
+    return _Steps.between(timeline, row, given.pose[departed], given.pose[arrived])

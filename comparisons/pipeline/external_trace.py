@@ -48,7 +48,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
-from comparisons.innovations import InnovationResult
+from comparisons.innovations import InnovationFigures
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.gaps import Gaps, compute_gaps
@@ -86,7 +86,7 @@ class TraceFigures(GapFigures):
     updates: int
     initialised: int
     positions: int
-    innovations: list[InnovationResult] = field(default_factory=list)
+    innovations: list[InnovationFigures] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,9 +155,7 @@ def check_trace(
         updates=len(trace.measurements[POINT].step),
         initialised=len(trace.initialisations[POINT].step),
         positions=len(trace.positions.step),
-        innovations=[
-            InnovationResult.of(one) for one in event_innovations(run_events(run), run.sensors)
-        ],
+        innovations=list(event_innovations(run_events(run), run.sensors)),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from itertools import cycle
 from pathlib import Path
@@ -16,7 +17,7 @@ from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.spurious import Learnt
 from comparisons.figures import Model, finite, json_text, package_versions
-from comparisons.innovations import InnovationResult, SensorInnovations
+from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import document, figures, prose, script
 from comparisons.report.marks import (
@@ -100,7 +101,8 @@ class AveragedResult(Model):
     snapshots: int
 
 
-class SensorResult(InnovationResult):
+@dataclass(frozen=True, kw_only=True)
+class SensorResult(InnovationFigures):
     """One sensor's innovations, and what its gate rejected.
 
     Attributes:
@@ -244,7 +246,10 @@ def _averaged(one: Averaged | None) -> AveragedResult | None:
 def _sensor(one: SensorInnovations) -> SensorResult:
     gating = one.gating
     return SensorResult(
-        **vars(InnovationResult.of(one)),
+        sensor=one.sensor,
+        nis=one.nis,
+        whiteness=one.whiteness,
+        unusable=one.unusable,
         measured=len(gating.event),
         rejected=gating.count,
         nominal_rejected=None if gating.passes is None else 1.0 - gating.passes,
@@ -362,7 +367,7 @@ def audit_rows(audit: Audit) -> list[Row]:
 
 def _sensor_rows(one: SensorInnovations) -> list[Row]:
     group, gating = f"Sensor {one.sensor}", one.gating
-    rows = InnovationResult.of(one).nis_rows(group)
+    rows = one.nis_rows(group)
     rows += [
         Row(group, f"{w.component}: p of whiteness by {w.order}", f"{w.p_value:.2g}",
             "at least 0.001", w.p_value >= 0.001)

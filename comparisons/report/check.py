@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from comparisons.checks.consistency.finding import (
     smoothed_rows,
 )
 from comparisons.checks.grade import Likeness, match_map
-from comparisons.figures import Model, band, finite, in_sigma, package_versions, shown
+from comparisons.figures import Model, band, finite, in_sigma, shown
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.external_trace import TraceFigures
 from comparisons.pipeline.prepare import Clock
@@ -40,7 +40,7 @@ from comparisons.report.html.page import PageContent, page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import check_ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.models import LogResult, SmootherResult
+from comparisons.report.models import JobResult, SmootherResult
 from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import (
     agreeing,
@@ -51,11 +51,9 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import log_result, smoother_result
+from comparisons.report.sections import about_job, smoother_result
 from comparisons.report.settings import (
-    SettingsResult,
     setting_lines,
-    settings_result,
     settings_rows,
 )
 from comparisons.report.terminal import STYLES, Summary
@@ -69,9 +67,6 @@ def build_check_result(check: ExternalCheck, read: Clock | None = None) -> Check
     """The findings, read being the time that reading log and estimate took."""
     found, solution = check.agreement, check.solution
     return CheckResult(
-        config=solution.prepared.config.model_dump(mode="json"),
-        settings=settings_result(solution.prepared.config, solution.log.format),
-        log=log_result(solution.log),
         smoother=smoother_result(solution.result, solution.estimate),
         association_by=solution.association_by,
         information=check.given.information or NOT_STATED,
@@ -96,8 +91,7 @@ def build_check_result(check: ExternalCheck, read: Clock | None = None) -> Check
         verdict=check.outcome,
         causes=check.causes,
         remarks=list(check.remarks),
-        **solution.prepared.clock.after(read),
-        versions=package_versions(),
+        **about_job(solution.prepared, solution.prepared.clock.after(read)),
     )
 
 
@@ -413,13 +407,10 @@ class NearestResult(Model):
     missing: list[str]
 
 
-class CheckResult(Model):
+class CheckResult(JobResult):
     """`check.json`: an external estimate compared with reference filters and with the smoother.
 
     Attributes:
-        config: all settings.
-        settings: settings that differ from the documents'.
-        log: the log.
         smoother: the smoother.
         association_by: who associated.
         information: what a pose of the estimate knows: filtered or smoothed.
@@ -445,16 +436,8 @@ class CheckResult(Model):
         nearest: the nearest reference.
         verdict: the verdict.
         causes: reasons for the verdict, the first one first.
-        remarks: sentences that change no verdict.
-        seconds: wall time, by stage.
-        cpu_s: processor time, by stage.
-        versions: versions of the packages.
-        files: files of the folder.
     """
 
-    config: dict[str, Any]
-    settings: SettingsResult
-    log: LogResult
     smoother: SmootherResult
     association_by: str
     information: str
@@ -478,8 +461,3 @@ class CheckResult(Model):
     nearest: NearestResult | None
     verdict: Literal["agree", "disagree", "unverified"]
     causes: list[Cause]
-    remarks: list[str]
-    seconds: dict[str, float]
-    cpu_s: dict[str, float] | None = None
-    versions: dict[str, str]
-    files: tuple[str, ...] = ()

@@ -6,23 +6,22 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, assess
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, SurfaceError, surface_error_rows
 from comparisons.extensions.dense_maps.check import FirstCondition
-from comparisons.figures import Model, package_versions
+from comparisons.figures import Model
 from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
-from comparisons.report.models import EkfResult, LogResult
+from comparisons.report.models import EkfResult, JobResult
 from comparisons.report.rows import ekf_rows, log_rows, seconds_rows
-from comparisons.report.sections import ekf_result, log_result
-from comparisons.report.settings import SettingsResult, settings_result, settings_rows
+from comparisons.report.sections import about_job, ekf_result
+from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
 from ekf_reference.dense.dense_map import DenseMap
@@ -103,13 +102,10 @@ class DynamicResult(Model):
     landmarks: list[int]
 
 
-class MapResult(Model):
+class MapResult(JobResult):
     """`map.json`: a dense map between the filter's landmarks.
 
     Attributes:
-        config: all settings.
-        settings: settings that differ from the documents'.
-        log: the log.
         ekf: the filter.
         accuracy: errors of the filter against truth or GPS.
         scan_landmarks: landmarks that are templates of scans.
@@ -121,16 +117,8 @@ class MapResult(Model):
         surface_errors: distance from true surfaces, by layer.
         closing: the update that moved the regions the most.
         dynamic: places where something moves.
-        remarks: sentences that change no verdict.
-        seconds: wall time, by stage.
-        cpu_s: processor time, by stage.
-        versions: versions of the packages.
-        files: files of the folder.
     """
 
-    config: dict[str, Any]
-    settings: SettingsResult
-    log: LogResult
     ekf: EkfResult
     accuracy: Accuracy | None
     scan_landmarks: int
@@ -142,11 +130,6 @@ class MapResult(Model):
     surface_errors: dict[str, SurfaceError]
     closing: ClosingResult | None
     dynamic: DynamicResult | None
-    remarks: list[str]
-    seconds: dict[str, float]
-    cpu_s: dict[str, float] | None = None
-    versions: dict[str, str]
-    files: tuple[str, ...] = ()
 
 
 def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapResult:
@@ -154,9 +137,6 @@ def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapRes
     m = mapping
     before = m.dense.before
     return MapResult(
-        config=m.prepared.config.model_dump(mode="json"),
-        settings=settings_result(m.prepared.config, m.log.format, m.prepared.ekf),
-        log=log_result(m.log),
         ekf=ekf_result(m.ekf, m.prepared.ekf),
         accuracy=assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled),
         scan_landmarks=len(m.ekf.estimate.pose_landmarks),
@@ -176,8 +156,7 @@ def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapRes
         else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
         dynamic=_dynamic(m),
         remarks=_remarks(m),
-        **m.dense.clock.after(read, m.prepared.clock),
-        versions=package_versions(),
+        **about_job(m.prepared, m.dense.clock.after(read, m.prepared.clock), m.prepared.ekf),
     )
 
 

@@ -38,6 +38,30 @@ class LogResult(Model):
     provenance: dict[str, str]
 
 
+class JobResult(Model):
+    """What every job on a log says beside its findings.
+
+    Attributes:
+        config: all settings.
+        settings: settings that differ from the documents'.
+        log: the log.
+        remarks: sentences that change no verdict.
+        seconds: wall time, by stage.
+        cpu_s: processor time, by stage.
+        versions: versions of the packages.
+        files: files of the folder.
+    """
+
+    config: dict[str, Any]
+    settings: SettingsResult
+    log: LogResult
+    remarks: list[str]
+    seconds: dict[str, float]
+    cpu_s: dict[str, float] | None = None
+    versions: dict[str, str]
+    files: tuple[str, ...] = ()
+
+
 class EkfResult(Model):
     """The filter: its settings, and what it used and rejected.
 
@@ -262,13 +286,10 @@ class PoseGraphResult(Model):
     initial_chi2: float
 
 
-class SolutionResult(Model):
+class SolutionResult(JobResult):
     """`solution.json`: the smoother alone.
 
     Attributes:
-        config: all settings.
-        settings: settings that differ from the documents'.
-        log: the log.
         association_by: who associated: the log's labels, or the smoother.
         landmarks: landmarks of the solution.
         measurements_used: measurements of the log that were used.
@@ -282,16 +303,8 @@ class SolutionResult(Model):
         pose_graph: of a log with closures.
         verdict: whether the optimum is verified.
         reasons: what is lacking for `verified`, the gravest first.
-        remarks: sentences that change no verdict.
-        seconds: wall time, by stage.
-        cpu_s: processor time, by stage.
-        versions: versions of the packages.
-        files: files of the folder.
     """
 
-    config: dict[str, Any]
-    settings: SettingsResult
-    log: LogResult
     association_by: str
     landmarks: int
     measurements_used: int
@@ -304,8 +317,3 @@ class SolutionResult(Model):
     pose_graph: PoseGraphResult | None = None
     verdict: Literal["verified", "unverified"]
     reasons: list[str]
-    remarks: list[str]
-    seconds: dict[str, float]
-    cpu_s: dict[str, float] | None = None
-    versions: dict[str, str]
-    files: tuple[str, ...] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -18,16 +18,16 @@ from comparisons.extensions.scan_motion.result import (
     scan_odometry_result,
     scan_odometry_rows,
 )
-from comparisons.figures import Model, package_versions
+from comparisons.figures import Model
 from comparisons.logs.transforms.scan_motion import measurements_kept
 from comparisons.pipeline.odometry import FrontEnd
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.odometry import front_end_figure
 from comparisons.report.folder import JobFolder
-from comparisons.report.models import LogResult, SmootherResult
+from comparisons.report.models import JobResult, SmootherResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import log_result, smoother_result
-from comparisons.report.settings import SettingsResult, settings_result, settings_rows
+from comparisons.report.sections import about_job, smoother_result
+from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
@@ -48,13 +48,10 @@ class LoopResult(Model):
     reasons: dict[str, int]
 
 
-class FrontEndResult(Model):
+class FrontEndResult(JobResult):
     """`odometry.json`: the scan front end alone.
 
     Attributes:
-        config: all settings.
-        settings: settings that differ from the documents'.
-        log: the log.
         odometry: scan odometry.
         loops: loop closure.
         graph: the smoother of the scan pose graph.
@@ -65,16 +62,8 @@ class FrontEndResult(Model):
         scan_odometry: errors of the scan odometry.
         scan_graph: errors of the scan pose graph.
         verdict: whether the graph's optimum is verified.
-        remarks: sentences that change no verdict.
-        seconds: wall time, by stage.
-        cpu_s: processor time, by stage.
-        versions: versions of the packages.
-        files: files of the folder.
     """
 
-    config: dict[str, Any]
-    settings: SettingsResult
-    log: LogResult
     odometry: ScanOdometryResult
     loops: LoopResult
     graph: SmootherResult
@@ -85,20 +74,12 @@ class FrontEndResult(Model):
     scan_odometry: Accuracy | None
     scan_graph: Accuracy | None
     verdict: Literal["verified", "unverified"]
-    remarks: list[str]
-    seconds: dict[str, float]
-    cpu_s: dict[str, float] | None = None
-    versions: dict[str, str]
-    files: tuple[str, ...] = ()
 
 
 def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> FrontEndResult:
     """The findings, read being the time that reading the log took."""
     f, how = front_end, front_end.prepared.config.front_end
     return FrontEndResult(
-        config=f.prepared.config.model_dump(mode="json"),
-        settings=settings_result(f.prepared.config, f.log.format),
-        log=log_result(f.log),
         odometry=scan_odometry_result(
             f.motion, guess=how.guess == "wheels", seconds=f.prepared.clock.seconds["odometry"]
         ),
@@ -116,8 +97,7 @@ def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> Fr
         scan_graph=f.accuracy_graph,
         verdict="verified" if f.graph.optimality.verified else "unverified",
         remarks=_remarks(f),
-        **f.prepared.clock.after(read),
-        versions=package_versions(),
+        **about_job(f.prepared, f.prepared.clock.after(read)),
     )
 
 

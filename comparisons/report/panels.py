@@ -272,11 +272,11 @@ def _whiteness(sensors: tuple[SensorInnovations, ...]) -> Panel | None:
         return None
     curves = []
     for i, one in enumerate(series):
-        lag = np.arange(1.0, len(one.coefficient) + 1.0)
+        lag = np.arange(1.0, len(one.autocorrelation) + 1.0)
         name = f"{one.component}, by {one.order}"
-        curves.append(Curve(name, _COLOURS[i % len(_COLOURS)], lag, one.coefficient))
+        curves.append(Curve(name, _COLOURS[i % len(_COLOURS)], lag, np.array(one.autocorrelation)))
     lags = np.array((1.0, max(curve.x[-1] for curve in curves)))
-    widest = np.full(2, max(float(one.band.max()) for one in series))
+    widest = np.full(2, max(max(one.band) for one in series))
     band = Band("95 % band", "#999999", lags, -widest, widest)
     return Panel(
         title="autocorrelation of innovations, by lag",

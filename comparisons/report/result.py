@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from comparisons.checks.check import value_of
 from comparisons.checks.position_gate import PositionsFinding
-from comparisons.figures import package_versions, stored
+from comparisons.figures import stored
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.ladder import ladder
@@ -22,8 +22,8 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import ekf_result, log_result, smoother_result
-from comparisons.report.settings import settings_result, settings_rows
+from comparisons.report.sections import about_job, ekf_result, smoother_result
+from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
 
@@ -38,9 +38,6 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
     }
     return Result(
         schema_version=SCHEMA,
-        config=c.prepared.config.model_dump(mode="json"),
-        settings=settings_result(c.prepared.config, c.log.format, c.prepared.ekf),
-        log=log_result(c.log),
         ekf=ekf_result(c.ekf, c.prepared.ekf, fixes),
         smoother=smoother_result(c.smoother, c.smoothed),
         agreement=replace(
@@ -56,8 +53,7 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
         not_checked=dict(c.absent),
         causes=c.verdict.causes,
         remarks=list(c.verdict.remarks),
-        **c.prepared.clock.after(read),
-        versions=package_versions(),
+        **about_job(c.prepared, c.prepared.clock.after(read), c.prepared.ekf),
         **entries,
     )
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.config import EkfConfig
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import finite
+from comparisons.figures import finite, package_versions
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
 from comparisons.report.models import (
@@ -17,10 +18,25 @@ from comparisons.report.models import (
     SmootherResult,
     StartResult,
 )
+from comparisons.report.settings import settings_result
 from graphslam import smoother
 
 if TYPE_CHECKING:
     from comparisons.checks.position_gate import RejectedFixes
+    from comparisons.pipeline.prepare import Prepared
+
+
+def about_job(
+    prepared: Prepared[Any], clock: Mapping[str, Any], ekf: EkfConfig | None = None
+) -> dict[str, Any]:
+    """Return what results of every job on a log have. clock: `Clock.after`. ekf: as it ran."""
+    return {
+        "config": prepared.config.model_dump(mode="json"),
+        "settings": settings_result(prepared.config, prepared.log.format, ekf),
+        "log": log_result(prepared.log),
+        **clock,
+        "versions": package_versions(),
+    }
 
 
 def log_result(log: Log) -> LogResult:

@@ -7,15 +7,15 @@ import numpy as np
 from comparisons.checks.accuracy import accuracy_line, accuracy_rows
 from comparisons.checks.association import association_rows
 from comparisons.checks.verdict import misfit_remarks
-from comparisons.figures import package_versions, rounded
+from comparisons.figures import rounded
 from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import log_result, smoother_result
-from comparisons.report.settings import settings_result, settings_rows
+from comparisons.report.sections import about_job, smoother_result
+from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
@@ -29,9 +29,6 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
     """Return the findings, read being the time that reading the log took."""
     s, lacks, misfit = solution, solution.lacks, misfit_remarks(solution.result.optimality)
     return SolutionResult(
-        config=s.prepared.config.model_dump(mode="json"),
-        settings=settings_result(s.prepared.config, s.log.format),
-        log=log_result(s.log),
         association_by=s.association_by,
         landmarks=len(s.estimate.landmark),
         measurements_used=int(np.count_nonzero(s.landmark_index >= 0)),
@@ -48,8 +45,7 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
             *([FRAME] if s.log.prior.open else []),
             *([] if s.misread else [one for one in misfit if one not in lacks]),
         ],
-        **s.prepared.clock.after(read),
-        versions=package_versions(),
+        **about_job(s.prepared, s.prepared.clock.after(read)),
     )
 
 

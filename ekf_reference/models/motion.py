@@ -14,9 +14,10 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array
 
-Integration = Literal["euler", "middle", "arc"] | int
+Integration = Literal["euler", "middle", "arc"] | int | float
 """Where a step's displacement leads: along the heading at its start, along that in its middle, or
-on the circle that constant speed and turn describe. A number: in so many equal Euler steps."""
+on the circle that constant speed and turn describe. A whole number: in so many equal Euler steps;
+any other: in equal ones of at most so many seconds."""
 
 
 class MotionStep(NamedTuple):
@@ -172,8 +173,11 @@ class IntegratedModel:
         """Turn and shorten the model's displacement, and the Jacobians with it."""
         _, by_pose, by_control = step = self.model.step(T_world_vehicle, control, duration_s)
         turn = float(step.pose[2] - T_world_vehicle[2])
-        share = _heading_at(self.integration) - _heading_at(self.own)
-        chord, by_turn = _shortened(turn, self.integration)
+        asked = self.integration
+        if isinstance(asked, float):
+            asked = max(1, math.ceil(duration_s / asked - 1e-9))
+        share = _heading_at(asked) - _heading_at(self.own)
+        chord, by_turn = _shortened(turn, asked)
         cos, sin = math.cos(share * turn), math.sin(share * turn)
         rotation = np.array([[cos, -sin], [sin, cos]])
         way = rotation @ (by_pose[1, 2], -by_pose[0, 2])

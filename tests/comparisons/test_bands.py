@@ -110,7 +110,9 @@ def as_if_independent(count: int, dof: int, outside: float = 0.05) -> Band:
 def narrower(*given: object, **options: object) -> Whiteness | None:
     """One and a half standard deviations said to be two."""
     w = whiteness(*given, **options)  # type: ignore[arg-type]
-    return None if w is None else replace(w, band=0.75 * w.band, mean_band=0.75 * w.mean_band)
+    if w is None:
+        return None
+    return replace(w, band=tuple(0.75 * b for b in w.band), mean_band=0.75 * w.mean_band)
 
 
 def half_the_dof(*given: object, **options: object) -> Whiteness | None:
@@ -118,7 +120,7 @@ def half_the_dof(*given: object, **options: object) -> Whiteness | None:
     w = whiteness(*given, **options)  # type: ignore[arg-type]
     if w is None:
         return None
-    squared = float(np.sum((2.0 * w.coefficient / w.band) ** 2))
+    squared = float(np.sum((2.0 * np.divide(w.autocorrelation, w.band)) ** 2))
     return replace(w, p_value=float(chi2.sf(squared, (len(w.band) + 1) // 2)))
 
 

@@ -203,7 +203,7 @@ def test_white_numbers_lie_in_the_bands_as_often_as_said(count: int, landmarks: 
     p = np.array([w.p_value for w in drawn])
     assert 0.035 < np.mean(p < 0.05) < 0.06
     assert 0.004 < np.mean(p < 0.01) < 0.016
-    assert 0.945 < np.mean([abs(w.coefficient[0]) < w.band[0] for w in drawn]) < 0.967
+    assert 0.945 < np.mean([abs(w.autocorrelation[0]) < w.band[0] for w in drawn]) < 0.967
     assert 0.94 < np.mean([abs(w.mean) < w.mean_band for w in drawn]) < 0.967
 
 
@@ -216,7 +216,7 @@ def test_coloured_innovations_are_found_in_the_order_in_which_they_are_coloured(
     by_landmark = present(whiteness("range", "landmark", values[order], landmark[order]))
     by_time = present(whiteness("range", "time", rng.permutation(values)))
     assert by_landmark.p_value < 1e-6 < 0.01 < by_time.p_value
-    assert by_landmark.coefficient[0] == pytest.approx(0.5, abs=0.15)
+    assert by_landmark.autocorrelation[0] == pytest.approx(0.5, abs=0.15)
 
 
 def test_an_innovation_covariance_that_is_none_is_marked() -> None:

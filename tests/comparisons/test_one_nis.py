@@ -56,7 +56,7 @@ def figures(sensors: Iterable[SensorInnovations]) -> dict[str, float]:
             found |= {f"{one.sensor} {nis.name} {i}": float(v) for i, v in enumerate(values)}
         for white in one.whiteness:
             name = f"{one.sensor} {white.component} by {white.order}"
-            found |= {f"{name} {i}": 1.0 + float(v) for i, v in enumerate(white.coefficient)}
+            found |= {f"{name} {i}": 1.0 + float(v) for i, v in enumerate(white.autocorrelation)}
         windows = (one.windows.time_s, one.windows.mean, one.windows.low)
         found |= {f"{one.sensor} windows {i}": float(w.sum()) for i, w in enumerate(windows)}
         found[f"{one.sensor} unusable"] = one.unusable

@@ -18,7 +18,7 @@ from comparisons.checks.consistency.consistency import (
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.figures import Model, band
-from comparisons.innovations import InnovationResult
+from comparisons.innovations import InnovationFigures
 from comparisons.statistics import Normalised
 from comparisons.words import Row
 
@@ -126,7 +126,7 @@ class ConsistencyResult(Model):
 
     ekf: TruthConsistencyResult | None
     smoother: TruthConsistencyResult | None
-    innovations: list[InnovationResult]
+    innovations: list[InnovationFigures]
     filter_against_smoother: FilterAgainstSmootherResult | None
 
 
@@ -187,7 +187,7 @@ def consistency_result(c: Consistency) -> ConsistencyResult:
     return ConsistencyResult(
         ekf=_truth(c.ekf),
         smoother=_truth(c.smoother),
-        innovations=[InnovationResult.of(sensor) for sensor in c.sensors],
+        innovations=list(c.sensors),
         filter_against_smoother=_smoothed(c.smoothed),
     )
 
@@ -263,7 +263,7 @@ def consistency_rows(c: ConsistencyResult) -> list[Row]:
     ]
 
 
-def innovation_rows(innovations: Sequence[InnovationResult]) -> list[Row]:
+def innovation_rows(innovations: Sequence[InnovationFigures]) -> list[Row]:
     """Return NIS and the first autocorrelation of each sensor and component."""
     rows = list[Row]()
     for sensor in innovations:
@@ -346,7 +346,7 @@ def consistency_line(
     inconsistent: Sequence[str] | None,
     truth: TruthConsistencyResult | None,
     smoothed: FilterAgainstSmootherResult | None,
-    innovations: Sequence[InnovationResult] = (),
+    innovations: Sequence[InnovationFigures] = (),
 ) -> list[tuple[str, str]]:
     """Return one line: what is outside its band, or else the figures per degree of freedom."""
     if inconsistent:

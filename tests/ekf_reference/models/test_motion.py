@@ -152,3 +152,6 @@ def test_several_euler_steps_are_chained(model: MotionModel, own: Integration, c
     np.testing.assert_allclose(once, chained, rtol=0, atol=1e-13)
     other = IntegratedModel(model, own, count + 1).step(pose, control, 0.8).pose
     assert np.abs(other - chained).max() > 1e-5, "a number of steps that is one off passes"
+    longest_s = 0.8 / (count - 0.5)
+    by_length = IntegratedModel(model, own, longest_s).step(pose, control, 0.8).pose
+    np.testing.assert_array_equal(by_length, once)
