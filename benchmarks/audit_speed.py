@@ -5,8 +5,8 @@ python benchmarks/audit_speed.py [--events 100000] [--rounds 5] [--reset] [--kee
 An error-state INS of 15 states in lean numpy (position, velocity, attitude, accelerometer bias,
 gyro bias; inertial measurements at 100 Hz, GNSS positions at 10 Hz, a snapshot a second) goes over
 the same simulated data with and without a recorder, in turns. --reset: the attitude's error is
-expressed anew after each GNSS position. Times are of the processor. --keep leaves the last trace;
---audit audits it in a process of its own.
+expressed anew after each GNSS position. Times are of the processor, but for commits, which wait for
+the disk or do not. --keep leaves the last trace; --audit audits it in a process of its own.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 
 from comparisons.audit.audit import audit
 from comparisons.trace.reader import Trace
-from comparisons.trace.recorder import Recorder
+from comparisons.trace.recorder import COMMIT_EVENTS, Recorder
 
 Array = NDArray[np.float64]
 
@@ -219,6 +219,19 @@ def recorded(data: Data, path: Path, *, reset: bool) -> None:
                 record.snapshot(ins.covariance)
 
 
+def commit_s(path: Path, *, synced: bool) -> float:
+    """Return seconds by the clock that a full batch's commit takes."""
+    with Recorder(path, synced=synced) as record:
+        record.prior(BLOCKS, NOISE)
+        for step in range(COMMIT_EVENTS - 2):
+            record.predict(np.full((15, 15), step), NOISE)
+        begin = time.perf_counter()
+        record.commit()
+        spent = time.perf_counter() - begin
+    path.unlink()
+    return spent
+
+
 def read(path: Path) -> float:
     """Return processor seconds of reading a trace."""
     begin = time.process_time()
@@ -271,6 +284,11 @@ def main() -> None:
             beside.append(time.process_time() - between)
             alone.append(middle - begin)
         events = Trace(path).counts.events
+        other = Path(folder) / "commit.trace"
+        waited, unsynced = (
+            1e6 / COMMIT_EVENTS * min(commit_s(other, synced=one) for _ in range(given.rounds))
+            for one in (True, False)
+        )
         without, with_recorder = (1e6 * statistics.median(one) / events for one in (alone, beside))
         ratios = [100.0 * (b / a - 1.0) for a, b in zip(alone, beside, strict=True)]
         print(f"{events:,} events, median of {given.rounds} rounds")
@@ -278,6 +296,10 @@ def main() -> None:
         print(f"recorded: {with_recorder:.1f} us an event")
         cost_us = 1e6 * (min(beside) - min(alone)) / events
         print(f"recorder: {cost_us:.2f} us an event, by the fastest rounds")
+        print(
+            f"commits: {waited:.2f} us an event by the clock, {unsynced:.2f} without waiting for "
+            "the disk, by the fastest rounds"
+        )
         print(
             f"overhead: {statistics.median(ratios):.0f} % "
             f"({min(ratios):.0f} to {max(ratios):.0f} %)"

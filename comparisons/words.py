@@ -8,6 +8,9 @@ GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
 """Causes that are gaps between the estimates; other causes explain one, or stand beside."""
 _NAMES = {"oracle": "optimum not verified"}
 """Of causes whose key in a result a reader would not understand."""
+SETTINGS = "Settings"
+SPENT = ("Wall time", "Processor time")
+"""Groups of rows that a page leaves out, for it has tables of its own for them."""
 
 
 class Row(NamedTuple):

@@ -155,12 +155,13 @@ namespace detail {
 // Where batches go: a file, one after the other. What is written when it fails is left out.
 class RawFile {
  public:
-  RawFile(const std::string& path, const std::string& sensors)
-      : file_(std::fopen(path.c_str(), "ab")) {
+  RawFile(const std::string& path, const std::string& sensors, bool synced)
+      : file_(std::fopen(path.c_str(), "ab")), synced_(synced) {
     std::string head = "slamcheck events";
     const std::int64_t numbers[2] = {2, static_cast<std::int64_t>(sensors.size())};
     head.append(reinterpret_cast<const char*>(numbers), sizeof numbers);
     put(head + sensors);
+    sync();
   }
   RawFile(const RawFile&) = delete;
   RawFile& operator=(const RawFile&) = delete;
@@ -175,6 +176,7 @@ class RawFile {
     head.append(reinterpret_cast<const char*>(sizes), sizeof sizes);
     put(head + state);
     put(data);
+    sync();
   }
 
   // A child of a fork leaves its parent's file alone.
@@ -188,19 +190,27 @@ class RawFile {
     }
   }
 
+  void sync() {
+#if defined(__unix__) || defined(__APPLE__)
+    if (synced_ && fsync(fileno(file_)) != 0) throw std::runtime_error(std::strerror(errno));
+#endif
+  }
+
   std::FILE* file_;
+  bool synced_;
 };
 
 #ifndef SLAMCHECK_NO_SQLITE
 // Where batches go: an SQLite file, each in a transaction.
 class Database {
  public:
-  explicit Database(const std::string& path) {
+  Database(const std::string& path, bool synced) {
     const int flags = SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
     try {
       check(sqlite3_open_v2(path.c_str(), &file_, flags, nullptr));
       sqlite3_busy_timeout(file_, 5000);
-      execute("PRAGMA page_size = 32768; PRAGMA synchronous = OFF; PRAGMA cache_spill = OFF;"
+      execute(synced ? "PRAGMA synchronous = EXTRA" : "PRAGMA synchronous = OFF");
+      execute("PRAGMA page_size = 32768; PRAGMA cache_spill = OFF;"
               "PRAGMA application_id = 1397506388; PRAGMA user_version = 2; BEGIN;"
               "CREATE TABLE batch (first INTEGER PRIMARY KEY, events INTEGER NOT NULL, "
               "updates INTEGER NOT NULL, snapshots INTEGER NOT NULL, state TEXT NOT NULL, "
@@ -269,7 +279,10 @@ class Recorder {
   using Names = std::vector<std::string>;
 
   // Starts a file, which must not exist: in SQLite, or without it where its name ends in .events.
-  explicit Recorder(const std::string& path, const std::vector<Sensor>& sensors = {})
+  // synced: wait at each commit until it is on the disk, so that a power failure leaves what was
+  // committed. Without it a kill still does, but a power failure may damage all.
+  explicit Recorder(const std::string& path, const std::vector<Sensor>& sensors = {},
+                    bool synced = true)
       : path_(path) {
     for (const Sensor& one : sensors) {
       check_name(one.name);
@@ -282,7 +295,7 @@ class Recorder {
     if (!fresh) fail("exists already, or cannot be written; give a new name");
     std::fclose(fresh);
     try {
-      open(sensors);
+      open(sensors, synced);
     } catch (...) {
       release();
       std::remove(path.c_str());
@@ -505,7 +518,7 @@ class Recorder {
   };
   static_assert(sizeof(Row) == 56, "a row has no gaps");
 
-  void open(const std::vector<Sensor>& sensors) {
+  void open(const std::vector<Sensor>& sensors, bool synced) {
     process_ = this_process();
     const std::string raw = ".events";
     if (path_.size() > raw.size() &&
@@ -518,7 +531,7 @@ class Recorder {
                      (one.components.empty() ? "null" : json(one.components)) + "]";
       }
       writing([&] {
-        raw_ = std::make_unique<detail::RawFile>(path_, padded(described + "]", ' '));
+        raw_ = std::make_unique<detail::RawFile>(path_, padded(described + "]", ' '), synced);
       });
       return;
     }
@@ -526,7 +539,7 @@ class Recorder {
     fail("expected a name that ends in .events, for there is no SQLite");
 #else
     writing([&] {
-      database_ = std::make_unique<detail::Database>(path_);
+      database_ = std::make_unique<detail::Database>(path_, synced);
       for (const Sensor& one : sensors) {
         const std::string parts = one.components.empty() ? "" : json(one.components);
         database_->sensor(one.name, one.gate, parts);

@@ -103,8 +103,7 @@ def ackermann_samples(
         jacobian[:, 2, column] = angle
     displacement = np.column_stack((advance - left_m * turn, forward_m * turn, turn))
     if integration != "euler":
-        steps = _of_length(integration, duration_s)
-        displacement, jacobian = _integrated(displacement, jacobian, 0.0, steps)
+        displacement, jacobian = _integrated(displacement, jacobian, duration_s, 0.0, integration)
     variances = (sigma[0] ** 2, sigma[1] ** 2)
     return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
 
@@ -141,22 +140,17 @@ def unicycle_samples(
     jacobian[:, 2, 1] = duration_s
     displacement = np.column_stack((chord * cos, chord * sin, turn))
     if integration != "middle":
-        steps = _of_length(integration, duration_s)
-        displacement, jacobian = _integrated(displacement, jacobian, 0.5, steps)
+        displacement, jacobian = _integrated(displacement, jacobian, duration_s, 0.5, integration)
     variances = (sigma[0] ** 2, sigma[1] ** 2)
     return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
 
 
-def _of_length(integration: Integration, duration_s: Array) -> Integration | Array:
-    """Return in how many steps each sample (N,) is moved, where their length is given."""
-    if not isinstance(integration, float):
-        return integration
-    counts: Array = np.maximum(1.0, np.ceil(duration_s / integration - 1e-9))
-    return counts
-
-
 def _integrated(
-    displacement: Array, jacobian: Array, taken: float, integration: Integration | Array
+    displacement: Array,
+    jacobian: Array,
+    duration_s: Array,
+    taken: float,
+    integration: Integration,
 ) -> tuple[Array, Array]:
     """Integrate samples in another way; `taken`: share of the turn at which they have the heading.
 
@@ -169,15 +163,18 @@ def _integrated(
     by_straight = (jacobian[:, 0] + 1j * jacobian[:, 1]) * np.exp(-1j * taken * turn)[:, None]
     by_straight -= 1j * taken * straight[:, None] * jacobian[:, 2]
     factor, by_turn = np.ones(len(turn), complex), np.zeros(len(turn), complex)
-    if isinstance(integration, str) and integration == "middle":
+    if integration == "middle":
         factor = np.exp(0.5j * turn)
         by_turn = 0.5j * factor
-    elif not isinstance(integration, str) or integration == "arc":
+    elif integration != "euler":
         factor, by_turn = _mean_turn(turn)
         if not isinstance(integration, str):
-            part, by_part = _mean_turn(turn / integration)
+            steps: float | Array = integration
+            if isinstance(integration, float):
+                steps = np.maximum(1.0, np.ceil(duration_s / integration - 1e-9))
+            part, by_part = _mean_turn(turn / steps)
             factor = factor / part
-            by_turn = (by_turn - factor * by_part / integration) / part
+            by_turn = (by_turn - factor * by_part / steps) / part
     way = straight * factor
     by_control = by_straight * factor[:, None] + (straight * by_turn)[:, None] * jacobian[:, 2]
     moved, changed = displacement.copy(), jacobian.copy()

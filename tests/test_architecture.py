@@ -22,6 +22,7 @@ STANDARD = {
     "dataclasses",
     "functools",
     "importlib",
+    "itertools",
     "math",
     "pathlib",
     "re",
@@ -326,6 +327,7 @@ LAYERS = {
     # Jobs that are made of an extension stand on it.
     "pipeline.dense_map": 7, "report.dense_map": 7, "report.figures.dense_map": 7,
     "pipeline.odometry": 7, "report.odometry": 7, "report.figures.odometry": 7,
+    "report.notebook": 7,
     # The contract and the names are what all know of checks and extensions.
     "checks.check": 0, "extensions.interface": 0, "extensions.registry": 0,
 }  # fmt: skip

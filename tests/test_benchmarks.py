@@ -69,7 +69,7 @@ BENCHMARKS = (
     Benchmark(
         "audit_speed --events 3000 --rounds 1 --reset --keep FOLDER/ins.trace --audit",
         slice(1, None),
-        "filter alone:; recorded:; recorder:; overhead:; file:; read:; audit:.*sound$",
+        "filter alone:; recorded:; recorder:; commits:; overhead:; file:; read:; audit:.*sound$",
     ),
 )
 

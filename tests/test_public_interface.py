@@ -10,7 +10,7 @@ import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
-from html import escape
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 import slamcheck
+from comparisons.report.html.shell import prose
 from tests.release_check import ROOT, version
 
 SOURCE = Path(slamcheck.__file__)
@@ -197,7 +198,7 @@ class _Seen(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.add(tag)
         self.attributes |= {name for name, _ in attrs}
-        if tag != "img":  # which has no end
+        if tag not in ("img", "meta"):  # which have no end
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -217,36 +218,39 @@ def test_a_name_taken_for_markup_is_seen() -> None:
 SHOWN = {"Comparison", "ExternalCheck", "Solution", "MonteCarlo", "Log", "Estimate"}
 
 
+def framed(result: Any) -> str:
+    """The page in the frame that a notebook shows of a result; nothing of it is outside."""
+    shown, outer = result._repr_html_(), _Seen()
+    outer.feed(shown)
+    assert outer.tags == {"iframe"}
+    assert outer.attributes == {"sandbox", "srcdoc", "style"}
+    assert 'sandbox="allow-scripts"' in shown
+    return unescape(shown.split('srcdoc="')[1].split('"')[0])
+
+
 @pytest.mark.parametrize("name", sorted(SHOWN))
 def test_a_result_shows_itself_in_a_notebook(name: str, results: dict[str, Any]) -> None:
-    shown = results[name]._repr_html_()
-    seen = _Seen()
-    seen.feed(shown)
-    assert seen.open == []
-    assert seen.tags.isdisjoint({"script", "img", "link", "iframe"})
-    assert not {one for one in seen.attributes if one.startswith("on") or one in ("id", "src")}
-    assert "http" not in shown
-    assert len(shown) < 300_000
+    page, seen = framed(results[name]), _Seen()
+    seen.feed(page)
+    assert "default-src 'none'" in page
+    assert "config.toml" not in seen.text.partition("const data")[0], "no folder is beside it"
+    assert not {one for one in seen.attributes if one.startswith("on")}
+    assert len(page) < 600_000
     assert len(repr(results[name])) < 300
     if name not in ("MonteCarlo", "Estimate"):
         assert HOSTILE in seen.text
     if name != "MonteCarlo":
         assert "svg" in seen.tags
-    for rule in re.findall(r"([^{}]+)\{", re.findall("<style>(.*?)</style>", shown)[0]):
-        assert all(one.startswith(".slamcheck-view") for one in rule.split(",")), rule
-    for colour in re.findall(
-        r"(?:color|background)\w*:([^;}]+)", shown
-    ):  # of lines and words alone
-        assert colour.startswith("#")
 
 
 def test_a_run_shows_verdict_gaps_and_causes(results: dict[str, Any]) -> None:
-    shown = results["Comparison"]._repr_html_()
-    assert results["Comparison"].verdict.summary in shown
+    shown = framed(results["Comparison"]).lower()
+    assert results["Comparison"].verdict.headline.lower() in shown
     assert [gap for gap in ("algebra", "model", "linearisation", "truth") if gap not in shown] == []
     checked = results["ExternalCheck"]
     assert checked.outcome == "disagree"
-    assert all(escape(cause.evidence) in checked._repr_html_() for cause in checked.causes)
+    page = framed(checked)
+    assert all(prose(cause.evidence) in page for cause in checked.causes)
 
 
 def test_a_large_map_stays_small() -> None:
@@ -261,7 +265,7 @@ def test_a_large_map_stays_small() -> None:
         joint_covariance=np.eye(3),
         information="filtered",
     )
-    assert len(large._repr_html_()) < 100_000
+    assert len(large._repr_html_()) < 1_000_000
     assert len(large.to_pandas("landmarks").columns) == 3  # without covariances
 
 
@@ -343,9 +347,9 @@ def test_scan_jobs_show_themselves() -> None:
     pytest.importorskip("kiss_icp")
     log = slamcheck.load_log("scan-loop")
     for result in (slamcheck.dense_map(log, layer=["occupancy"]), slamcheck.odometry(log)):
-        shown = result._repr_html_()
-        assert "<svg" in shown
-        assert len(shown) < 300_000
+        page = framed(result)
+        assert "<svg" in page
+        assert len(page) < 300_000
 
 
 def test_one_version() -> None:

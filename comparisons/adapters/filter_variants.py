@@ -1,11 +1,11 @@
-"""Other sound filters: sequential, iterated, first-estimates, right-invariant, unscented.
+"""Other sound filters: other orders, iterated, first-estimates, right-invariant, unscented.
 
 They differ from the EKF by where they linearise, so by little where a log is nearly linear.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -86,6 +86,61 @@ class FarthestFirstEkf(SequentialEkf):
     def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
         """Return the rows by their ranges, the largest first."""
         return np.argsort(-z[:, 0], kind="stable")
+
+
+class NewFirstEkf(Ekf):
+    """The EKF that initialises new landmarks at the predicted pose, before it updates.
+
+    The landmarks move with the update, being correlated with the pose.
+    """
+
+    def use(self, seen: Measurements, landmark_indices: Index) -> None:
+        """Augment, then update. Arguments as of `Ekf.use`."""
+        mapped = len(self.state.layout.first[seen.kind])
+        new = np.flatnonzero(landmark_indices >= mapped)
+        first = np.sort(new[np.unique(landmark_indices[new], return_index=True)[1]])
+        used = np.flatnonzero(landmark_indices >= 0)
+        if len(first):
+            used = self.placed(seen, landmark_indices, first, used)
+        for rows in self.parts(used):
+            self._fuse(seen, landmark_indices, rows)
+        self.take_numbers(seen.kind.name, len(landmark_indices))
+
+    def placed(self, seen: Measurements, landmark_indices: Index, new: Index, used: Index) -> Index:
+        """Augment by some of the rows in use; return those that are left for the update."""
+        self._initialise(seen, landmark_indices, new)
+        return np.setdiff1d(used, new)
+
+    def parts(self, rows: Index) -> Iterable[Index]:
+        """Return the rows (m,) of an instant in parts, each of which is one update."""
+        return (rows,)
+
+
+class NewFirstSequentialEkf(NewFirstEkf):
+    """The same, updating by one landmark after the other."""
+
+    def parts(self, rows: Index) -> Iterable[Index]:
+        """Return each row alone."""
+        return rows[:, None]
+
+
+class UnknownFirstSequentialEkf(NewFirstSequentialEkf):
+    """The same, with new landmarks of a vast covariance, which the first update reduces.
+
+    The prior of Thrun 2005, table 10.1; where all are updated as one this is `NewFirstEkf`.
+    """
+
+    vast_variance: ClassVar[float] = 1e6
+    """[m^2]"""
+
+    def placed(self, seen: Measurements, landmark_indices: Index, new: Index, used: Index) -> Index:
+        """Augment by landmarks that are correlated with nothing; all rows are left."""
+        point = self.models[seen.kind].invert(self.state.pose, seen.z[new]).landmark
+        own = NewLandmarks.independent(point, len(self.state.pose))
+        vast = np.tile(self.vast_variance * np.eye(seen.kind.width), (len(new), 1, 1))
+        number = self._count[seen.kind.name] + new
+        self._append(seen.kind, number, landmark_indices[new], own, vast, weight=0.0)
+        return used
 
 
 class IteratedEkf(Ekf):

@@ -6,14 +6,35 @@ happens. For `audit`, which has a trace, and for `run`, which goes through its f
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+import re
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.audit.faults import KnownFault, known_faults
-from comparisons.audit.replay import Fused, Layout, Replay, apart, check_gain, largest_pair
+from comparisons.audit.faults import (
+    PLAIN,
+    WITH_GAIN,
+    Apply,
+    KnownFault,
+    Remembering,
+    digits,
+    families,
+    known_faults,
+    name_correction,
+    name_gain,
+)
+from comparisons.audit.replay import (
+    Fused,
+    Layout,
+    Replay,
+    Unlike,
+    apart,
+    check_gain,
+    largest_pair,
+)
 from comparisons.statistics import ROUNDING, units
 from comparisons.trace.events import (
     Augment,
@@ -35,11 +56,20 @@ MOST_KEPT = 5_000
 """Events since the last snapshot that are kept for this."""
 MOST_REPLAYED = 100_000
 """Events that are replayed in search of one cause."""
+_STEPS, _CLOSE = 8, 1e-9
+"""Of a number's fit: how many at most, and relative to the number, where it ends."""
 _SHARE = 1e-4
 """Of the difference that a known error must not leave unexplained."""
+_REMEMBERED = 64
+"""Events before a snapshot whose matrices may have been used in place of a later one's."""
+_SMALL = 0.01
+"""A correction, in radians, below which a reset may as well be the identity."""
+_SINGLE = 1e-3
+"""Sigmas of what rounding leaves of covariances in single precision."""
 _LOST = 64 * float(np.finfo(float).eps)
 """Of an estimate's numbers, as rounding."""
-_RANK = {"algebra": 0, "covariance": 1, "correction": 0, "gain": 0}
+_OF_EVENTS = ("covariance", "algebra", "correction", "gain")
+"""Checks that tell what is wrong at an event; the others tell what follows."""
 
 
 class Finding(NamedTuple):
@@ -56,6 +86,31 @@ class Finding(NamedTuple):
     event: int | None
     sensor: str | None
     blocks: Blocks
+
+
+class _Resets:
+    """Whether resets do nothing. largest: of the corrections before them. first: of their events.
+
+    The Jacobian of a reset is other than the identity by about half of the correction, in radians.
+    """
+
+    def __init__(self) -> None:
+        self.largest, self.first, self._count, self._nothing = 0.0, 0, 0, True
+        self._corrected = 0.0
+
+    @property
+    def all_nothing(self) -> bool:
+        return self._nothing and self._count > 1 and self.largest > _SMALL
+
+    def take(self, event: Event) -> None:
+        match event:
+            case Update() if event.used and event.correction is not None and self._nothing:
+                self._corrected = max(self._corrected, float(np.abs(event.correction).max()))
+            case Reset() if self._nothing:
+                self.first = self.first or event.number
+                self.largest = max(self.largest, self._corrected)
+                self._nothing = np.array_equal(event.jacobian, np.eye(len(event.jacobian)))
+                self._count, self._corrected = self._count + 1, 0.0
 
 
 class AlgebraCheck:
@@ -75,10 +130,14 @@ class AlgebraCheck:
         self._known: set[str] = set()
         self._searched = 0
         self._broken: set[str] = set()
-        self._found: dict[str, tuple[Finding, float | None, int]] = {}
-        self._pending: list[Finding] = []
+        self._found: dict[str, tuple[Finding, float | None, int, float]] = {}
+        self._pending: list[tuple[Finding, str]] = []
         self._start: Replay | None = None
         self._kept: list[Event] = []
+        self._first: list[Event] = []
+        self._recent: deque[Event] = deque(maxlen=_REMEMBERED)
+        self._unnamed = 0
+        self._resets = _Resets()
         self._last: Event
         self._numbers: dict[str, Array] = {}
 
@@ -87,6 +146,7 @@ class AlgebraCheck:
         if isinstance(event, Directions):
             return None
         self._estimate(event)
+        self._resets.take(event)
         if isinstance(event, Snapshot):
             self._snapshot(event)
             return None
@@ -99,60 +159,89 @@ class AlgebraCheck:
             self._kept.append(event)
             if len(self._kept) > MOST_KEPT:
                 self._start = None
+        before = self.replay.covariance
         fused = self.replay.apply(event)
         if isinstance(event, Update) and event.used and fused is not None:
-            self._gain(event, fused)
+            self._gain(event, fused, before)
         return fused
 
-    def add(self, finding: Finding, kind: str) -> None:
-        """Keep the first finding of a kind, and count the others."""
+    def add(self, finding: Finding, kind: str, weight: float = 0.0) -> None:
+        """Keep the first finding of a kind, and count the others.
+
+        weight: of a finding that is not of one event; what weighs more goes first.
+        """
         key = f"{finding.check}|{finding.sensor}|{kind}"
-        first, seen_s, count = self._found.get(key, (finding, self._last.time_s, 0))
-        self._found[key] = first, seen_s, count + 1
+        first, seen_s, count, _ = self._found.get(key, (finding, self._last.time_s, 0, weight))
+        self._found[key] = first, seen_s, count + 1, weight
 
     def end(self) -> None:
-        """Accept what was found since the last snapshot."""
+        """Accept what was found since the last snapshot, and of the trace as a whole."""
         self._confirm(None)
+        if self._resets.all_nothing:
+            text = f"all resets are the identity, though {self._resets.largest:.2g} is corrected "
+            text += "before them: is the Jacobian made after the correction is set to zero?"
+            number = self._resets.first
+            self.add(Finding("covariance", False, text, number, None, ()), "resets")
 
     def findings(self, *, timed: bool = False) -> tuple[Finding, ...]:
-        """Return findings, faults first, those of one event's algebra before what follows.
+        """Return findings, faults first, those of one event's algebra before the others by weight.
 
         timed: with the time at which each is first seen, where events have times.
         """
-        found = []
-        for first, seen_s, count in self._found.values():
+        found, never = [], float("inf")
+        for first, seen_s, count, weight in self._found.values():
             at = f" (at {seen_s:.6g} s)" if timed and seen_s is not None else ""
             more = f"; and {count - 1:,} more" if count > 1 else ""
-            found.append(first._replace(text=first.text + at + more))
-        never = float("inf")
-        return tuple(
-            sorted(
-                found,
-                key=lambda f: (
-                    not f.fault,
-                    _RANK.get(f.check, 2),
-                    never if f.event is None else f.event,
-                ),
-            )
-        )
+            event = never if first.event is None else first.event
+            of_one_event = first.check in _OF_EVENTS
+            order = not first.fault, not of_one_event, -weight, event, first.check != "covariance"
+            found.append((order, first._replace(text=first.text + at + more)))
+        return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
     def faults(self) -> tuple[str, ...]:
         """Return all faults in words, with their times where events have them."""
         self.end()
         return tuple(one.text for one in self.findings(timed=True) if one.fault)
 
-    def _gain(self, event: Update, fused: Fused) -> None:
+    def _gain(self, event: Update, fused: Fused, before: Array) -> None:
+        """Compare gain and correction with Kalman's. before: P before the update."""
         if event.gain is None and event.correction is None:
             return
         self.gains += 1
         sigma: Array = np.sqrt(np.maximum(self.replay.covariance.diagonal(), 0.0))
         layout = self.replay.layout
         for one in check_gain(event, fused, sigma, layout, self.tolerance):
-            text = f"{name_of(event)} {one.what}"
+            what = (self._name(event, before, one) if one.kind else None) or one.what
+            text = f"{name_of(event)} {what}"
             check = "correction" if one.fault else "gain"
-            self._pending.append(
-                Finding(check, one.fault, text, event.number, event.sensor, one.blocks)
-            )
+            finding = Finding(check, one.fault, text, event.number, event.sensor, one.blocks)
+            kind = one.kind if what == one.what and one.kind else what
+            self._pending.append((finding, kind))
+
+    def _name(self, event: Update, before: Array, unlike: Unlike) -> str | None:
+        """Say of what a gain or a correction is, if it is known. before: P before the update."""
+        if self._unnamed > MOST_SEARCHED:
+            return None
+        replay = self._remembering(self.replay)
+        replay.covariance = before
+        for one in self._kept[:-1]:
+            replay.note(one)
+        with np.errstate(all="ignore"):
+            if unlike.fault:
+                correction = name_correction(event, replay)
+                said = None if correction is None else f"corrects the estimate by {correction}"
+            else:
+                gain = name_gain(event, replay)
+                said = None if gain is None else f"uses the gain of {gain.what}"
+        self._unnamed += said is None
+        return said
+
+    def _remembering(self, replay: Replay) -> Remembering:
+        """Return a recursion that goes on from another, and knows the events before this interval.
+
+        Those are the first of all, and some before the last snapshot.
+        """
+        return Remembering(replay, (*self._first, *self._recent))
 
     def _snapshot(self, snapshot: Snapshot) -> None:
         """Compare a snapshot with the recursion, which goes on from it where it is wrong."""
@@ -162,13 +251,15 @@ class AlgebraCheck:
             return
         at = self.replay.layout.columns(snapshot.blocks)
         recorded, right = snapshot.covariance, self.replay.covariance[at][:, at]
-        self._covariance(snapshot)
         wrong = not float(apart(recorded, right).max()) <= self.tolerance
         whole = len(recorded) == self.replay.layout.size and isinstance(at, slice)
         if wrong and not (not whole and self._broken >= set(snapshot.blocks)):
             self._localise(snapshot)
         else:
             self._confirm(None)
+            # What an earlier error has made invalid is no second one.
+            if wrong or self.sound:
+                self._invalid(snapshot)
         if wrong:
             self.sound = False
             self._broken = set() if whole else self._broken | set(snapshot.blocks)
@@ -179,22 +270,32 @@ class AlgebraCheck:
 
     def _restart(self) -> None:
         """Begin an interval between snapshots."""
+        kept = self._kept
+        self._recent.extend(kept[-_REMEMBERED:])
+        if len(self._first) < _REMEMBERED:
+            self._first += kept[:_REMEMBERED]
         self._start, self._kept = self.replay.copy(), []
 
-    def _covariance(self, snapshot: Snapshot) -> None:
+    def _invalid(self, snapshot: Snapshot, cause: Finding | None = None) -> None:
+        """Add that a covariance is invalid. cause: what is known of where it became so."""
+        number = snapshot.number
+        cause = cause or Finding("covariance", True, "", number, None, ())
+        for what in self._invalidity(snapshot.covariance):
+            text = f"the covariance at event {number} {what}"
+            self.add(cause._replace(check="covariance", text=text), what[:12])
+
+    def _invalidity(self, p: Array) -> list[str]:
         """Symmetry and definiteness; a covariance may be singular, as of a clone."""
-        p = snapshot.covariance
         unit = units(p, p)
         scaled = p / np.outer(unit, unit)
         skew = float(np.abs(scaled - scaled.T).max())
         least = _least(0.5 * (scaled + scaled.T), -self.tolerance)
-        for bad, what in (
-            (skew > self.tolerance, f"is asymmetric, by {skew:.2g} of its sigmas"),
-            (least < -self.tolerance, f"is not positive semidefinite (least {least:.2g})"),
-        ):
-            if bad:
-                text = f"the covariance at event {snapshot.number} {what}"
-                self.add(Finding("covariance", True, text, snapshot.number, None, ()), what[:12])
+        found = []
+        if skew > self.tolerance:
+            found.append(f"is asymmetric, by {skew:.2g} of its sigmas")
+        if least < -self.tolerance:
+            found.append(f"is not positive semidefinite (least {least:.2g})")
+        return found
 
     def _estimate(self, event: Event) -> None:
         """Keep the estimate's numbers as events lead to them, and compare a snapshot's."""
@@ -259,22 +360,51 @@ class AlgebraCheck:
 
     def _localise(self, snapshot: Snapshot) -> None:
         """Say where and how a snapshot became wrong."""
+        if self.tolerance < _SINGLE and self.sound and _is_single(snapshot.covariance):
+            text = f"covariances are in single precision: audit them with --tolerance {_SINGLE:g}"
+            self.add(Finding("covariance", False, text, snapshot.number, None, ()), "single")
         if self._start is None or self._searched > MOST_SEARCHED:
             self._pending = []
             text = f"the covariance at event {snapshot.number} is not that of the events before it"
             self.add(Finding("algebra", True, text, snapshot.number, None, ()), "unknown")
+            self._invalid(snapshot)
             return
-        cause = localise(self._start, self._kept, snapshot, self.tolerance, self._known)
-        if cause.what not in self._known:
+        start = self._remembering(self._start)
+        cause = localise(start, self._kept, snapshot, self.tolerance, self._known)
+        if cause.kind not in self._known:
             self._searched += 1
-        if cause.known:
-            self._known.add(cause.what)
         finding = self._finding(cause, snapshot)
-        if cause.event is None and self._pending:
-            first = self._pending[0]
+        if cause.kind:
+            self._known.add(cause.kind)
+            self._explain(cause)
+            invalid = " and ".join(self._invalidity(snapshot.covariance))
+            if invalid:
+                finding = finding._replace(text=f"{finding.text}; the covariance {invalid}")
+        elif cause.event is None and self._pending:
+            first, _ = self._pending[0]
             finding = finding._replace(event=first.event, sensor=first.sensor)
         self._confirm(finding.event)
-        self.add(finding, cause.what if cause.known else "unknown")
+        self._add_cause(finding, cause.kind)
+        if not cause.kind:
+            self._invalid(snapshot, finding)
+
+    def _explain(self, cause: Cause) -> None:
+        """Leave out the gain that is named with the covariance."""
+        if cause.what.startswith(WITH_GAIN) and cause.event is not None:
+            number = cause.event.number
+            kept = [one for one in self._pending if one[0].fault or one[0].event != number]
+            self.optimal = self.optimal and len(kept) == len(self._pending)
+            self._pending = kept
+
+    def _add_cause(self, finding: Finding, kind: str) -> None:
+        """Keep a cause; the second event of a kind has the first as the one before it."""
+        twin = re.sub(r"of the first (\w+)", r"of the \1 before", kind)
+        key = f"{finding.check}|{finding.sensor}|{twin}"
+        if twin != kind and key in self._found and self._found[key][2] == 1:
+            old, seen_s, count, weight = self._found.pop(key)
+            old = old._replace(text=old.text.replace(twin, kind))
+            self._found[f"{finding.check}|{finding.sensor}|{kind}"] = old, seen_s, count, weight
+        self.add(finding, kind or "unknown")
 
     def _finding(self, cause: Cause, snapshot: Snapshot) -> Finding:
         check = "gain" if cause.sound else "algebra"
@@ -290,12 +420,11 @@ class AlgebraCheck:
 
     def _confirm(self, until: int | None) -> None:
         """Accept what gains were found unlike, up to an event that made the covariance wrong."""
-        for finding in self._pending:
+        for finding, kind in self._pending:
             assert finding.event is not None  # noqa: S101 - gains are of updates
             if until is None or finding.event <= until:
                 self.optimal = self.optimal and finding.fault
-                key = finding.text.split(" ", 2)[2] if finding.sensor else finding.text
-                self.add(finding, key)
+                self.add(finding, kind)
         self._pending = []
 
 
@@ -308,6 +437,13 @@ def faults_of(events: Iterable[Event], tolerance: float) -> tuple[str, ...]:
     for event in events:
         check.take(event)
     return check.faults()
+
+
+def _is_single(matrix: Array) -> bool:
+    """Whether all numbers are of single precision, and not of a few digits alone."""
+    return bool(
+        (matrix == matrix.astype(np.float32)).all() and (matrix != matrix.astype("f2")).any()
+    )
 
 
 def _least(scaled: Array, allowed: float) -> float:
@@ -329,14 +465,15 @@ def _parts(numbers: Array, layout: Layout) -> dict[str, Array]:
 class Cause(NamedTuple):
     """event: which; None where it is one of several. what: the error, as a predicate of the event.
 
-    blocks: which it is of. known: an error that gives the recorded covariance to rounding. sound:
-    it is none, but a choice that is consistent. repeated: all like it, from there on.
+    blocks: which it is of. kind: of an error that gives the recorded covariance to rounding, empty
+    where none does. sound: it is none, but a choice that is consistent. repeated: all like it, from
+    there on.
     """
 
     event: Event | None
     what: str
     blocks: Blocks
-    known: bool
+    kind: str = ""
     sound: bool = False
     repeated: bool = False
 
@@ -363,7 +500,7 @@ def name_of(event: Event) -> str:
 
 
 def localise(
-    start: Replay,
+    start: Remembering,
     events: Sequence[Event],
     snapshot: Snapshot,
     tolerance: float,
@@ -376,63 +513,176 @@ def localise(
         events: Those between the two.
         snapshot: The wrong one.
         tolerance: What rounding explains, in sigmas.
-        before: Errors that explained earlier ones; they are tried first.
+        before: Kinds of errors that explained earlier ones; they are tried first.
     """
     changing = [e for e in events if not isinstance(e, Snapshot | Directions | Prior)]
     plain = start.copy()
     for event in changing:
         plain.apply(event)
     at = plain.layout.columns(snapshot.blocks)
-    expected = plain.covariance[at][:, at]
-    scaled = apart(snapshot.covariance, expected)
+    scaled = apart(snapshot.covariance, plain.covariance[at][:, at])
     dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
     allowed = max(tolerance, _SHARE * float(scaled.max()))
     wrong = _wrong(scaled, snapshot.blocks, dims, allowed) if len(changing) == 1 else None
-    tries: list[Collection[str] | None] = [before, None] if before else [None]
-    for only in tries:
-        found = _search(start, changing, snapshot, allowed, only, wrong)
+    search = _Search(start, changing, snapshot, allowed, wrong)
+    for only in (before, None) if before else (None,):
+        found = search.run(only)
         if found is not None:
             return found
     pair = largest_pair(np.where(np.isfinite(scaled), scaled, np.inf), snapshot.blocks, dims)
     of = f"block {pair[0]}" if pair[0] == pair[1] else f"block {pair[0]} with {pair[1]}"
     what = f"the covariance of {of} is off by {scaled.max():.2g} of its sigmas"
     blocks = tuple(dict.fromkeys(pair))
-    return Cause(changing[0] if len(changing) == 1 else None, what, blocks, known=False)
+    return Cause(changing[0] if len(changing) == 1 else None, what, blocks)
 
 
-def _search(
-    start: Replay,
-    events: Sequence[Event],
-    snapshot: Snapshot,
-    allowed: float,
-    only: Collection[str] | None,
-    wrong: Blocks | None,
-) -> Cause | None:
-    """Try every known error at every event, and at all like it from there on; the first that fits.
+class _Search:
+    """Tries known errors at events, and at all like one from there on; the first that fits.
 
-    An error at a single event goes before the same at several. only: none but these.
-    wrong: blocks that a single event has left wrong.
+    An error at a single event goes before the same at several, and one without a number before
+    those that are fitted.
     """
-    replayed, before = 0, start.copy()
-    several: Cause | None = None
-    for i, event in enumerate(events):
-        like = _like(event, events[i + 1 :])
-        for fault in known_faults(event, before, wrong):
-            if only is not None and fault.what not in only:
-                continue
-            for repeated in (False, True) if like else (False,):
-                if repeated and several is not None:
-                    continue
-                replayed += len(events) - i
-                if replayed > MOST_REPLAYED:
-                    return several
-                if _gives(before, events[i:], fault, repeated, snapshot, allowed):
-                    found = Cause(event, fault.what, fault.blocks, True, fault.sound, repeated)
-                    if not repeated:
+
+    def __init__(
+        self,
+        start: Remembering,
+        events: Sequence[Event],
+        snapshot: Snapshot,
+        allowed: float,
+        wrong: Blocks | None,
+    ) -> None:
+        """wrong: blocks that a single event has left wrong."""
+        self.start, self.events, self.snapshot = start, events, snapshot
+        self.allowed, self.wrong = allowed, wrong
+        self.left = 0
+
+    def run(self, only: Collection[str] | None) -> Cause | None:
+        """Return what explains the snapshot. only: none but errors of these kinds."""
+        with np.errstate(all="ignore"):  # an error that is not the filter's may overflow
+            for fitted in (False, True):
+                for from_first in (False, True):
+                    found = self._first(only, fitted=fitted, from_first=from_first)
+                    if found is not None:
                         return found
-                    several = found
-        before.apply(event)
-    return several
+        return None
+
+    def _first(
+        self, only: Collection[str] | None, *, fitted: bool, from_first: bool
+    ) -> Cause | None:
+        """Return the first error that explains the snapshot, within what may be replayed.
+
+        Of those with a number the simplest at the first event with any.
+        """
+        self.left = MOST_REPLAYED // 4
+        fits: list[tuple[int, Cause]] = []
+        for before, at, fault, repeated in self._tries(only, fitted=fitted, from_first=from_first):
+            if fits and fits[0][1].event is not self.events[at]:
+                break
+            found = self._explains(before, at, fault, repeated)
+            if found is not None:
+                fits.append(found)
+                if not fitted:
+                    break
+            if self.left < 0:
+                break
+        if not fits:
+            return None
+        count, simplest = min(fits, key=lambda one: one[0])
+        # Any number explains what other numbers explain as well: it is told by being plain.
+        told = count <= PLAIN or all(one.kind == simplest.kind for _, one in fits)
+        return simplest if told else None
+
+    def _tries(
+        self, only: Collection[str] | None, *, fitted: bool, from_first: bool
+    ) -> Iterator[tuple[Remembering, int, KnownFault, bool]]:
+        """Yield errors, where they may be, and whether all like it have it.
+
+        from_first: at the first event of its kind, and all like it; else at single ones, and the
+        rest.
+        """
+        before = self.start.copy()
+        for i, event in enumerate(self.events):
+            first = not any(_same(one, event) for one in self.events[:i])
+            like = any(_same(event, one) for one in self.events[i + 1 :])
+            if from_first:
+                ways = [True] if first and like else []
+            else:
+                ways = [False, True] if like and not first else [False]
+            for fault in self._faults(event, before, fitted) if ways else ():
+                if only is None or (fault.kind or fault.what) in only:
+                    for repeated in ways:
+                        yield before, i, fault, repeated
+            before.apply(event)
+            before.note(event)
+
+    def _faults(self, event: Event, before: Remembering, fitted: bool) -> Iterator[KnownFault]:
+        return families(event) if fitted else known_faults(event, before, self.wrong)
+
+    def _explains(
+        self, before: Remembering, at: int, fault: KnownFault, repeated: bool
+    ) -> tuple[int, Cause] | None:
+        """Return the cause if an error gives the snapshot, and how many digits its number has."""
+        found, count = fault, 0
+        if fault.number is not None:
+            number = self._number(before, at, fault, repeated)
+            if number is None:
+                return None
+            found, count = fault.member(number), digits(number, fault.neutral)
+        if not self._gives(before, at, found.apply, repeated):
+            return None
+        repeated = repeated and not self._gives(before, at, found.apply, False)
+        kind = fault.kind or fault.what
+        cause = Cause(self.events[at], found.what, found.blocks, kind, found.sound, repeated)
+        return count, cause
+
+    def _gives(self, before: Remembering, at: int, apply: Apply, repeated: bool) -> bool:
+        off = self._off(before, at, apply, repeated)
+        return off is not None and float(np.abs(off).max()) <= self.allowed
+
+    def _number(
+        self, before: Remembering, at: int, fault: KnownFault, repeated: bool
+    ) -> float | None:
+        """Fit the number of a family by secants; None where it explains nothing."""
+        assert fault.number is not None  # noqa: S101 - a family has one
+        x, y = fault.neutral, 1.1 * fault.neutral + 1e-6 * (fault.neutral == 0.0)
+        old, now = (self._off(before, at, fault.number(z), repeated) for z in (x, y))
+        for _ in range(_STEPS):
+            if old is None or now is None:
+                return None
+            slope = (now - old) / (y - x)
+            if not slope.any():
+                return None
+            x, y = y, y - float(np.vdot(slope, now) / np.vdot(slope, slope))
+            if fault.neutral and y <= 0.0:
+                y = 0.1 * x
+            if abs(y - x) <= _CLOSE * abs(y):
+                break
+            old, now = now, self._off(before, at, fault.number(y), repeated)
+
+        return y
+
+    def _off(self, before: Remembering, at: int, apply: Apply, repeated: bool) -> Array | None:
+        """Return how the snapshot differs, in sigmas, if an event is done so, and those like it."""
+        replay, events = before.copy(), self.events[at:]
+        self.left -= len(events)
+        try:
+            for i, event in enumerate(events):
+                if not i or (repeated and _same(events[0], event)):
+                    apply(replay, event)
+                else:
+                    replay.apply(event)
+                replay.note(event)
+        except (np.linalg.LinAlgError, KeyError):  # or a block that has left the state
+            return None
+        columns = replay.layout.columns(self.snapshot.blocks)
+        expected, recorded = replay.covariance[columns][:, columns], self.snapshot.covariance
+        if not np.isfinite(expected).all():
+            return None
+        unit = units(recorded, recorded)
+        scaled, right = ((p / np.outer(unit, unit)) for p in (recorded, expected))
+        if float(np.abs(right - right.T).max()) > self.allowed:
+            scaled, right = 0.5 * (scaled + scaled.T), 0.5 * (right + right.T)
+        return scaled - right
 
 
 def _wrong(scaled: Array, blocks: Blocks, dims: tuple[int, ...], allowed: float) -> Blocks:
@@ -442,46 +692,11 @@ def _wrong(scaled: Array, blocks: Blocks, dims: tuple[int, ...], allowed: float)
     return tuple(name for name, off in zip(blocks, parts, strict=True) if off.any())
 
 
-def _like(event: Event, later: Sequence[Event]) -> bool:
-    """Whether later events are of the same kind, sensor and blocks."""
-    return any(_same(event, other) for other in later)
-
-
 def _same(event: Event, other: Event) -> bool:
     if type(event) is not type(other):
         return False
     if isinstance(event, Update) and isinstance(other, Update):
-        return (event.sensor, event.blocks) == (other.sensor, other.blocks)
+        return event.sensor == other.sensor
     if isinstance(event, Predict | Reset) and isinstance(other, Predict | Reset):
         return event.blocks == other.blocks
     return False
-
-
-def _gives(
-    before: Replay,
-    events: Sequence[Event],
-    fault: KnownFault,
-    repeated: bool,
-    snapshot: Snapshot,
-    allowed: float,
-) -> bool:
-    """Whether events with an error in the first, and in those like it, lead to a snapshot."""
-    replay = before.copy()
-    try:
-        fault.apply(replay, events[0])
-        for event in events[1:]:
-            if repeated and _same(events[0], event):
-                again = next(
-                    (one for one in known_faults(event, replay) if one.what == fault.what), None
-                )
-                if again is None:
-                    return False
-                again.apply(replay, event)
-            else:
-                replay.apply(event)
-    except np.linalg.LinAlgError:
-        return False
-    at = replay.layout.columns(snapshot.blocks)
-    expected = replay.covariance[at][:, at]
-    off = float(apart(snapshot.covariance, expected).max())
-    return off <= allowed

@@ -17,7 +17,7 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.algebra import AlgebraCheck, Finding
-from comparisons.audit.consistency import Anchors, EventInnovations, departures
+from comparisons.audit.consistency import Anchors, EventInnovations, departures, far_off
 from comparisons.audit.replay import Fused, apart
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.errors import InputError
@@ -174,7 +174,8 @@ class _Pass:
         self._name_spurious(spurious)
         for name, one in self.innovations.turned():
             text = f"sensor `{name}`: {one.what}"
-            self.algebra.add(Finding("innovations", True, text, one.event, name, ()), one.what)
+            finding = Finding("innovations", True, text, one.event, name, ())
+            self.algebra.add(finding, one.what, one.weight)
         for figures in sensors:
             self._judge_innovations(figures, level)
         self._judge_average("smoother", "filter minus smoother", smoother, level)
@@ -291,19 +292,23 @@ class _Pass:
         if figures.unusable:
             text = f"sensor `{name}`: {figures.unusable:,} innovations have no valid covariance"
             self.algebra.add(Finding("innovations", True, text, None, name, ()), "unusable")
-        for one in departures(figures, level):
+        found = departures(figures, level)
+        weight = max((one.weight for one in found), default=0.0)  # a sensor's go together
+        for one in found:
             text = f"sensor `{name}`: {one.what} (p = {one.p_value:.1g})"
             if not self.algebra.optimal:
                 text += "; its bands are those of Kalman's gain"
             finding = Finding("innovations", self.algebra.optimal, text, one.event, name, ())
-            self.algebra.add(finding, one.what)
+            self.algebra.add(finding, one.what, weight)
 
     def _judge_average(self, check: str, what: str, found: Averaged | None, level: float) -> None:
         if found is not None and found.p_value < level:
             low, high = found.band
             text = f"{what} is {found.mean:.3g}, expected {low:.3g} to {high:.3g}"
             fault = check == "nees" or self.algebra.optimal
-            self.algebra.add(Finding(check, fault, text, found.worst, None, ()), what)
+            # What innovations show explains it: it goes first only where they do not show as much.
+            weight = 0.5 * far_off(found.mean, 1.0)
+            self.algebra.add(Finding(check, fault, text, found.worst, None, ()), what, weight)
 
     def _name_spurious(self, found: Learnt | None) -> None:
         """Name what was learnt of directions that the sensors cannot tell; no error of algebra."""

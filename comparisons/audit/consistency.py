@@ -40,9 +40,9 @@ TURNS = {2.0 * np.pi: "2 pi", 360.0: "360"}
 """In which a difference of angles that is not wrapped is off, by whole numbers of them."""
 _NEAR, _FAR = 3.0, 5.0
 """Sigmas of an innovation: nearer to a whole turn than that, and farther from zero."""
-_MOST_OTHERS = 0.2
-"""Share of the far ones that no turn explains, as outliers do, by which turns are not told from
-them."""
+_MOST_OTHERS, _CHANCE = 0.2, 1e-6
+"""Share of the far ones that no turn explains, as outliers do, up to which turns are told from
+them; beyond it they are told where chance puts as many so near to whole turns as rarely."""
 
 
 class _Turned:
@@ -51,24 +51,30 @@ class _Turned:
     def __init__(self) -> None:
         self.far = 0
         self.events: dict[float, list[int]] = {turn: [] for turn in TURNS}
+        self.near = dict.fromkeys(TURNS, 0.0)
 
     def add(self, event: int, innovation: float, sigma: float) -> None:
         """Count one that is far off."""
         self.far += 1
         for turn, events in self.events.items():
             off = round(innovation / turn)
+            self.near[turn] += min(1.0, 2.0 * _NEAR * sigma / turn)
             if off and abs(innovation - off * turn) <= _NEAR * sigma < 0.25 * turn:
                 events.append(event)
 
     def departure(self, name: str) -> Departure | None:
         """What to say of two or more."""
         for turn, events in self.events.items():
-            if len(events) > 1 and self.far - len(events) <= _MOST_OTHERS * self.far:
+            count, far = len(events), self.far
+            if count < 2:
+                continue
+            chance = float(bdtrc(count - 1, far, self.near[turn] / far))
+            if far - count <= _MOST_OTHERS * far or chance < _CHANCE:
                 what = (
-                    f"{len(events)} innovations of {name} are {TURNS[turn]} off, or a multiple of "
+                    f"{count} innovations of {name} are {TURNS[turn]} off, or a multiple of "
                     "it: wrap the difference before it is gated and used"
                 )
-                return Departure(what, 0.0, events[0], events[-1])
+                return Departure(what, 0.0, events[0], events[-1], float("inf"))
         return None
 
 
@@ -198,12 +204,16 @@ class Anchors:
 
 
 class Departure(NamedTuple):
-    """A figure that a sound filter leaves rarely. p_value: two-sided. event: where it begins."""
+    """A figure that a sound filter leaves rarely. p_value: two-sided. event: where it begins.
+
+    weight: how far it is off, as the logarithm of a ratio of variances.
+    """
 
     what: str
     p_value: float
     event: int | None = None
     until: int | None = None
+    weight: float = 0.0
 
 
 def departures(one: SensorInnovations, level: float) -> list[Departure]:
@@ -236,9 +246,8 @@ def _mean(nis: Nis, one: SensorInnovations, level: float) -> list[Departure]:
         return []
     right = dof / nis.count
     what = "NIS" if whole else f"NIS of {nis.name}"
-    return [
-        Departure(f"{what} is {_word(nis.mean, right)}: {nis.mean:.3g}, expected {right:.3g}", p)
-    ]
+    text = f"{what} is {_word(nis.mean, right)}: {nis.mean:.3g}, expected {right:.3g}"
+    return [Departure(text, p, weight=far_off(nis.mean, right))]
 
 
 def _bias(column: Array, label: str, level: float) -> list[Departure]:
@@ -246,14 +255,16 @@ def _bias(column: Array, label: str, level: float) -> list[Departure]:
     p = float(2.0 * ndtr(-abs(z)))
     if p >= level:
         return []
-    return [Departure(f"mean of {label} is {column.mean():+.3g} sigma, expected 0", p)]
+    mean = float(column.mean())
+    weight = far_off(1.0 + mean**2, 1.0)
+    return [Departure(f"mean of {label} is {mean:+.3g} sigma, expected 0", p, weight=weight)]
 
 
 def _white(series: Whiteness, level: float) -> list[Departure]:
     if series.order != "time" or series.p_value >= level:
         return []
     text = f"{series.component} is correlated in time: {series.autocorrelation[0]:+.2f} at lag 1"
-    return [Departure(text, series.p_value)]
+    return [Departure(text, series.p_value, weight=abs(series.autocorrelation[0]))]
 
 
 def _in_windows(one: SensorInnovations, windows: list[Index], level: float) -> list[Departure]:
@@ -273,7 +284,8 @@ def _in_windows(one: SensorInnovations, windows: list[Index], level: float) -> l
         f"NIS is {_word(mean, right)} from {one.time_s[start]:.6g} to {one.time_s[last[-1]]:.6g}: "
         f"{mean:.3g}, expected {right:.3g}"
     )
-    return [Departure(text, p, int(one.event[start]), int(one.event[last[-1]]))]
+    until = int(one.event[last[-1]])
+    return [Departure(text, p, int(one.event[start]), until, far_off(mean, right))]
 
 
 def _gating(gating: Gating, level: float) -> list[Departure]:
@@ -289,7 +301,12 @@ def _gating(gating: Gating, level: float) -> list[Departure]:
     rate = rejected / n
     start = int(gating.event[_onset(gating.rejected.astype(float), rate, nominal)])
     text = f"rejects {rejected:,} of {n:,} ({100.0 * rate:.2g} %, nominal {100.0 * nominal:.2g} %)"
-    return [Departure(text, p, start)]
+    return [Departure(text, p, start, weight=far_off(rate, nominal))]
+
+
+def far_off(value: float, right: float) -> float:
+    """The logarithm of how many times a variance is too large or too small."""
+    return abs(float(np.log(max(value, 1e-300) / right)))
 
 
 def _word(mean: float, right: float) -> str:

@@ -113,11 +113,8 @@ class Fused(NamedTuple):
 class Replay:
     """Mean (n,) and covariance (n, n) of the error of the filter's estimate.
 
-    The mean is zero as long as the filter corrects its estimate as its gains say. added: blocks and
-    noise of the last prediction, if no update has followed.
+    The mean is zero as long as the filter corrects its estimate as its gains say.
     """
-
-    added: tuple[Blocks, Array] | None = None
 
     def __init__(self, prior: Prior) -> None:
         """Start where the filter did."""
@@ -130,7 +127,6 @@ class Replay:
         other = object.__new__(Replay)
         other.layout = self.layout.of(self.layout.dims)
         other.covariance, other.mean = self.covariance.copy(), self.mean.copy()
-        other.added = self.added
         return other
 
     def apply(self, event: Event) -> Fused | None:
@@ -155,7 +151,6 @@ class Replay:
     def predict(self, blocks: Blocks, f: Array, noise: Array | None) -> None:
         """Let P become F P F^T + Q on some blocks. noise: None for a reset."""
         at, p, mean = self.layout.columns(blocks), self.covariance, self.mean
-        self.added = None if noise is None else (blocks, noise)
         if len(f) == self.layout.size and isinstance(at, slice):
             self.covariance = p = f @ p @ f.T
             self.mean = f @ mean
@@ -201,10 +196,15 @@ class Replay:
     def fuse(self, event: Update, gain: Array) -> None:
         """Update the covariance alone, with any gain (n, m)."""
         at, h = self.layout.columns(event.blocks), event.jacobian
-        p, self.added = self.covariance, None
+        p = self.covariance
         p = p - gain @ (h @ p[at])
         p -= (p[:, at] @ h.T - gain @ event.noise) @ gain.T
         self.covariance = 0.5 * (p + p.T)
+
+    def shorten(self, event: Update, gain: Array) -> None:
+        """P - K H P, which is symmetric, and right, for Kalman's gain alone."""
+        p = self.covariance
+        self.covariance = p - gain @ (event.jacobian @ p[self.layout.columns(event.blocks)])
 
     def augment(self, event: Augment) -> None:
         """Append a block initialised from others."""
@@ -223,7 +223,7 @@ class Replay:
 
     def remove(self, blocks: Blocks) -> None:
         """Marginalise blocks out."""
-        kept, self.added = self.layout.remove(blocks), None
+        kept = self.layout.remove(blocks)
         self.covariance = self.covariance[np.ix_(kept, kept)]
         self.mean = self.mean[kept]
 
@@ -241,9 +241,8 @@ class ShortFormReplay(Replay):
 
     def fuse(self, event: Update, gain: Array) -> None:
         """Update the covariance alone."""
-        p, self.added = self.covariance, None
-        p = p - gain @ (event.jacobian @ p[self.layout.columns(event.blocks)])
-        self.covariance = 0.5 * (p + p.T)
+        self.shorten(event, gain)
+        self.covariance = 0.5 * (self.covariance + self.covariance.T)
 
 
 def apart(recorded: Array, expected: Array) -> Array:
@@ -268,12 +267,14 @@ def largest_pair(scaled: Array, blocks: Blocks, dims: tuple[int, ...]) -> tuple[
 class Unlike(NamedTuple):
     """A gain, or a correction, that is another. what: a predicate of the update. blocks: where.
 
-    fault: of a correction that is not gain times residual.
+    fault: of a correction that is not gain times residual. kind: of what may have another name,
+    which says more; empty where what it says is all.
     """
 
     what: str
     blocks: Blocks
     fault: bool
+    kind: str = ""
 
 
 def check_gain(
@@ -317,22 +318,23 @@ def _gain(
         return [Unlike(f"does not correct {names} (Schmidt)", silent, False)]
     weight = float(np.vdot(given, right) / np.vdot(right, right)) if scale else 0.0
     if np.abs(given - weight * right).max() <= _ALIKE * scale:
-        return [Unlike(f"uses {weight:.4g} times Kalman's gain", wrong, False)]
-    factor = _noise_factor(event, fused, given * unit[:, None], root)
+        return [Unlike(f"uses {weight:.4g} times Kalman's gain", wrong, False, "times Kalman's")]
+    s = root @ root.T
+    factor = noise_factor(event.gain, fused.gain @ s, s - event.noise, event.noise)
     if factor is not None:
-        return [Unlike(f"uses the gain of {factor:.4g} R", wrong, False)]
+        return [Unlike(f"uses the gain of {factor:.4g} R", wrong, False, "times R")]
     off = float(np.abs(given - right).max() / (scale or 1.0))
     text = f"has a gain that is not Kalman's on {', '.join(wrong)} (by {100 * off:.2g} %)"
-    return [Unlike(text, wrong, False)]
+    return [Unlike(text, wrong, False, "not Kalman's")]
 
 
-def _noise_factor(event: Update, fused: Fused, given: Array, root: Array) -> float | None:
-    """The number c with a gain of c R, P H^T (H P H^T + c R)^-1, if there is one."""
-    s = root @ root.T
-    across = fused.gain @ s
-    gain = given @ fused.inverse_root
+def noise_factor(gain: Array, across: Array, spread: Array, noise: Array) -> float | None:
+    """The number c with a gain of c R, P H^T (H P H^T + c R)^-1, if there is one.
+
+    across: (n, m) P H^T. spread: (m, m) H P H^T.
+    """
     # K (H P H^T + c R) = P H^T is linear in c.
-    left, right = gain @ event.noise, across - gain @ (s - event.noise)
+    left, right = gain @ noise, across - gain @ spread
     c = float(np.vdot(left, right) / np.vdot(left, left)) if left.any() else 0.0
     if c <= 0.0 or np.abs(right - c * left).max() > _ALIKE * float(np.abs(across).max()):
         return None
@@ -362,6 +364,7 @@ def _correction(
         text = f"corrects the estimate of {names} twice"
     else:
         text = f"corrects the estimate of {names} by other than gain times residual"
+        return [Unlike(text, wrong, True, "other correction")]
     return [Unlike(text, wrong, True)]
 
 

@@ -21,7 +21,7 @@ from comparisons.trace.recorder import Begun, Measured, Recorder
 
 
 def write_run(run: EkfRun, path: Path) -> None:
-    """Write a run's trace for `slamcheck audit`.
+    """Write a run's trace for `slamcheck audit`, in a folder that is synced as a whole.
 
     Args:
         run: As the filter made it.
@@ -31,7 +31,7 @@ def write_run(run: EkfRun, path: Path) -> None:
         InputError: The file exists already, or cannot be written.
     """
     components = {name: sensor.components for name, sensor in run.sensors.items()}
-    with Recorder(path, components=components) as record:
+    with Recorder(path, components=components, synced=False) as record:
         for event in run_events(run):
             if event.time_s is not None:
                 record.at(event.time_s)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -49,13 +50,13 @@ from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration
 from comparisons.logs.stamps import at_instants
-from comparisons.pipeline.estimate_motion import in_words, integrations_of
+from comparisons.pipeline.estimate_motion import in_words, integrations_by_steps, integrations_of
 from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace
 from comparisons.pipeline.prepare import Progress, no_progress
 from comparisons.pipeline.references import (
+    APART,
     FILTERS,
     ORDERS,
-    ROBOCENTRIC,
     reference_ekf,
     smoother,
     variants,
@@ -67,7 +68,7 @@ from comparisons.statistics import ROUNDING
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-_HOPELESS_SIGMA = 10.0
+_HOPELESS_SIGMA = 30.0
 """So far from the reference EKF no variant of it is tried, nor where the means are the EKF's."""
 
 
@@ -182,7 +183,7 @@ def check(
     solver: in the place of `solve`, as one that keeps what it has solved.
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
-    first = job.graded(given)
+    first = job.started(given)
     if first.exact or len(first.inside.time_s) < FEWEST:
         return first
     progress("motion models", 0, 0)
@@ -199,12 +200,20 @@ class _Job:
     progress: Progress
     solver: Callable[[Log, CheckConfig, Progress], Solution]
 
-    def graded(
-        self, given: ExternalEstimate, integration: Integration | None = None
-    ) -> ExternalCheck:
-        """The grade of an estimate, beside references of an integration, or of the log's own."""
-        log = self.log if integration is None else replace(self.log, integration=integration)
-        solution = self.solver(log, self.config, self.progress)
+    @cached_property
+    def own(self) -> Solution:
+        """The smoother's, by the log's own integration."""
+        return self.solver(self.log, self.config, self.progress)
+
+    def started(self, given: ExternalEstimate) -> ExternalCheck:
+        """The grade beside references that move as the estimate's own steps do."""
+        prepared = self.own.prepared
+        placed = replace(given, time_s=at_instants(given.time_s, prepared.timeline.instants_s()))
+        inside = _chosen(placed, within_log(placed, self.own.estimate))
+        found = integrations_by_steps(inside, prepared)
+        return self._moving(given, found) if found else self._graded(given, self.own)
+
+    def _graded(self, given: ExternalEstimate, solution: Solution) -> ExternalCheck:
         require, least = self.config.require, self.config.min_coverage
         return check_external(given, solution, require, self.progress, min_coverage=least)
 
@@ -214,8 +223,15 @@ class _Job:
         others = integrations_of(first.inside, prepared, first.grade.by, filters)
         if not others:
             return first
-        again = self.graded(first.given, others[0])
-        steps = " or ".join(in_words(one) for one in others)
+        return self._moving(first.given, others)
+
+    def _moving(
+        self, given: ExternalEstimate, integrations: tuple[Integration, ...]
+    ) -> ExternalCheck:
+        """The grade beside references of the first of integrations that explain its steps."""
+        log = replace(self.log, integration=integrations[0])
+        again = self._graded(given, self.solver(log, self.config, self.progress))
+        steps = " or ".join(in_words(one) for one in integrations)
         said = f"the estimate's steps lead {steps}; so do those of references and smoother"
         return replace(again, remarks=(said, *again.remarks))
 
@@ -251,7 +267,7 @@ class _Job:
         other = undone(first.given, motion.moved, instants_s)
         delay_s = float(np.median(first.given.time_s - other.time_s))
         motion = replace(motion, moved=motion.moved._replace(delay_s=delay_s))
-        found = self.explained(self.integrated(self.graded(other), ORDERS))
+        found = self.explained(self.integrated(self.started(other), ORDERS))
         if found is None or found.grade.by is None:
             return None
         near, then = found.grade.by, "what is left has the cause that follows"
@@ -304,7 +320,7 @@ def _within_spread(found: ExternalCheck, least: float) -> ExternalCheck | None:
     if found.coverage.share < least:
         return None
     filters = (*found.peers, *found.variants)
-    sound = [one for one in filters if not one.smoothed and one.name != ROBOCENTRIC]
+    sound = [one for one in filters if not one.smoothed and one.name not in APART]
     if not within_spread(near, sound, labelled=prepared.labelled):
         return None
     grade = replace(found.grade, value="like", by=replace(near, grade="like"))

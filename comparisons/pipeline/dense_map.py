@@ -20,6 +20,7 @@ from comparisons.pipeline.prepare import (
     no_progress,
     prepare,
 )
+from comparisons.shown import Shown
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
@@ -31,7 +32,7 @@ REQUIRED = Required(
 
 
 @dataclass(frozen=True, kw_only=True)
-class DenseMapping:
+class DenseMapping(Shown):
     """Hold a dense map that is anchored to the filter's landmarks.
 
     Attributes:
@@ -57,11 +58,6 @@ class DenseMapping:
     def __repr__(self) -> str:
         """Return log and layers in one line."""
         return f"<DenseMapping of {self.log.name}: {', '.join(self.layers)}>"
-
-    def _repr_html_(self) -> str:
-        from comparisons.report.notebook import dense_map_html
-
-        return dense_map_html(self)
 
     @property
     def log(self) -> Log:

@@ -54,13 +54,9 @@ def integrations_of(
         return ()
     ours = log.integration or own_integration(log.odometry)
     others: list[Integration] = [one for one in get_args(Named) if one != ours]
-    told = _steps_of(given, prepared.timeline)
-    if len(told.row):
-        steps = told.several(log)
-        apart = {one: told.apart(log, one) for one in (ours, *others, *steps)}
-        found = _nearer(apart, ours, _NEARER)
-        if found or given.trace is not None:
-            return found
+    by_steps = integrations_by_steps(given, prepared)
+    if by_steps is not None:
+        return by_steps
     if nearest is None or nearest.reference.smoothed:
         return ()
     far = {ours: nearest.farthest}
@@ -71,6 +67,27 @@ def integrations_of(
             apart_sigma = likeness(given, again, labelled=prepared.labelled).farthest
             far[one] = min(apart_sigma, far.get(one, apart_sigma))
     return _nearer(far, ours, _HALF)
+
+
+def integrations_by_steps(
+    given: ExternalEstimate, prepared: Prepared[SolveConfig]
+) -> tuple[Integration, ...] | None:
+    """Return which integrations the steps of an estimate have, none where it is the log's own.
+
+    given: as of integrations_of. None where it has no such steps, or none fits.
+    """
+    log = prepared.log
+    if isinstance(log.odometry, RelativePoses):
+        return None
+    steps, ours = _steps_of(given, prepared.timeline), log.integration
+    if not len(steps.row):
+        return None
+    ours = ours or own_integration(log.odometry)
+    others = (one for one in (*get_args(Named), *steps.several(log)) if one != ours)
+    apart = {one: steps.apart(log, one) for one in (ours, *others)}
+    found = _nearer(apart, ours, _NEARER)
+    own = given.trace is not None or apart[ours] < _NEARER * max(apart.values())
+    return found or (() if own else None)
 
 
 def _kept(

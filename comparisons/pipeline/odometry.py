@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from comparisons.logs.transforms.known_landmarks import (
 )
 from comparisons.logs.transforms.scan_motion import divide, measurements_kept, with_scan_motion
 from comparisons.pipeline.prepare import Prepared, Progress, no_progress, prepare
+from comparisons.shown import Shown
 from graphslam.increments import dead_reckoned
 from graphslam.scan.loop_closure import (
     Closed,
@@ -36,7 +38,7 @@ from graphslam.smoother import SmootherResult, smooth
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrontEnd:
+class FrontEnd(Shown):
     """Hold what the scans of a log say of the vehicle's motion.
 
     Attributes:
@@ -73,15 +75,14 @@ class FrontEnd:
         """Return log and counts in one line."""
         return f"<FrontEnd of {self.log.name}: {len(self.time_s):,} poses by scans>"
 
-    def _repr_html_(self) -> str:
-        from comparisons.report.notebook import front_end_html
-
-        return front_end_html(self)
-
     @property
     def log(self) -> Log:
         """The log as it was read, surveyed landmarks' measurements among the others."""
         return self.prepared.log
+
+    @cached_property
+    def _points(self) -> Array:
+        return placed(list(self.clouds.values()), self.estimate.pose[list(self.clouds)])
 
     def map_points(self) -> Array:
         """Return what the scans saw, placed by the graph's poses.
@@ -89,7 +90,7 @@ class FrontEnd:
         Returns:
             (P, 3) points [m] in the log's frame.
         """
-        return placed(list(self.clouds.values()), self.estimate.pose[list(self.clouds)])
+        return self._points
 
 
 def run_front_end(

@@ -16,8 +16,11 @@ from comparisons.adapters.filter_variants import (
     InvariantEkf,
     IteratedEkf,
     NearestFirstEkf,
+    NewFirstEkf,
+    NewFirstSequentialEkf,
     RobocentricEkf,
     SequentialEkf,
+    UnknownFirstSequentialEkf,
     UnscentedEkf,
     WideUnscentedEkf,
 )
@@ -33,7 +36,6 @@ from ekf_reference.core.ekf import Ekf
 
 EKF = "the reference EKF"
 ROBOCENTRIC = "a robocentric EKF"
-"""Sound, but farther from the others than most faults are."""
 ORDERS = {
     EKF: "",
     "an EKF that updates by one landmark after the other": "it updates by one landmark after the "
@@ -42,6 +44,20 @@ ORDERS = {
     "landmark after the other, the last first",
 }
 """The same filter but for the order of updates, and that in words."""
+_NEW_FIRST: tuple[tuple[str, type[Ekf]], ...] = (
+    ("an EKF that initialises new landmarks before it updates", NewFirstEkf),
+    (
+        "an EKF that initialises new landmarks, then updates by one landmark after the other",
+        NewFirstSequentialEkf,
+    ),
+    (
+        "an EKF that places new landmarks with a vast covariance, then updates by one after the "
+        "other",
+        UnknownFirstSequentialEkf,
+    ),
+)
+APART = (ROBOCENTRIC, *dict(_NEW_FIRST))
+"""Sound, but farther from the others than most faults are."""
 _VARIANTS: tuple[tuple[str, type[Ekf]], ...] = (
     ("an iterated EKF", IteratedEkf),
     ("an EKF that updates by one landmark after the other", SequentialEkf),
@@ -59,6 +75,7 @@ _VARIANTS: tuple[tuple[str, type[Ekf]], ...] = (
         "an EKF that updates by one landmark after the other, the farthest first",
         FarthestFirstEkf,
     ),
+    *_NEW_FIRST,
     ("a first-estimates EKF", FirstEstimatesEkf),
     ("a right-invariant EKF", InvariantEkf),
     (ROBOCENTRIC, RobocentricEkf),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from itertools import cycle
 from pathlib import Path
 
@@ -18,8 +17,7 @@ from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.spurious import Learnt
 from comparisons.figures import Model, finite, json_text, package_versions
 from comparisons.innovations import InnovationFigures, SensorInnovations
-from comparisons.report.html.curves import data_block, panel_data
-from comparisons.report.html.shell import document, figures, prose, script
+from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.marks import (
     EKF_COLOUR,
     SCANS_COLOUR,
@@ -34,7 +32,6 @@ from comparisons.statistics import Averaged
 from comparisons.words import Row
 
 RESULT = "audit.json"
-_SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
 _STYLES: dict[Verdict, str] = {
     "sound": "agree",
     "faulty": "disagree",
@@ -306,7 +303,7 @@ def _algebra_line(audit: Audit) -> str:
     if audit.largest is None:
         return "not checked: the trace has no snapshot"
     gap = audit.first_open
-    if gap is None:
+    if gap is None or audit.sound:  # what only least squares sees is small, and no finding
         worst = max(audit.largest.sigma, audit.largest.covariance)
         return f"equal to least squares at every snapshot, to {worst:.1g}"
     return (
@@ -344,7 +341,7 @@ def audit_rows(audit: Audit) -> list[Row]:
     if audit.largest is not None:
         gap = audit.largest
         for what, value in (("estimate [sigma]", gap.sigma), ("covariance", gap.covariance)):
-            inside = value <= audit.tolerance
+            inside = value <= audit.tolerance or (None if audit.sound else False)
             rows.append(Row("Algebra", f"largest gap of the {what}", f"{value:.2g}", most, inside))
         text = f"{audit.agreement:.1g} sigma^2"
         rows.append(Row("Algebra", "recursion against least squares, until a fault", text))
@@ -445,37 +442,23 @@ def write_audit(audit: Audit, folder: Path) -> None:
     with fresh_folder(folder, RESULT) as work:
         if panels:
             save(audit_figure(panels), work / "curves.png")
-        (work / "report.html").write_text(_page(audit, panels), encoding="utf-8")
+        write_page(audit_page(audit), work / "report.html")
         files = sorted([*(p.name for p in work.iterdir()), RESULT, LIST])
         found = result.model_copy(update={"files": files}).model_dump(mode="json")
         (work / RESULT).write_text(json_text(found, indent=2) + "\n", encoding="utf-8")
 
 
-def _page(audit: Audit, panels: Sequence[Panel]) -> str:
-    summary = audit_summary(audit)
-    colour = _STYLES[audit.verdict]
-    panels = [panel for panel in panels if panel.curves]
-    start = min((float(panel.curves[0].x[0]) for panel in panels), default=0.0)
-    facts = "".join(f"<dt>{escape(n)}</dt><dd>{prose(t)}</dd>" for n, t in summary.lines)
-    data = {"start": start, "panels": [panel_data(panel, start) for panel in panels]}
-    parts = [
-        f"<header><h1>{escape(audit.trace.name)}</h1><p>"
-        f'<span class="verdict {colour}">{escape(summary.headline)}</span></p></header>',
-        *(
-            _listed("Faults" if audit.verdict == "faulty" else "Lacking", summary.reasons),
-            _listed("Named, not faults", summary.remarks),
-        ),
-        f"<dl>{facts}</dl>",
-        '<noscript><p class="note">Curves need JavaScript; they are in curves.png, too.</p>'
-        '</noscript><section id="when"><h2>Curves <span id="now"></span></h2>'
-        '<div id="curves"></div></section>',
-        "<h2>Figures</h2>",
-        figures(summary.rows),
-        data_block(data),
-    ]
-    return document(f"{audit.trace.name}: {summary.headline}", parts, script(_SCRIPTS))
-
-
-def _listed(title: str, texts: Sequence[str]) -> str:
-    items = "".join(f"<li>{prose(text)}</li>" for text in texts)
-    return f"<h2>{escape(title)}</h2><ul>{items}</ul>" if texts else ""
+def audit_page(audit: Audit) -> PageContent:
+    """Return what stands on the page."""
+    summary, panels = audit_summary(audit), [one for one in audit_panels(audit) if one.curves]
+    return PageContent(
+        name=audit.trace.name,
+        headline=summary.headline.removeprefix("verdict: "),
+        colour=_STYLES[audit.verdict],
+        reasons=summary.reasons,
+        facts=facts_of(summary),
+        remarks=summary.remarks,
+        panels=panels,
+        curves_file="curves.png",
+        rows=summary.rows,
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -36,7 +37,7 @@ from comparisons.report.html.map import (
     estimate_track,
     farthest,
 )
-from comparisons.report.html.page import PageContent, page
+from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import check_ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
@@ -124,17 +125,13 @@ def check_summary(result: CheckResult) -> Summary:
 
 def check_folder(check: ExternalCheck, result: CheckResult) -> JobFolder:
     """Return what is to be written."""
-
-    def write_page(path: Path) -> None:
-        path.write_text(page(check_page(check, result)), encoding="utf-8")
-
     return JobFolder(
         name="check",
         result=result,
         config=check.solution.prepared.config,
         estimates={"smoother": check.solution.estimate},
         figures={"map": check_figure(check)},
-        files={"report.html": write_page},
+        files={"report.html": partial(write_page, check_page(check, result))},
     )
 
 
@@ -155,7 +152,6 @@ def check_page(check: ExternalCheck, result: CheckResult) -> PageContent:
         words=_verdict_words(result),
         facts=_facts(result),
         about=f"estimate: {source}; log: {result.log.format}, {result.log.duration_s:,.0f} s",
-        notes=(),
         causes=result.causes,
         remarks=result.remarks,
         steps=check_ladder(result),

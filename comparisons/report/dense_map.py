@@ -17,10 +17,13 @@ from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figure
 from comparisons.report.folder import JobFolder
+from comparisons.report.html.map import estimate_map
+from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
+from comparisons.report.marks import EKF_COLOUR
 from comparisons.report.models import EkfResult, JobResult
 from comparisons.report.rows import ekf_rows, log_rows, seconds_rows
-from comparisons.report.sections import about_job, ekf_result
+from comparisons.report.sections import about_job, ekf_result, job_page
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
@@ -216,6 +219,15 @@ def _map_rows(result: MapResult) -> list[Row]:
     return [*rows, *seconds_rows(result.seconds, result.cpu_s)]
 
 
+def map_page(mapping: DenseMapping, result: MapResult) -> PageContent:
+    """Return what stands on the page; the map has the first layer's occupied cells."""
+    m = mapping
+    name, samples = next(iter(m.layers.items()))
+    cloud = (f"{name}: occupied", samples.point[samples.occupancy > OCCUPIED])
+    drawn = estimate_map(m.log, "EKF", EKF_COLOUR, m.ekf.estimate, cloud=cloud)
+    return job_page(result, map_summary(result), "map", drawn, m.prepared.config)
+
+
 def map_folder(mapping: DenseMapping, result: MapResult) -> JobFolder:
     """Return what is to be written: the map, and each layer in several formats.
 
@@ -225,7 +237,9 @@ def map_folder(mapping: DenseMapping, result: MapResult) -> JobFolder:
     dynamic = mapping.dense.dense.dynamic
     if dynamic is not None:
         figures["dynamic-map"] = dynamic_figure(mapping, dynamic)
-    files: dict[str, Callable[[Path], object]] = {}
+    files: dict[str, Callable[[Path], object]] = {
+        "report.html": partial(write_page, map_page(mapping, result))
+    }
     if len(mapping.placed.triangle):
         files["regions.csv"] = lambda path: path.write_text(regions_csv(mapping), encoding="utf-8")
         files |= _layer_files(mapping)

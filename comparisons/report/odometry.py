@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -24,9 +25,12 @@ from comparisons.pipeline.odometry import FrontEnd
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.odometry import front_end_figure
 from comparisons.report.folder import JobFolder
+from comparisons.report.html.map import Track, estimate_map
+from comparisons.report.html.page import PageContent, write_page
+from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import JobResult, SmootherResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, smoother_result
+from comparisons.report.sections import about_job, job_page, smoother_result
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -135,11 +139,25 @@ def front_end_summary(result: FrontEndResult) -> Summary:
     )
 
 
+def front_end_page(front_end: FrontEnd, result: FrontEndResult) -> PageContent:
+    """Return what stands on the page."""
+    f, path = front_end, partial(Track, time_s=front_end.time_s)
+    others = [path(name="scan odometry", colour=EKF_COLOUR, dashes="5 3", pose=f.odometry)]
+    if f.wheels is not None:
+        others.append(path(name="wheels", colour=TRUTH_COLOUR, dashes="2 2", pose=f.wheels))
+    cloud = ("scans", f.map_points()[:, :2])
+    drawn = estimate_map(f.log, "scan graph", SMOOTHER_COLOUR, f.estimate, *others, cloud=cloud)
+    return job_page(result, front_end_summary(result), "odometry", drawn, f.prepared.config)
+
+
 def front_end_folder(front_end: FrontEnd, result: FrontEndResult) -> JobFolder:
     """Return what is to be written. A map as a cloud needs Open3D: raises MissingLibraryError."""
     f, cloud = front_end, front_end.prepared.config.cloud
     points, problem = f.map_points(), f.graph.problem
-    files: dict[str, Callable[[Path], object]] = {"odometry.tum": _tum(f.time_s, f.odometry)}
+    files: dict[str, Callable[[Path], object]] = {
+        "odometry.tum": _tum(f.time_s, f.odometry),
+        "report.html": partial(write_page, front_end_page(f, result)),
+    }
     if f.wheels is not None:
         files["wheels.tum"] = _tum(f.time_s, f.wheels)
     if holds(problem):

@@ -8,7 +8,7 @@ from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO,
 from comparisons.figures import band, in_sigma, rounded, shown
 from comparisons.report.ladder import Step
 from comparisons.report.models import EkfResult, LogResult, SmootherResult
-from comparisons.words import Row
+from comparisons.words import SPENT, Row
 
 AGREEING_RATIOS = f"{LEAST_VARIANCE_RATIO:g} to {1.0 / LEAST_VARIANCE_RATIO:g}"
 """Variances of the EKF over the smoother's within which a block of a run agrees."""
@@ -147,10 +147,9 @@ def _second_minimum(smoother: SmootherResult) -> list[Row]:
 
 def seconds_rows(seconds: Mapping[str, float], cpu_s: Mapping[str, float] | None) -> list[Row]:
     """Return the time of each stage on the wall, which a busy machine stretches, and of the CPU."""
-    spent = {"Wall time": seconds, "Processor time": cpu_s or {}}
     return [
         Row(group, _STAGES.get(stage, stage), f"{s:.2f} s")
-        for group, each in spent.items()
+        for group, each in zip(SPENT, (seconds, cpu_s or {}), strict=True)
         for stage, s in each.items()
     ]
 

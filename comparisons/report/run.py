@@ -21,7 +21,7 @@ from comparisons.report.html.map import (
     estimate_track,
     farthest,
 )
-from comparisons.report.html.page import PageContent, page
+from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
@@ -53,11 +53,11 @@ def run_folder(comparison: Comparison, result: Result) -> JobFolder:
     found = c.findings.values()
     own = {name: figure for one in found for name, figure in one.figures().items()}
 
-    def write_page(path: Path) -> None:
+    def write(path: Path) -> None:
         pictures = [path.with_name(f"{name}.png") for name in own]
-        path.write_text(page(run_page(comparison, panels, result, pictures)), encoding="utf-8")
+        write_page(run_page(comparison, panels, result, pictures), path)
 
-    files: dict[str, Callable[[Path], object]] = {"report.html": write_page}
+    files: dict[str, Callable[[Path], object]] = {"report.html": write}
     if config.report.trace:
         from comparisons.audit.run_trace import write_run
         from comparisons.estimates.trace_file import TRACE

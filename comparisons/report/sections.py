@@ -6,19 +6,23 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.config import EkfConfig
+from comparisons.config import EkfConfig, JobConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import finite, package_versions
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
+from comparisons.report.html.map import MapContent
+from comparisons.report.html.page import PageContent, facts_of
 from comparisons.report.models import (
     EkfResult,
+    JobResult,
     LogResult,
     MinimumResult,
     SmootherResult,
     StartResult,
 )
-from comparisons.report.settings import settings_result
+from comparisons.report.settings import setting_lines, settings_result
+from comparisons.report.terminal import STYLES, Summary
 from graphslam import smoother
 
 if TYPE_CHECKING:
@@ -123,4 +127,27 @@ def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> Smoo
         hops=explored.hops,
         random_starts=explored.draws,
         chance_missed=explored.missed,
+    )
+
+
+def job_page(
+    result: JobResult, summary: Summary, job: str, drawn: MapContent, config: JobConfig
+) -> PageContent:
+    """Return the page of a job that has no more to show than it prints, and a map."""
+    colour = next((name for name, look in STYLES.items() if look == summary.style), "")
+    return PageContent(
+        job=job,
+        name=result.log.name,
+        headline=summary.headline.removeprefix("verdict: "),
+        colour="agree" if colour == "verified" else colour,
+        about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
+        reasons=summary.reasons,
+        facts=facts_of(summary),
+        remarks=summary.remarks,
+        map=drawn,
+        rows=summary.rows,
+        settings=setting_lines(config, result.settings),
+        seconds=result.seconds,
+        cpu_s=result.cpu_s or {},
+        versions=result.versions,
     )

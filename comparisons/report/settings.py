@@ -10,7 +10,7 @@ from comparisons.config import EkfConfig, JobConfig, Section
 from comparisons.documented.preset import differing
 from comparisons.documented.row import Value, shown
 from comparisons.figures import Model
-from comparisons.words import Row
+from comparisons.words import SETTINGS, Row
 
 
 class DifferingSetting(Model):
@@ -124,10 +124,6 @@ def settings_result(
 def _in_json(value: Any) -> Any:
     """JSON has no infinity; a configuration in it has this word, too."""
     return "Infinity" if value == math.inf else value
-
-
-SETTINGS = "Settings"
-"""The group of the rows below; a page has its own table of settings."""
 
 
 def settings_rows(settings: SettingsResult) -> list[Row]:

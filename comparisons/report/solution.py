@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
 import numpy as np
 
 from comparisons.checks.accuracy import accuracy_line, accuracy_rows
@@ -12,9 +16,12 @@ from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
+from comparisons.report.html.map import Track, estimate_map
+from comparisons.report.html.page import PageContent, write_page
+from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, smoother_result
+from comparisons.report.sections import about_job, job_page, smoother_result
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -112,13 +119,29 @@ def _pose_graph_rows(result: SolutionResult) -> list[Row]:
     ]
 
 
+def solution_page(solution: Solution, result: SolutionResult) -> PageContent:
+    """Return what stands on the page."""
+    s = solution
+    reckoned = Track(
+        name="dead reckoning",
+        colour=TRUTH_COLOUR,
+        dashes="2 2",
+        time_s=s.estimate.time_s,
+        pose=s.dead_reckoned,
+    )
+    drawn = estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
+    return job_page(result, solution_summary(result), "solve", drawn, s.prepared.config)
+
+
 def solution_folder(solution: Solution, result: SolutionResult) -> JobFolder:
     """Return what is to be written."""
     estimate, smoothed = solution.estimate, solution.result
     contents = G2oContents(
         smoothed.problem, estimate.pose, estimate.landmark, landmark_ids=estimate.landmark_id
     )
-    files = {}
+    files: dict[str, Callable[[Path], object]] = {
+        "report.html": partial(write_page, solution_page(solution, result))
+    }
     if holds(smoothed.problem):
         files["graph.g2o"] = lambda path: write_g2o(path, contents)
     if smoothed.values.size() <= LARGEST_DRAWN:

@@ -23,7 +23,7 @@ from comparisons.trace.rows import MOST_ENTRIES
 
 PAGE_BYTES = 32768
 COMMIT_EVENTS, COMMIT_BYTES = 2000, 1 << 24
-"""A recording that is killed is valid up to its last commit."""
+"""A recording that is killed, or whose computer fails, is valid up to its last commit."""
 _DTYPE = np.dtype("<f8")
 _NONE = [(-1,) * (MOST_COLUMNS - count) for count in range(MOST_COLUMNS + 1)]
 PRIOR, PREDICT, UPDATE, AUGMENT, CLONE, REMOVE, RESET, SNAPSHOT, DIRECTIONS = range(len(KINDS))
@@ -86,6 +86,7 @@ class Recorder:
         gates: Mapping[str, float] | None = None,
         components: Mapping[str, Sequence[str]] | None = None,
         append: bool = False,
+        synced: bool = True,
     ) -> None:
         """Start a file.
 
@@ -94,6 +95,8 @@ class Recorder:
             gates: By sensor, the probability with which the gate lets a sound measurement pass.
             components: By sensor, names of the residual's entries.
             append: Go on with an existing trace.
+            synced: Wait at each commit until it is on the disk, so that a power failure leaves what
+                was committed. Without it a kill still does, but a power failure may damage all.
 
         Raises:
             InputError: The file exists already, or cannot be written; or append is set, and there
@@ -119,7 +122,7 @@ class Recorder:
         else:
             self._create()
         try:
-            self._open(sensors, new=not append)
+            self._open(sensors, new=not append, synced=synced)
         except sqlite3.Error as error:
             self._file.close()
             if not append:
@@ -613,13 +616,15 @@ class Recorder:
         except OSError as error:
             raise InputError(f"{self._path}: cannot be written ({error.strerror})") from None
 
-    def _open(self, sensors: Iterable[tuple[str, float | None, str | None]], *, new: bool) -> None:
+    def _open(
+        self, sensors: Iterable[tuple[str, float | None, str | None]], *, new: bool, synced: bool
+    ) -> None:
         """Open the file and describe the sensors. Raises sqlite3.Error."""
         self._file = sqlite3.connect(
             self._path.absolute(), isolation_level=None, check_same_thread=False
         )
-        # A killed process loses nothing that it has written; that a computer fails is accepted.
-        self._file.execute("PRAGMA synchronous = OFF")
+        # EXTRA: the journal's removal, which is the commit, is on the disk as well.
+        self._file.execute(f"PRAGMA synchronous = {'EXTRA' if synced else 'OFF'}")
         if new:
             self._file.execute(f"PRAGMA page_size = {PAGE_BYTES}")
             self._file.execute(f"PRAGMA application_id = {APPLICATION}")

@@ -23,7 +23,7 @@ from comparisons.faults.fault import Fault
 from comparisons.fingerprints.search import fingerprints
 from comparisons.pipeline.check import check
 from comparisons.pipeline.prepare import no_progress
-from comparisons.pipeline.references import EKF, ROBOCENTRIC, filter_named, variants
+from comparisons.pipeline.references import APART, EKF, filter_named, variants
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import NewLandmarks
@@ -132,7 +132,7 @@ def test_a_start_of_its_own_is_named(solution: Solution) -> None:
 
 def sound_filters(solution: Solution) -> list[Reference]:
     others = variants(solution.prepared, solution.estimate.time_s)
-    return [run(solution, Fault("none")), *(one for one in others if one.name != ROBOCENTRIC)]
+    return [run(solution, Fault("none")), *(one for one in others if one.name not in APART)]
 
 
 def test_sound_filters_are_within_the_spread_of_the_others(solution: Solution) -> None:

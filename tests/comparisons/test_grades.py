@@ -17,7 +17,10 @@ from comparisons.adapters.filter_variants import (
     FirstEstimatesEkf,
     InvariantEkf,
     IteratedEkf,
+    NewFirstEkf,
+    NewFirstSequentialEkf,
     SequentialEkf,
+    UnknownFirstSequentialEkf,
     UnscentedEkf,
     unscented,
 )
@@ -91,6 +94,16 @@ def evidence(found: ExternalCheck) -> str:
         (IteratedEkf, "an iterated EKF"),
         (SequentialEkf, "an EKF that updates by one landmark after the other"),
         (BackwardEkf, "an EKF that updates by one landmark after the other, the last first"),
+        (NewFirstEkf, "an EKF that initialises new landmarks before it updates"),
+        (
+            NewFirstSequentialEkf,
+            "an EKF that initialises new landmarks, then updates by one landmark after the other",
+        ),
+        (
+            UnknownFirstSequentialEkf,
+            "an EKF that places new landmarks with a vast covariance, then updates by one after "
+            "the other",
+        ),
         (FirstEstimatesEkf, "a first-estimates EKF"),
         (InvariantEkf, "a right-invariant EKF"),
         (UnscentedEkf, "an unscented Kalman filter"),

@@ -72,7 +72,7 @@ def test_a_mistake_in_the_script_is_seen(
 ) -> None:
     """The broken variant: a name that does not exist, in a page that is otherwise in order."""
     mistaken = script().replace("hear('time'", "heer('time'")
-    monkeypatch.setattr("comparisons.report.html.page.script", lambda: mistaken)
+    monkeypatch.setattr("comparisons.report.html.page.script", lambda _names: mistaken)
     page = written(comparison, tmp_path / "report") / "report.html"
     dom = look(page.as_uri(), tmp_path / "profile")
     assert "<svg" in dom

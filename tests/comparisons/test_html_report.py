@@ -29,8 +29,8 @@ from comparisons.report.models import Result
 from comparisons.report.panels import consistency_panels
 from comparisons.report.result import build_result, run_rows
 from comparisons.report.run import run_page
-from comparisons.report.settings import SETTINGS, SettingLine, setting_lines, settings_result
-from comparisons.words import Row
+from comparisons.report.settings import SettingLine, setting_lines, settings_result
+from comparisons.words import SETTINGS, Row
 from tests.helpers import altered, compared, present, simulated, written
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""

@@ -56,6 +56,7 @@ def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
         "files.sha256",
         "solution.json",
         "map.png",
+        "report.html",
         "graph.g2o",
         *(f"smoother/{name}" for name in estimate),
     }

@@ -24,8 +24,8 @@ _WHAT = {
 }
 
 
-def study_page(outcome: Outcome, remarks: list[str]) -> str:
-    """The whole page. remarks: what stands beside the figures."""
+def study_page(outcome: Outcome, remarks: list[str], *, stored: bool = True) -> str:
+    """The whole page. remarks: what stands beside the figures. stored: beside its config.toml."""
     study = outcome.study
     reported = "".join(f"<li>{escape(remark.strip())}</li>" for remark in remarks)
     rows = sum(pair.runs > 0 for pair in outcome.pairs)
@@ -34,7 +34,7 @@ def study_page(outcome: Outcome, remarks: list[str]) -> str:
         f"{study.scenario.steps:,} steps, {outcome.landmarks} landmarks</p></header>",
         f'<p class="note">{escape(study.scenario.description)}</p>',
         f'<ul class="note">{reported}</ul>' if reported else "",
-        again("montecarlo"),
+        again("montecarlo") if stored else "",
         "<h2>Consistency: mean NEES</h2>",
         _consistency(outcome),
         f'<p class="note">In brackets the exact {_LEVEL} band of the mean over the runs at one '
@@ -57,15 +57,6 @@ def study_page(outcome: Outcome, remarks: list[str]) -> str:
         data_block({"start": 0.0, "panels": [panel_data(one, 0.0) for one in _panels(outcome)]}),
     ]
     return document(f"{study.name}: Monte Carlo", parts, script(_SCRIPTS))
-
-
-def study_summary(outcome: Outcome) -> str:
-    """Return consistency and errors by filter, for a notebook."""
-    from comparisons.report.notebook import view
-
-    study = outcome.study
-    reported = f"{study.config.runs:,} runs, {outcome.landmarks} landmarks; mean NEES and errors"
-    return view(study.name, "", reported, _consistency(outcome), _errors(outcome))
 
 
 def _consistency(outcome: Outcome) -> str:

@@ -115,9 +115,10 @@ class Outcome:
         return f"<MonteCarlo of {self.study.name}: {runs}, filters {', '.join(self.figures)}>"
 
     def _repr_html_(self) -> str:
-        from comparisons.experiments.montecarlo.page import study_summary
+        from comparisons.experiments.montecarlo.page import study_page
+        from comparisons.report.notebook import framed
 
-        return study_summary(self)
+        return framed(study_page(self, [], stored=False))
 
     def to_pandas(self, table: Literal["filters", "pairs", "nees"] = "filters") -> DataFrame:
         """Return a table as a pandas data frame.

@@ -210,7 +210,9 @@ def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Driv
     frames = [stream.Frame(at=seen[tick][0].at, observations=tuple(seen[tick])) for tick in ticks]
     provenance = {
         "time_origin": _when(ticks[0]),
-        "odometry": f"{len(moving)} CObservationOdometry" if moving else "none",
+        "odometry": f"{len(moving)} CObservationOdometry, {len(ticks) - 1} motions between instants"
+        if moving
+        else "none",
         "odometry_noise": NOISE_TEXT if moving else "no odometry",
         "left_out": f"{len(seen) - len(ticks)} instants outside the odometry",
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
-from comparisons.report.marks import ellipses
+from comparisons.report.marks import SCANS_COLOUR, ellipses
 
 MOST_LANDMARKS = 1000
 """Landmarks that the page has, each with two ellipses, three marks and a row."""
@@ -48,10 +48,12 @@ class Track:
 def estimate_track(
     name: str, colour: str, estimate: Estimate, ids: NDArray[np.int64], dashes: str = ""
 ) -> Track:
-    """An estimate with those of the landmarks (m,) that it has."""
+    """An estimate with those of the landmarks (m,) that it has, with covariances if it has any."""
     _, marked, own = np.intersect1d(ids, estimate.landmark_id, return_indices=True)
     place, spread = np.full((len(ids), 2), np.nan), np.full((len(ids), 2, 2), np.nan)
-    place[marked], spread[marked] = estimate.landmark[own], estimate.landmark_covariances()[own]
+    place[marked], known = estimate.landmark[own], estimate.landmark_covariances()
+    if len(known):
+        spread[marked] = known[own]
     return Track(
         name=name,
         colour=colour,
@@ -67,20 +69,50 @@ def estimate_track(
 class MapContent:
     """What the map shows.
 
-    tracks: at least two; the second, on top of all, is compared with the first. keys, labels,
-    ratio: (m,) of the marked landmarks: what tables know them by, their labels, and the
-    least variance of the second over the first's. view: points (N, 2) that must be seen; tracks
+    log: none of an estimate alone. tracks: the second, on top of all, is compared with the first.
+    keys, labels, ratio: (m,) of the marked landmarks: what tables know them by, their labels, and
+    the least variance of the second over the first's. view: points (N, 2) that must be seen; tracks
     widen the map unless they are far away. beneath, above: what else is drawn.
     """
 
-    log: Log
+    log: Log | None
     tracks: Sequence[Track]
     keys: Sequence[object] = ()
     labels: Sequence[str] = ()
-    ratio: Array
+    ratio: Array = field(default_factory=lambda: np.empty(0))
     view: Sequence[Array]
     beneath: Sequence[Draws] = ()
     above: Sequence[Draws] = ()
+
+
+def estimate_map(
+    log: Log | None,
+    name: str,
+    colour: str,
+    estimate: Estimate,
+    *others: Track,
+    cloud: tuple[str, Array] | None = None,
+) -> MapContent:
+    """One estimate with its landmarks, beside the paths of others.
+
+    cloud: a name and points (N, 2) that lie beneath.
+    """
+    marked = farthest(np.zeros(len(estimate.landmark)))
+    ids = estimate.landmark_id[marked]
+    beneath = [*all_landmarks("all landmarks", estimate.landmark, marked)]
+    view = [estimate.pose[:, :2], estimate.landmark, estimate.pose_landmarks[:, :2]]
+    if cloud is not None:
+        said, points = cloud
+        beneath.append(lambda drawing: drawing.dots(said, SCANS_COLOUR, points))
+        view.append(points)
+    return MapContent(
+        log=log,
+        tracks=[estimate_track(name, colour, estimate, ids), *others],
+        keys=ids.tolist(),
+        labels=[f"landmark {i}" for i in ids.tolist()],
+        view=view,
+        beneath=beneath,
+    )
 
 
 @dataclass(frozen=True)
@@ -100,11 +132,12 @@ class DrawnMap:
 def draw_map(c: MapContent) -> DrawnMap:
     """Draw it. Layers come in the order in which they lie upon each other."""
     drawing, outside = _bounded(c)
-    _known(drawing, c.log)
+    if c.log is not None:
+        _known(drawing, c.log)
     for draw in c.beneath:
         draw(drawing)
     times = {}
-    for track in (c.tracks[0], *c.tracks[2:], c.tracks[1]):
+    for track in (*c.tracks[:1], *c.tracks[2:], *c.tracks[1:2]):
         row = np.flatnonzero(np.isfinite(track.pose).all(axis=1))
         row = row[kept(len(row))]
         name, colour = track.name, track.colour
@@ -138,9 +171,17 @@ def _bounded(c: MapContent) -> tuple[Drawing, list[str]]:
     return Drawing.of(*near), outside
 
 
-def _walls(log: Log) -> Array:
-    surfaces = log.truth.surfaces
+def _walls(log: Log | None) -> Array:
+    surfaces = None if log is None else log.truth.surfaces
     return np.empty((0, 4)) if surfaces is None else surfaces.segment
+
+
+def known_points(log: Log) -> list[Array]:
+    """Return points (N, 2) that the log knows without its sensors: truth and positions."""
+    poses, landmarks, positions = log.truth.poses, log.truth.landmarks, log.positions
+    found = [] if poses is None else [poses.pose[:, :2]]
+    found += [one.position_m for one in (landmarks, positions) if one is not None]
+    return found
 
 
 def _known(drawing: Drawing, log: Log) -> None:
@@ -158,7 +199,7 @@ def _known(drawing: Drawing, log: Log) -> None:
 
 def _differences(drawing: Drawing, c: MapContent) -> float:
     """Lines between the landmarks of the first two, and variance ratios; return its decades."""
-    first, second = (track.landmark for track in c.tracks[:2])
+    first, second, *_ = *(track.landmark for track in c.tracks[:2]), None, None
     decades = _decades(c.ratio)
     if first is None or second is None:
         return decades

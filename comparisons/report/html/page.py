@@ -1,114 +1,195 @@
-"""`report.html`: verdict, causes and gaps first, then map and curves, figures and tables."""
+"""`report.html`: verdict, causes and gaps first, then map and curves, figures and tables.
+
+What a section needs is loaded where the page has it: an audit's page knows nothing of planar maps.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from comparisons.checks.causes import EXPLANATIONS, Cause
 from comparisons.report.html.curves import curve_data, data_block
-from comparisons.report.html.ladder import ladder_picture
-from comparisons.report.html.map import RATIO_LAYER, MapContent, draw_map, ratio_legend
 from comparisons.report.html.shell import again, document, figures, picture, prose, script, table
-from comparisons.report.html.tables import LandmarkRow, landmarks, settings, timing
-from comparisons.report.ladder import Step
 from comparisons.report.marks import Panel
-from comparisons.report.settings import SETTINGS, SettingLine
-from comparisons.words import Row, cause_name
+from comparisons.report.terminal import Summary
+from comparisons.words import SETTINGS, SPENT, Row, cause_name
 
-_HINT = {
-    "map": "Wheel to zoom, drag to move, double click for all; click a landmark to find its row.",
-    "curves": "Point at a time to see it on all curves and on the map; wheel or drag to zoom, "
-    "double click for all.",
-}
+if TYPE_CHECKING:
+    from comparisons.checks.causes import Cause
+    from comparisons.report.html.map import MapContent
+    from comparisons.report.html.tables import LandmarkRow
+    from comparisons.report.ladder import Step
+    from comparisons.report.settings import SettingLine
+
+_ROW = "; click a landmark to find its row"
+_TIME = "Point at a time to see it on all curves and on the map. "
 
 
 @dataclass(frozen=True, kw_only=True)
 class PageContent:
     """What a job puts on its page, in the order in which it stands there. Texts may hold anything.
 
-    job: the command. name: of the log. headline: the verdict in full. colour: `agree`, `disagree`
-    or `unverified`. words: the verdict as sentences; facts: the figures that it rests on, by name.
-    about: of log and estimate. steps: the ladder of gaps. reported: what the curves show, and why
-    others are not there. curves_file: a picture with the same curves. pictures: files, to be
-    embedded. sections: HTML of ours. landmarks_note: above the table of landmarks, or in its place.
+    Of what a job lacks there is no section. job: the command that `config.toml` beside the page
+    runs again, if one is there. name: of the log. headline: the verdict in full. colour: `agree`,
+    `disagree`, `unverified`, or none. about: of log and estimate. words: the verdict as sentences.
+    reasons: for it, that are no causes. facts: the figures that it rests on, by name. steps: the
+    ladder of gaps. reported: what the curves show, and why others are not there. curves_file: a
+    picture with the same curves. pictures: files, to be embedded. sections: HTML of ours.
+    landmarks_note: above the table of landmarks, or in its place.
     """
 
-    job: str
     name: str
     headline: str
-    colour: str
-    words: str
-    facts: Sequence[tuple[str, str]]
-    about: str
-    notes: Sequence[str]
-    causes: Sequence[Cause]
-    remarks: Sequence[str]
-    steps: Sequence[Step]
-    map: MapContent
-    reported: str
-    panels: Sequence[Panel]
+    job: str = ""
+    colour: str = ""
+    about: str = ""
+    words: str = ""
+    causes: Sequence[Cause] = ()
+    reasons: Sequence[str] = ()
+    steps: Sequence[Step] = ()
+    notes: Sequence[str] = ()
+    facts: Sequence[tuple[str, str]] = ()
+    remarks: Sequence[str] = ()
+    map: MapContent | None = None
+    reported: str = ""
+    panels: Sequence[Panel] = ()
     curves_file: str = ""
-    rows: Sequence[Row]
+    rows: Sequence[Row] = ()
     pictures: Sequence[Path] = ()
     sections: Sequence[str] = ()
-    landmarks: Sequence[LandmarkRow]
-    landmarks_note: str
-    settings: Sequence[SettingLine]
-    seconds: Mapping[str, float]
-    cpu_s: Mapping[str, float]
-    versions: Mapping[str, str]
+    landmarks: Sequence[LandmarkRow] = ()
+    landmarks_note: str = ""
+    settings: Sequence[SettingLine] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    cpu_s: Mapping[str, float] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+def facts_of(summary: Summary) -> list[tuple[str, str]]:
+    """Return the lines of what is printed as facts of the page."""
+    return [(name[:1].upper() + name[1:], text) for name, text in summary.lines]
+
+
+def write_page(content: PageContent, path: Path) -> None:
+    """Write the whole page."""
+    path.write_text(page(content), encoding="utf-8")
 
 
 def page(content: PageContent) -> str:
     """The whole page."""
-    c, drawn = content, draw_map(content.map)
-    start_s = min(float(track.time_s[0]) for track in c.map.tracks[:2])
-    data = {
-        "start": start_s,
-        "tracks": {name: [round(t - start_s, 3) for t in at] for name, at in drawn.times.items()},
-        "ratioLayer": RATIO_LAYER,
-        "panels": curve_data(c.panels, start_s),
-    }
-    facts = "".join(f"<dt>{escape(name)}</dt><dd>{prose(text)}</dd>" for name, text in c.facts)
-    same = f"; the same curves are in {c.curves_file}" if c.curves_file else ""
-    off = "".join(f"The {name} trajectory leaves the map. " for name in drawn.outside)
-    parts = [
+    c, data = content, dict[str, object]()
+    start_s = _start(c)
+    header = [
         f"<header><h1>{escape(c.name)}</h1><p>"
-        f'<span class="verdict {c.colour}">{escape(c.headline)}</span> '
-        f'<span class="about">{escape(c.about)}</span></p></header>',
-        f'<div id="top"><section id="outcome"><p class="words">{escape(c.words)}</p>',
-        *map(_cause, c.causes),
-        '</section><section id="gaps"><h2>Gaps between the estimates</h2>',
-        f'{ladder_picture(c.steps)}</section><section id="beside">',
-        *(f"<p>{prose(note)}</p>" for note in c.notes),
-        f"<dl>{facts}</dl>{_remarks(c.remarks)}{again(c.job)}</section></div>",
+        f'<span class="{f"verdict {c.colour}" if c.colour else "plain"}">{escape(c.headline)}'
+        "</span> "
+        f'<span class="about">{escape(c.about)}</span></p></header>'
+    ]
+    where = when = ""
+    if c.map is not None:
+        where, data = _where(c.map, start_s, _ROW if c.landmarks else "")
+    data |= {"start": start_s, "panels": curve_data(c.panels, start_s)}
+    if c.panels or c.reported:
+        when = (
+            f'<section id="when"><h2>Curves <span id="now"></span></h2>'
+            f'<p class="note">{escape(c.reported)}</p>'
+            f'<div id="curves"></div><p class="note hand">{_TIME if where else ""}'
+            "Wheel or drag to zoom, double click for all.</p></section>"
+        )
+    same = f"; the same curves are in {c.curves_file}" if c.curves_file else ""
+    parts = [
+        *header,
+        _top(c),
         f'<noscript><p class="note">Curves, layers and sorting need JavaScript{same}.</p>'
         "</noscript>",
-        '<main><section id="where"><h2>Map</h2><div id="layers"></div>',
-        f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>',
-        f'{ratio_legend(drawn.decades)}<p id="chosen" role="status"></p>',
-        f'<p class="note">{escape(off)}<span class="hand">{_HINT["map"]}</span></p></section>',
-        f'<section id="when"><h2>Curves <span id="now"></span></h2>'
-        f'<p class="note">{escape(c.reported)}</p>',
-        f'<div id="curves"></div><p class="note hand">{_HINT["curves"]}</p></section></main>',
-        "<h2>Figures</h2>",
-        figures([row for row in c.rows if row.group != SETTINGS]),
+        f"<main>{where}{when}</main>",
+        _figures(c.rows),
         *_embedded(c.pictures),
         *c.sections,
-        landmarks(c.landmarks, c.landmarks_note),
-        settings(c.settings),
-        f"<h2>Time</h2>{timing(c.seconds, c.cpu_s)}",
-        f"<h2>Versions</h2>{table(('package', 'version'), list(c.versions.items()))}",
+        _job_tables(c) if c.settings else "",
+        _versions(c.versions),
         data_block(data),
     ]
-    return document(f"{c.name}: {c.headline}", parts, script())
+    drawn = [name for name, there in (("map.js", where), ("curves.js", when)) if there]
+    scripts = ("common.js", *drawn, "tables.js", "folder.js")
+    return document(f"{c.name}: {c.headline}", parts, script(scripts))
+
+
+def _start(c: PageContent) -> float:
+    """The time from which those of tracks count, or else those of curves."""
+    if c.map is not None:
+        return min((float(track.time_s[0]) for track in c.map.tracks[:2]), default=0.0)
+    return min((float(curve.x[0]) for panel in c.panels for curve in panel.curves[:1]), default=0.0)
+
+
+def _top(c: PageContent) -> str:
+    """Verdict and causes, gaps, and what stands beside them."""
+    facts = "".join(f"<dt>{escape(name)}</dt><dd>{prose(text)}</dd>" for name, text in c.facts)
+    words = f'<p class="words">{escape(c.words)}</p>' if c.words else ""
+    why = "".join(f"<li>{prose(reason)}</li>" for reason in c.reasons)
+    gaps = ""
+    if c.steps:
+        from comparisons.report.html.ladder import ladder_picture
+
+        ladder = ladder_picture(c.steps)
+        gaps = f'<section id="gaps"><h2>Gaps between the estimates</h2>{ladder}</section>'
+    return "".join(
+        [
+            f'<div id="top"><section id="outcome">{words}',
+            *map(_cause, c.causes),
+            f'<ul class="reasons">{why}</ul>' if why else "",
+            f'</section>{gaps}<section id="beside">',
+            *(f"<p>{prose(note)}</p>" for note in c.notes),
+            f"<dl>{facts}</dl>{_remarks(c.remarks)}{again(c.job) if c.job else ''}</section></div>",
+        ]
+    )
+
+
+def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[str, object]]:
+    """The map, and what the script has to know of it. more: that can be done with it."""
+    from comparisons.report.html.map import RATIO_LAYER, draw_map, ratio_legend
+
+    drawn = draw_map(content)
+    off = "".join(f"The {name} trajectory leaves the map. " for name in drawn.outside)
+    tracks = {name: [round(t - start_s, 3) for t in at] for name, at in drawn.times.items()}
+    return (
+        '<section id="where"><h2>Map</h2><div id="layers"></div>'
+        f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>'
+        f'{ratio_legend(drawn.decades)}<p id="chosen" role="status"></p>'
+        f'<p class="note">{escape(off)}<span class="hand">Wheel to zoom, drag to move, '
+        f"double click for all{more}.</span></p></section>",
+        {"tracks": tracks, "ratioLayer": RATIO_LAYER},
+    )
+
+
+def _figures(rows: Sequence[Row]) -> str:
+    shown = [row for row in rows if row.group not in (SETTINGS, *SPENT)]
+    return f"<h2>Figures</h2>{figures(shown)}" if shown else ""
+
+
+def _job_tables(c: PageContent) -> str:
+    """Landmarks, all settings, and the time of each stage."""
+    from comparisons.report.html.tables import landmarks, settings, timing
+
+    compared = c.landmarks or c.landmarks_note
+    return (
+        f"{landmarks(c.landmarks, c.landmarks_note) if compared else ''}{settings(c.settings)}"
+        f"<h2>Time</h2>{timing(c.seconds, c.cpu_s)}"
+    )
+
+
+def _versions(versions: Mapping[str, str]) -> str:
+    listed = table(("package", "version"), list(versions.items()))
+    return f"<h2>Versions</h2>{listed}" if versions else ""
 
 
 def _cause(cause: Cause) -> str:
     """What was found, what to look at, and what such a cause means."""
+    from comparisons.checks.causes import EXPLANATIONS
+
     kind = cause_name(cause.gap)
     title, more = f"<b>{escape(kind)}</b>", ""
     if (known := EXPLANATIONS.get(cause.gap)) is not None:

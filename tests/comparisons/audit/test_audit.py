@@ -95,6 +95,51 @@ def not_redrawn(p: Array, before: Array) -> Array:
     return before - k @ s @ k.T
 
 
+def other_f(change: Callable[[Array], Array]) -> Callable[[Array, Array], Array]:
+    """Of the prediction's F, on all but clones."""
+
+    def other(p: Array, before: Array) -> Array:
+        f = np.eye(len(before))
+        f[:6, :6] = change(F)
+        found = f @ before @ f.T
+        found[:6, :6] += Q
+        return found
+
+    return other
+
+
+def inverse(f: Array) -> Array:
+    return np.asarray(np.linalg.inv(f), dtype=np.float64)
+
+
+def without_bias(f: Array) -> Array:
+    found = f.copy()
+    found[2:4, 4:6] = 0.0
+    return found
+
+
+def other_q(q: Array) -> Callable[[Array, Array], Array]:
+    def other(p: Array, before: Array) -> Array:
+        p[:6, :6] += q - Q
+        return p
+
+    return other
+
+
+def scaled_gain(factor: float, *, short: bool = False) -> Callable[[Array, Array], Array]:
+    def other(p: Array, before: Array) -> Array:
+        _, s, k = gained(before, "gps", 0.0)
+        less = factor if short else 2.0 * factor - factor**2
+        return before - less * k @ s @ k.T
+
+    return other
+
+
+def added_khp(p: Array, before: Array) -> Array:
+    h, _, k = gained(before, "gps", 0.0)
+    return before + k @ h @ before
+
+
 def uncorrelated_clone(p: Array, before: Array) -> Array:
     p[:6, 6:] = p[6:, :6] = 0.0
     return p
@@ -104,6 +149,7 @@ def nothing_done(p: Array, before: Array) -> Array:
     return before
 
 
+ALL = "position velocity bias"
 FAULTS: list[tuple[str, Callable[[Array, Array], Array], str, str]] = [
     ("gps", stays("position", "bias"), "position bias", "position with bias was not updated"),
     ("doppler", stays("bias", "bias"), "bias", "the covariance of block bias was not updated"),
@@ -112,8 +158,16 @@ FAULTS: list[tuple[str, Callable[[Array, Array], Array], str, str]] = [
     ("gps", other_noise("gps", 0.5), "position", "updated twice"),
     ("gps", without_r, "position", "P - K (S - R) K^T: S lacks R"),
     ("doppler", not_redrawn, "velocity", "sigma points that were not drawn anew"),
-    ("predict", without_noise, "position velocity bias", "process noise was not added"),
-    ("predict", nothing_done, "position velocity bias", "was not predicted"),
+    ("predict", without_noise, ALL, "process noise was not added"),
+    ("predict", nothing_done, ALL, "was not predicted"),
+    ("predict", other_f(inverse), ALL, "the inverse of F was applied"),
+    ("predict", other_f(without_bias), "velocity bias", "leads from block bias to velocity was"),
+    ("predict", other_q(np.sqrt(Q)), ALL, "the square root of Q (sigma for variance) was added"),
+    ("predict", other_q(0.3 * Q), ALL, "the process noise was added 0.3 times"),
+    ("gps", scaled_gain(0.5), "position", "with 0.5 times Kalman's gain, in Joseph's form"),
+    ("gps", scaled_gain(0.5, short=True), "position", "with 0.5 times Kalman's gain"),
+    ("gps", added_khp, "position", "P + K H P, of the wrong sign"),
+    ("gps", lambda p, before: 1.02 * p, "position", "was then multiplied by 1.02"),
     ("clone", uncorrelated_clone, "clone position", "was not correlated"),
     ("remove", wrong_removal, "clone", "not marginalised"),
 ]
@@ -238,9 +292,8 @@ def test_asymmetry_and_indefiniteness_are_found(tmp_path: Path) -> None:
     for change, text in ((skew, "asymmetric"), (negative, "not positive semidefinite")):
         alter, done = once("gps", 80, change)
         found = audited(tmp_path, Toy(seed=2, alter=alter))
-        at = [one for one in found.findings if text in one.text]
-        assert at
-        assert at[0].event == done[0] + 1
+        assert text in found.findings[0].text
+        assert found.findings[0].event == done[0]
 
 
 def test_one_block_in_snapshots_is_enough_to_see_that_something_is_wrong(tmp_path: Path) -> None:
@@ -256,6 +309,155 @@ def test_one_block_in_snapshots_is_enough_to_see_that_something_is_wrong(tmp_pat
     first = found.findings[0]
     assert first.check == "algebra"
     assert first.event in (41, 43)  # what reaches the position a step later
+
+
+@pytest.mark.parametrize(
+    ("factor", "short", "text"),
+    [
+        (0.5, False, "the covariance was updated with 0.5 times Kalman's gain, in Joseph's form"),
+        (0.5, True, "the covariance was updated with 0.5 times Kalman's gain"),
+        (0.5371, False, "the covariance of block position is off by"),
+    ],
+)
+def test_of_numbers_that_fit_alike_the_plain_one_is_said(
+    tmp_path: Path, factor: float, short: bool, text: str
+) -> None:
+    """A scalar measurement's other gain is that of some other R, too, in either form."""
+    path, h, r = tmp_path / "scalar.trace", np.array([[1.0, 0.0]]), np.array([[0.3]])
+    p, f, q = np.array([[4.0, 0.7], [0.7, 1.0]]), np.array([[1.0, 0.5], [0.0, 1.0]]), 0.01
+    with Recorder(path) as record:
+        record.prior({"position": 1, "velocity": 1}, p)
+        for step in range(6):
+            p = f @ p @ f.T + q * np.eye(2)
+            record.predict(f, q * np.eye(2))
+            record.snapshot(p)
+            k = p @ h.T / (h @ p @ h.T + r) * (factor if step == 4 else 1.0)
+            a = np.eye(2) - k @ h
+            p = a @ p if short else a @ p @ a.T + k @ r @ k.T
+            record.update("range", [0.1], h, r)
+            record.snapshot(p)
+    first = audit(path).findings[0]
+    assert (first.check, first.event) == ("algebra", 19)
+    assert first.text.split(": ")[1].startswith(text)
+    assert "in Joseph's form" in text or "form" not in first.text
+
+
+def other_r(p: Array, before: Array, h: Array, r: Array) -> Array:
+    return np.asarray(p @ h.T @ np.linalg.inv(h @ p @ h.T + r @ r))
+
+
+def unpredicted(p: Array, before: Array, h: Array, r: Array) -> Array:
+    return np.asarray(before @ h.T @ np.linalg.inv(h @ before @ h.T + r))
+
+
+def without_inverse(p: Array, before: Array, h: Array, r: Array) -> Array:
+    return p @ h.T
+
+
+def by_components(p: Array, before: Array, h: Array, r: Array) -> Array:
+    return p @ h.T / np.diag(h @ p @ h.T + r)
+
+
+def rounded(p: Array, before: Array, h: Array, r: Array) -> Array:
+    return 1.001 * by_components(p, before, h, r)
+
+
+@pytest.mark.parametrize(
+    ("gain", "text"),
+    [
+        (other_r, "uses the gain of the square of R (R is taken for sigma)"),
+        (unpredicted, "uses the gain of P before the last prediction"),
+        (without_inverse, "uses the gain of P H^T, without the inverse of S"),
+        (by_components, "uses the gain of S without what is off its diagonal"),
+        (rounded, "has a gain that is not Kalman's on position, velocity (by"),
+    ],
+)
+@pytest.mark.parametrize("every", [1, 3])
+def test_a_gain_of_another_matrix_is_named(
+    tmp_path: Path, gain: Callable[[Array, Array, Array, Array], Array], text: str, every: int
+) -> None:
+    found = audited_line(tmp_path, every, gain=lambda *given: gain(*given[:4]))
+    assert found.sound, found.findings
+    number = 11 if every == 1 else 9
+    assert found.findings[0].text.startswith(f"update {number} of sensor `range` {text}")
+
+
+@pytest.mark.parametrize(
+    ("correction", "text"),
+    [
+        (lambda k, s, z, last: k @ s @ z, "by P H^T times residual, without the inverse of S"),
+        (lambda k, s, z, last: 2.0 * k @ z, "of position, velocity twice"),
+        (lambda k, s, z, last: k @ last[0], "by gain times the residual of the update before"),
+        (lambda k, s, z, last: last[1] @ z, "by the gain of the update before times residual"),
+        (lambda k, s, z, last: last[1] @ last[0], "by the correction of the update before"),
+        (lambda k, s, z, last: 1.01 * k @ last[0], "of position, velocity by other than gain"),
+    ],
+)
+@pytest.mark.parametrize("every", [1, 3])
+def test_a_correction_by_another_events_numbers_is_named(
+    tmp_path: Path, correction: Callable[..., Array], text: str, every: int
+) -> None:
+    found = audited_line(tmp_path, every, correction=correction)
+    first = found.findings[0]
+    assert (first.check, first.fault) == ("correction", True)
+    assert f"corrects the estimate {text}" in first.text
+
+
+def audited_line(
+    tmp_path: Path,
+    every: int,
+    gain: Callable[..., Array] | None = None,
+    correction: Callable[..., Array] | None = None,
+) -> Audit:
+    """Audit a position and a velocity, measured together; the fourth update is another."""
+    rng, path = np.random.default_rng(1), tmp_path / "line.trace"
+    h, r = np.array([[1.0, 0.0], [0.5, 1.0]]), np.array([[0.3, 0.1], [0.1, 0.2]])
+    p, f, q = np.array([[4.0, 0.7], [0.7, 1.0]]), np.array([[1.0, 0.5], [0.0, 1.0]]), np.eye(2)
+    last: tuple[Array, Array] = np.zeros(2), np.zeros((2, 2))
+    with Recorder(path) as record:
+        record.prior({"position": 1, "velocity": 1}, p)
+        for step in range(6):
+            before, p = p, f @ p @ f.T + 0.01 * q
+            record.predict(f, 0.01 * q)
+            s = h @ p @ h.T + r
+            z, kalman = np.linalg.cholesky(s) @ rng.standard_normal(2), p @ h.T @ np.linalg.inv(s)
+            k = gain(p, before, h, r) if gain and step == 3 else kalman
+            used = correction(k, s, z, last) if correction and step == 3 else k @ z
+            record.update("range", z, h, r, gain=k, correction=used)
+            a, last = np.eye(2) - k @ h, (z, k)
+            p = a @ p @ a.T + k @ r @ k.T
+            if step % every == 0:
+                record.snapshot(p)
+    return audit(path)
+
+
+@pytest.mark.parametrize(
+    ("correction", "turned", "told"), [(0.2, 0.0, 1), (1e-3, 0.0, 0), (0.2, 0.1, 0)]
+)
+def test_resets_that_are_all_the_identity_are_noted(
+    tmp_path: Path, correction: float, turned: float, told: int
+) -> None:
+    j, path = np.array([[1.0, turned], [0.0, 1.0]]), tmp_path / "resets.trace"
+    with Recorder(path) as record:
+        record.prior({"attitude": 2}, np.eye(2))
+        for _ in range(3):
+            record.update(
+                "tilt", [2.0 * correction] * 2, np.eye(2), np.eye(2), correction=[correction] * 2
+            )
+            record.reset(j)
+    notes = [one for one in audit(path).findings if "resets are the identity" in one.text]
+    assert [(one.fault, one.event) for one in notes] == [(False, 2)] * told
+
+
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+def test_single_precision_is_recognised(tmp_path: Path, precision: type) -> None:
+    def alter(toy: Toy, number: int, what: str, before: Array) -> Array:
+        return toy.covariance.astype(precision).astype(float)
+
+    found = audited(tmp_path, Toy(seed=2, alter=alter))
+    proposed = [one for one in found.findings if "--tolerance 0.001" in one.text]
+    assert bool(proposed) == (precision is np.float32) == (not found.sound)
+    assert audit(found.trace, tolerance=1e-3).sound
 
 
 @pytest.mark.slow

@@ -11,7 +11,14 @@ from scipy.stats import binom, chi2, kstest
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import audit
-from comparisons.audit.consistency import Departure, _gating, _onset, departures
+from comparisons.audit.consistency import (
+    Departure,
+    _gating,
+    _onset,
+    _Turned,
+    departures,
+    far_off,
+)
 from comparisons.innovations import (
     InnovationLog,
     SensorInnovations,
@@ -179,3 +186,26 @@ def test_differences_that_are_whole_turns_off_are_told(
     found = [one for one in audit(tmp_path / "run.trace").findings if "wrap the" in one.text]
     assert [one.event for one in found] == ([11] if said else [])
     assert not said or f"3 innovations of component 0 are {said} off" in found[0].text
+
+
+@pytest.mark.parametrize(("spread", "told"), [(0.03, True), (2.0, False)])
+def test_turns_are_told_among_many_outliers_where_chance_does_not_make_them(
+    spread: float, told: bool
+) -> None:
+    """As many outliers lie anywhere; those near to a turn are too many only if they are near."""
+    rng, turned = np.random.default_rng(4), _Turned()
+    for number in range(12):
+        turned.add(2 * number, 2.0 * np.pi + spread * rng.uniform(-1.0, 1.0), 0.03)
+        turned.add(2 * number + 1, rng.uniform(0.5, 20.0), 0.03)
+    found = turned.departure("heading")
+    assert (found is not None) == told
+    assert found is None or "of heading are 2 pi off" in found.what
+
+
+def test_what_is_farther_off_weighs_more() -> None:
+    values = white(400)
+    values[:, 0] *= 1.5
+    values[:, 1] *= 3.0
+    first = max(departed(values), key=lambda one: one.weight)
+    assert first.what.startswith("NIS of bearing is too high")
+    assert far_off(4.0, 1.0) == far_off(0.25, 1.0)

@@ -185,6 +185,7 @@ def test_observations_alone(version: int, tmp_path: Path) -> None:
     assert np.allclose(log.odometry.displacement, expected.displacement)
     assert np.allclose(log.odometry.covariance, expected.covariance)
     assert log.provenance["left_out"] == "1 instants outside the odometry"
+    assert log.provenance["odometry"] == "5 CObservationOdometry, 1 motions between instants"
 
 
 def test_truth_beside_the_log(tmp_path: Path) -> None:

@@ -464,6 +464,21 @@ def test_a_killed_recording_is_valid_to_its_last_commit(path: Path) -> None:
     assert numbers(path) == list(range(COMMIT_EVENTS + 1))
 
 
+def test_commits_are_on_the_disk_unless_told_otherwise(path: Path) -> None:
+    """SQLite's levels: 3 is EXTRA, 0 OFF."""
+
+    def level(recorder: Recorder) -> int:
+        return int(recorder._file.execute("PRAGMA synchronous").fetchone()[0])
+
+    with Recorder(path) as recorder:
+        recorder.prior({"a": 2}, P)
+        assert level(recorder) == 3
+    with Recorder(path, append=True) as recorder:
+        assert level(recorder) == 3
+    with Recorder(path, append=True, synced=False) as recorder:
+        assert level(recorder) == 0
+
+
 def test_a_child_of_a_fork_leaves_the_file_alone(path: Path) -> None:
     done = child(path, "fork")
     assert done.returncode == 0, done.stderr
