@@ -15,7 +15,6 @@ import os
 import platform
 import re
 import secrets
-import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -291,7 +290,24 @@ def _discard(place: Path) -> None:
         for kept in (place / _OLD).glob("*"):
             if not os.path.lexists(place.parent / kept.name):
                 os.replace(kept, place.parent / kept.name)
-        shutil.rmtree(place, ignore_errors=True)
+    _remove(place)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder as far as it can be.
+
+    shutil.rmtree turns an exit that comes between its two closings of a folder into an OSError.
+    """
+    for place, folders, files in os.walk(folder, topdown=False):
+        for name in (*files, *folders):
+            path = os.path.join(place, name)
+            with suppress(OSError):
+                if name in files or os.path.islink(path):
+                    os.unlink(path)
+                else:
+                    os.rmdir(path)
+    with suppress(OSError):
+        os.rmdir(folder)
 
 
 def _sync(folder: Path) -> None:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -143,6 +144,55 @@ def one_kill(kind: str, number: int, delay_s: float, folder: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_target_outlives_its_writer(kind: str, number: int, tmp_path: Path) -> None:
     one_kill(kind, number, 0.05, tmp_path)
+
+
+def exit_after(count: int, act: Callable[[], object]) -> bool:
+    """Have an exit come once an act has made so many calls of what is written in C.
+
+    There an interpreter handles a signal. Returns whether so many were made.
+    """
+    left = count
+
+    def profile(frame: FrameType, event: str, about: object) -> None:
+        nonlocal left
+        if event == "c_return":
+            left -= 1
+            if left == 0:
+                raise SystemExit(3)
+
+    ended = False
+    before = sys.getprofile()
+    sys.setprofile(profile)
+    try:
+        act()
+    except SystemExit:
+        ended = True
+    finally:
+        sys.setprofile(before)
+    assert ended == (left <= 0), f"the exit after {count} calls was lost"
+    return ended
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_an_exit_after_any_call_ends_the_writing(kind: str, tmp_path: Path) -> None:
+    """A signal's exit may come anywhere. It is not lost, and nothing unfinished is left."""
+    target = tmp_path / "out"
+
+    def write() -> None:
+        if kind == "file":
+            write_whole(target, lambda part: part.write_text("a"), atomic.OWN)
+        else:
+            with fresh_folder(target, "0.txt") as work:
+                (work / "0.txt").write_text("a")
+
+    write()
+    calls = 0
+    while exit_after(calls + 1, write):
+        calls += 1
+        assert not unfinished(tmp_path), calls
+        assert target.exists(), calls
+    assert calls > 100
 
 
 def left_behind(folder: Path, name: str = f"{atomic._PREFIX}0123456789abcdef") -> Path:
