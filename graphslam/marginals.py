@@ -14,6 +14,8 @@ from graphslam.layout import POINT, Layout
 
 PARTS_BEYOND = 2000
 """Numbers to be kept beyond which a graph is eliminated in parts; see elimination."""
+POSES_AT_ONCE = 2000
+"""Poses after which the marginals that gtsam caches are dropped: 40 kB each at 2,000 landmarks."""
 _ROUNDING = 1e-13
 _KNOWN = "the last pose or a landmark is known exactly in some direction, and has no covariance"
 _UNFIXED = "the measurements do not fix the last pose and every landmark"
@@ -185,10 +187,14 @@ def pose_covariances(
     """
     try:
         tree = eliminate(graph.linearize(values))
-        # By QR: `marginalCovariance` has but Cholesky, which fails a microsecond's motion.
-        keys = range(POSE_KEY, POSE_KEY + len(headings_rad))
-        alone = [tree.marginalFactor(key, gtsam.EliminateQR) for key in keys]
-        root = np.array([one.R() for one in alone])  # views, of factors that must live
+        root = np.empty((len(headings_rad), 3, 3))
+        for first in range(0, len(root), POSES_AT_ONCE):
+            part = root[first : first + POSES_AT_ONCE]
+            keys = range(POSE_KEY + first, POSE_KEY + first + len(part))
+            # By QR: `marginalCovariance` has but Cholesky, which fails a microsecond's motion.
+            alone = [tree.marginalFactor(key, gtsam.EliminateQR) for key in keys]
+            part[:] = [one.R() for one in alone]  # views, of factors that must live
+            tree.deleteCachedShortcuts()
         inverse = np.linalg.inv(root)
     except (RuntimeError, np.linalg.LinAlgError) as error:
         raise SingularProblemError("the measurements do not fix every pose") from error
