@@ -63,21 +63,24 @@ def run_events(run: EkfRun) -> Iterator[Event]:
     return _Events(run).all()
 
 
-def rounded_covariance(run: EkfRun) -> Array | None:
+def rounded_covariance(run: EkfRun) -> tuple[Array, int] | None:
     """Return the last covariance (n, n) as a sound filter of double precision computes it.
 
-    From the matrices that the run recorded; None where it has no snapshot of a whole pose.
+    From the matrices that the run recorded, with the number of its updates; None where it has no
+    snapshot of a whole pose.
     """
     last: Event | None = None
+    updates = 0
     for event in run_events(run):
         if isinstance(event, Prior):
             replay = ShortFormReplay(event)
+        updates += isinstance(event, Update)
         replay.apply(event)
         last = event
     if not isinstance(last, Snapshot) or len(last.covariance) < len(run.estimate.joint_mean):
         return None
     at = replay.layout.columns(last.blocks)
-    return replay.covariance[at][:, at]
+    return replay.covariance[at][:, at], updates
 
 
 def watch(ekf: Ekf, run: EkfRun, take: Callable[[Event], object]) -> None:

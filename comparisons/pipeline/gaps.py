@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -87,7 +88,9 @@ class Gaps:
         """What double precision explains of the algebra gap.
 
         Measured where the gap is more and the filter knew very little on its way: ten times what a
-        sound recursion through the same matrices loses is no fault of a filter.
+        sound recursion through the same matrices loses is no fault of a filter. The mean errs by
+        that share of each correction, and the errors of N updates add up as a random walk, of which
+        three sigma are allowed.
         """
         allowed, last = self.rounding, self.smoothed.joint_covariance
         noise = np.einsum("kii->i", self.run.trace.q)
@@ -96,12 +99,14 @@ class Gaps:
             return allowed
         from comparisons.audit.own_filter import rounded_covariance
 
-        other = rounded_covariance(self.run)
-        if other is None:
+        found = rounded_covariance(self.run)
+        if found is None:
             return allowed
+        other, updates = found
         _, exact = solve_recorded(self.recorded, self.run)
-        lost = _LOST * covariance_gap(other, exact, units(other, exact)).largest
-        return allowed.at_least(lost)
+        lost = covariance_gap(other, exact, units(other, exact)).largest
+        allowed = allowed.at_least(_LOST * lost)
+        return replace(allowed, sigma=max(allowed.sigma, 3.0 * math.sqrt(updates) * lost))
 
     @cached_property
     def _model_steps(self) -> LinearRelations | None:

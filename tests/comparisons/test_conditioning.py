@@ -186,7 +186,7 @@ def test_a_wrong_update_shows_behind_a_long_stand_still() -> None:
         def corrupt(self) -> None:
             self._covariance *= 0.98
 
-    log = standing_still(simulated(loop_s=20.0), 10.0, 86_400.0)
+    log = standing_still(simulated(loop_s=20.0), 10.0, 3e4)
     c = compared(log, Modified(with_state(TooSure)))
     assert c.verdict.outcome == "disagree"
     assert c.verdict.causes[0].gap == "algebra"
