@@ -54,8 +54,8 @@ def errors_by_rule(seeds: int | None, rules: Sequence[str] | None = None) -> Non
         logs = [open_log(name, None, 1, SimulationChoices(seed)) for seed in range(drives)]
         for title, preset, fields in (
             ("recommended", "recommended", {}),
-            ("as-published", "as-published", {}),
-            ("as-published, correlation 0.5", "as-published", {"least_correlation": 0.5}),
+            ("nieto-2005", "nieto-2005", {}),
+            ("nieto-2005, correlation 0.5", "nieto-2005", {"least_correlation": 0.5}),
             *((title, "recommended", fields) for title, fields in ALONE.items()),
         ):
             if rules and title not in rules:

@@ -29,7 +29,7 @@ Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "mison
 Gps = Literal["off", "on", "half"]
 RequiredGrade = Literal["equal", "like", "plausible"]
 FailOn = Literal["disagreement", "consistency", "both", "truth", "association"]
-Preset = Literal["recommended", "as-published"]
+Preset = Literal["recommended", "guivant-2002", "misono-2007", "nieto-2005"]
 Needs = Mapping[str, Mapping[str, Any]]
 """Extensions that must take part, with the fields that they must have."""
 
@@ -134,10 +134,17 @@ class LogSection(Section):
         "Landmark measurements: log, those of the log; trees, tree trunks detected in its scans",
         Option("--features", jobs=("run", "solve", "check", "map")),
     )
-    sigmas: Literal["calibrated", "published"] = setting(
-        "calibrated",
-        "Measurement sigmas of the real logs of Nieto's vehicle: calibrated on the "
-        "logs, or published in his Table A.1. Other logs have one set",
+    sigmas: Literal["log", "published"] = setting(
+        "log",
+        "Measurement sigmas of the real logs of Nieto's vehicle: those with which the log "
+        "is read, or published in his Table A.1. Other logs have one set",
+    )
+    sigma_position_m: float | None = setting(
+        None,
+        "Sigma of each absolute position (GPS) per axis in metres. Default: as the log has it",
+        gt=0.0,
+        le=1e6,
+        allow_inf_nan=False,
     )
     sha256: str | None = setting(
         None, "SHA-256 of the log. A log with another hash is refused without --allow-changed-log"
@@ -196,6 +203,12 @@ class EkfConfig(Section):
     gps: Gps = setting("off", _GPS, Option("--gps", ESTIMATORS, _GPS_HELP))
     nn_gate: float = setting(
         13.82, "Gate of nearest neighbour association: chi-square of 2 degrees of freedom", gt=0.0
+    )
+    position_gate: float | None = setting(
+        None,
+        "Gate of absolute positions: chi-square of 2 degrees of freedom; inf: none. Default: 13.82 "
+        "(99.9 %), misono none",
+        gt=0.0,
     )
     least_gain: float | None = setting(
         None,
@@ -398,9 +411,10 @@ class JobConfig(Section):
     job: str
     preset: Preset = setting(
         "recommended",
-        "Default values of all other settings: recommended, or as-published, the value "
-        "of the source document where it states one (docs/settings.md). Over a configuration file, "
-        "settings that differ from the file's preset stay",
+        "Default values of all other settings: recommended, or those of a document, "
+        "guivant-2002, misono-2007 or nieto-2005, where it states one for the log "
+        "(docs/settings.md). Over a configuration file, settings that differ from the file's "
+        "preset stay",
         Option("--preset"),
     )
     log: LogSection = LogSection()
@@ -408,15 +422,16 @@ class JobConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _published(cls, given: Any) -> Any:
-        """Read earlier spellings; put the documents' values where nothing was given."""
+        """Read earlier spellings; put the document's values where nothing was given."""
         if not isinstance(given, Mapping):
             return given
         given, _ = renamed_settings(given)
-        if given.get("preset") != "as-published":
+        preset = given.get("preset", "recommended")
+        if preset not in get_args(Preset)[1:]:
             return given
         from comparisons.documented.preset import published
 
-        return published(given, tuple(cls.model_fields))
+        return published(preset, given, tuple(cls.model_fields))
 
     def libraries(self) -> dict[str, str]:
         """Return what the job needs of graphslam.scan.libraries, and what asks for each."""
@@ -463,11 +478,11 @@ class Configured(JobConfig):
     def _by_preset(self, name: str) -> ExtensionConfig:
         """Return an extension's settings where nothing of it is given."""
         given: dict[str, Any] = {"extensions": {name: {}}}
-        if self.preset == "as-published":
+        if self.preset != "recommended":
             from comparisons.documented.preset import published
 
             stated = {"log": self.log.model_dump(), "ekf": self.ekf.model_dump()}
-            given = published({**stated, **given}, ("ekf",))
+            given = published(self.preset, {**stated, **given}, ("ekf",))
         return config_class(name).model_validate(given["extensions"][name])
 
 

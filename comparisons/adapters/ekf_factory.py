@@ -76,7 +76,8 @@ def build_ekf(log: Log, choices: EkfConfig, trace: Trace) -> Ekf:
     ekf = make(choices, common, antenna)
     splitter = _bounded(ekf.fixes.splitter, choices)
     ekf.splitter = _bounded(ekf.splitter, choices)
-    ekf.fixes = replace(ekf.fixes, splitter=splitter, recovery=choices.gps_recovery)
+    gate = ekf.fixes.gate if choices.position_gate is None else choices.position_gate
+    ekf.fixes = replace(ekf.fixes, gate=gate, splitter=splitter, recovery=choices.gps_recovery)
     return ekf
 
 

@@ -27,8 +27,9 @@ stands where nothing differs.
 - **document**: the value that G (Guivant 2002), M (Misono 2007) or N (Nieto 2005) states.
 - **runs use**: the value under `--preset recommended`, the default.
 - **where**: a setting of a run (`--set NAME=VALUE`), or the code that has the constant. `--preset
-  as-published` gives every setting the document's value; constants in code have no switch, so those
-  below that differ differ under this preset, too.
+  guivant-2002`, `misono-2007` or `nieto-2005` gives every setting that the document states its
+  value, and no other; constants in code have no switch, so those below that differ differ under
+  this preset, too.
 
 """
 _SPLIT = """

@@ -1,4 +1,4 @@
-"""`--preset as-published`: every setting that a document states, at the document's value."""
+"""A document's preset: every setting that it states, at its value, and none of another's."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from comparisons.extensions.registry import EXTENSIONS
 SETTINGS: tuple[Documented, ...] = tuple(row for row in ROWS if row.is_setting)
 
 
-def published(given: Mapping[str, Any], sections: tuple[str, ...]) -> dict[str, Any]:
-    """Return given settings with the documents' values where nothing was given.
+def published(preset: str, given: Mapping[str, Any], sections: tuple[str, ...]) -> dict[str, Any]:
+    """Return given settings with a document's values where nothing was given.
 
-    sections: those that the job has; an extension's only where it takes part.
+    preset: of the document. sections: those that the job has; an extension's only where it takes
+    part.
     """
     found = dict(given)
-    for row in SETTINGS:
+    for row in _of(preset):
         keys = _keys(row.at)
         there = keys[0] in sections if len(keys) == 2 else keys[1] in found.get("extensions", {})
         if there and read(found, row.at) is None and applies(row, found):
@@ -36,30 +37,38 @@ def without_documented(given: Mapping[str, Any]) -> dict[str, Any]:
     A file that a run wrote holds every setting; what was asked for beside the preset stays.
     """
     found = merge({}, given)
-    literal = given.get("preset") == "as-published"
+    stated = _of(given.get("preset", ""))
     for row in SETTINGS:
         *sections, key = _keys(row.at)
         below: Any = found
         for name in sections:
             below = below.get(name, {}) if isinstance(below, Mapping) else {}
         if isinstance(below, dict) and key in below:
-            rules = [one.value for one in SETTINGS if one.at == row.at and applies(one, given)]
-            usual = rules[0] if literal and rules else setting_default(row.at)
+            rules = [one.value for one in stated if one.at == row.at and applies(one, given)]
+            usual = rules[0] if rules else setting_default(row.at)
             if same(_plain(below[key]), usual):
                 del below[key]
     return found
 
 
 def differing(config: Mapping[str, Any]) -> list[tuple[Documented, Any]]:
-    """Return settings of a run that a document states at another value, with their own."""
+    """Return settings of a run that its preset's document states at another value, with their own.
+
+    Of all documents where the preset is none of theirs.
+    """
     found = []
-    for row in SETTINGS:
+    for row in _of(config.get("preset", "")) or SETTINGS:
         value, keys = read(config, row.at), _keys(row.at)
         there = keys[0] in config if len(keys) == 2 else keys[1] in config.get("extensions", {})
         known = there and not row.named
         if known and applies(row, config) and not same(row.value, _plain(value)):
             found.append((row, value))
     return found
+
+
+def _of(preset: str) -> tuple[Documented, ...]:
+    """Return the settings of a document's preset; none of any other."""
+    return tuple(row for row in SETTINGS if row.preset == preset)
 
 
 def applies(row: Documented, given: Mapping[str, Any]) -> bool:

@@ -13,6 +13,9 @@ import numpy as np
 
 Value = float | str | bool | tuple[float | str, ...] | None
 
+PRESETS = {"G": "guivant-2002", "M": "misono-2007", "N": "nieto-2005"}
+"""Of each document, by the letter that its places begin with."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Documented:
@@ -20,8 +23,8 @@ class Documented:
 
     place: document (G, M or N) and section, equation or table. what: the constant, in words.
     value: the document's, in SI units and radians. unit: of it. at: where the runs' value stands:
-    a setting of a run, as `dense_maps.longest_edge_m`, which `--preset as-published` sets to the
-    document's value; or code, as `package.module:Class.field` or `package.module:function().name`.
+    a setting of a run, as `dense_maps.longest_edge_m`, which the document's preset sets to its
+    value; or code, as `package.module:Class.field` or `package.module:function().name`.
     when: settings, each with the values under which the preset sets this one. reason: why runs use
     another value, with the measured figure; empty exactly where they use the document's. absent:
     what runs use where the setting is absent, in words, exactly where it may be. defaults: code
@@ -41,6 +44,11 @@ class Documented:
     defaults: tuple[str, ...] = ()
     also: tuple[str, ...] = ()
     named: bool = False
+
+    @property
+    def preset(self) -> str:
+        """The preset of its document."""
+        return PRESETS[self.place[0]]
 
     @property
     def is_setting(self) -> bool:

@@ -8,7 +8,7 @@ RecordError naming stream, row, value and expectation.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -130,6 +130,10 @@ class Positions:
         """Those in some of the rows."""
         columns = (self.time_s[rows], self.position_m[rows], self.covariance[rows])
         return Positions(*columns, self.antenna_m)
+
+    def with_sigma(self, sigma_m: float) -> Positions:
+        """The same positions, each with one sigma [m] on both axes."""
+        return replace(self, covariance=np.tile(sigma_m**2 * np.eye(2), (len(self.time_s), 1, 1)))
 
 
 @dataclass(frozen=True)

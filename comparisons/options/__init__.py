@@ -117,7 +117,7 @@ class Flag(Option):
 def below(config: Mapping[str, Any], path: str) -> Any:
     """Return what nested mappings have at a dotted path, None where it is absent."""
     found: Any = config
-    for part in path.split("."):
+    for part in filter(None, path.split(".")):
         found = found.get(part) if isinstance(found, Mapping) else None
     return found
 
@@ -126,11 +126,12 @@ class Renamed(NamedTuple):
     """An earlier spelling, which is read for one release.
 
     field: of the configuration, as it is now. was_field: empty where it is the same. option,
-    was_option: the same of the command line. values: earlier values and what they are now.
+    was_option: the same of the command line, empty where it has none. values: earlier values and
+    what they are now.
     """
 
     field: str
-    option: str
+    option: str = ""
     was_field: str = ""
     was_option: str = ""
     values: Mapping[str, str] = MappingProxyType({})
@@ -138,6 +139,8 @@ class Renamed(NamedTuple):
 
 _SCAN_LANDMARKS = "extensions.scan_landmarks"
 RENAMED = (
+    Renamed(field="preset", option="--preset", values={"as-published": "nieto-2005"}),
+    Renamed(field="log.sigmas", values={"calibrated": "log"}),
     Renamed(field="ekf.association", option="--association", values={"agreed": "consensus"}),
     Renamed(
         field=f"{_SCAN_LANDMARKS}.template_extraction",
@@ -187,8 +190,8 @@ def renamed_settings(config: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
         into = _copied(found, section)
         del into[was]
         into.setdefault(key, new)
-        place = section.removeprefix("extensions.")
-        notes.append(f"{place}.{was} = {_toml(value)} is now {place}.{key} = {_toml(new)}")
+        place = f"{section}.".removeprefix("extensions.").lstrip(".")
+        notes.append(f"{place}{was} = {_toml(value)} is now {place}{key} = {_toml(new)}")
     for path, unused in UNUSED.items():
         section, _, key = path.rpartition(".")
         if below(found, path) == unused:
@@ -204,7 +207,7 @@ def renamed_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
         if word == "--":
             return [*found, word, *rest], notes
         option, equals, value = word.partition("=")
-        one = next((r for r in RENAMED if option in _earlier(r)), None)
+        one = next((r for r in RENAMED if r.option and option in _earlier(r)), None)
         if one is None:
             found.append(word)
             continue
@@ -228,7 +231,7 @@ def _earlier(one: Renamed) -> tuple[str, ...]:
 
 def _copied(config: dict[str, Any], section: str) -> dict[str, Any]:
     """Return a section of nested mappings, copied there and on the way to it."""
-    for name in section.split("."):
+    for name in filter(None, section.split(".")):
         config[name] = dict(config[name])
         config = config[name]
     return config

@@ -29,7 +29,7 @@ FLAGS: tuple[Flag, ...] = (
     Flag(option='--optimiser', jobs=('run', 'solve'), where=Where(field='smoother.method', value='batch', words='--smoother batch'), field='smoother.optimiser', words=('levenberg-marquardt', 'gauss-newton', 'dogleg')),
     Flag(option='--robust', panel='Estimators', help='Robust smoother kernel: none, huber, cauchy, gnc. [none]', jobs=('run', 'solve', 'check'), field='smoother.robust', words=('none', 'huber', 'cauchy', 'gnc')),
     Flag(option='--accept-misfit', jobs=('run', 'solve', 'check'), field='smoother.accept_misfit', kind=bool),
-    Flag(option='--preset', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='preset', words=('recommended', 'as-published')),
+    Flag(option='--preset', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='preset', words=('recommended', 'guivant-2002', 'misono-2007', 'nieto-2005')),
     Flag(option='--format', panel='Log, settings and report', help='Format of the log, named as in `slamcheck logs`. [recognised]', metavar='NAME', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.format'),
     Flag(option='--robot', panel='Log, settings and report', help='Robot number in an MR.CLAM folder. [1]', metavar='N', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.robot', kind=int),
     Flag(option='--topic', panel='Log, settings and report', help='Topic of a ROS bag to read; repeat it for several. [per message type, the topic with most messages]', metavar='NAME', jobs=('run', 'solve', 'check', 'map', 'odometry'), field='log.topics', many=True),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -33,6 +34,8 @@ def load_log(section: LogSection) -> Log:
         from comparisons.logs.transforms.published_sigmas import with_published_sigmas
 
         log = with_published_sigmas(log)
+    if section.sigma_position_m is not None and log.positions is not None:
+        log = replace(log, positions=log.positions.with_sigma(section.sigma_position_m))
     return log
 
 

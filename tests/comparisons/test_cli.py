@@ -340,7 +340,7 @@ def test_warnings_go_to_a_log_that_is_asked_for(tmp_path: Path) -> None:
     ("typed", "words"),
     [
         ("run --robust ", ["none", "huber", "cauchy", "gnc"]),
-        ("run --preset ", ["recommended", "as-published"]),
+        ("run --preset ", ["recommended", "guivant-2002", "misono-2007", "nieto-2005"]),
         ("run simulated", ["simulated-loop"]),
         ("convert scan-slam", ["scan-slam", "scan-slam-maps"]),
         ("solve --no-such", []),

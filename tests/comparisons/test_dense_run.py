@@ -31,7 +31,7 @@ from tests.helpers import Array, present
 def test_as_published_the_regions_are_the_thesis_own(source: str, virtual: bool) -> None:
     """Section 3.5 as printed; 3.9 and 4.1.3 had no virtual corners, 3.10 had."""
     config = MapConfig.of(
-        preset="as-published",
+        preset="nieto-2005",
         log={"source": source},
         extensions={"dense_maps": {"layers": ["points"]}},
     )

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import build_association
-from comparisons.config import LogSection, RunConfig
+from comparisons.adapters.ekf_factory import build_association, build_ekf, settle
+from comparisons.config import LogSection, Preset, RunConfig
 from comparisons.documented.page import markdown, undocumented
 from comparisons.documented.preset import SETTINGS, applies, differing, read
-from comparisons.documented.row import Documented, in_code, same, setting_default
+from comparisons.documented.row import PRESETS, Documented, in_code, same, setting_default
 from comparisons.documented.rows import ROWS
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.bundled import open_log
@@ -28,6 +29,7 @@ from comparisons.report.settings import settings_result, settings_rows
 from comparisons.settings import configure, run_config, run_options
 from comparisons.words import Row
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.trace import Trace
 from tests.helpers import first_seconds, simulated
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "settings.md"
@@ -91,7 +93,7 @@ def test_what_no_document_states_is_listed() -> None:
 
 def published_run(**flags: object) -> RunConfig:
     """A run as published, with every extension that goes with points."""
-    return run_config(preset="as-published", **flags)
+    return run_config(preset="nieto-2005", **flags)
 
 
 @pytest.mark.parametrize(
@@ -117,6 +119,50 @@ def test_as_published_sets_every_setting_that_applies(flags: dict[str, object]) 
     }
 
 
+def test_a_document_s_preset_has_nothing_of_another() -> None:
+    assert get_args(Preset) == ("recommended", *PRESETS.values())
+    log: dict[str, Any] = {"format": "victoria-park"}
+    ekf: dict[str, Any] = {"filter": "compressed", "gps": "half"}
+    found = {name: RunConfig.of(preset=name, log=log, ekf=ekf) for name in get_args(Preset)}
+    ours, guivant, misono, nieto = found.values()
+    assert (guivant.ekf.position_gate, guivant.log.sigma_position_m) == (math.inf, 0.1)
+    for one in (ours, misono, nieto):
+        assert (one.ekf.position_gate, one.log.sigma_position_m) == (None, None)
+    assert nieto.ekf.nn_gate == pytest.approx(5.991464547)
+    assert {one.ekf.nn_gate for one in (ours, guivant, misono)} == {13.82}
+    assert nieto.log.sigmas == "published"
+    assert {one.log.sigmas for one in (ours, guivant, misono)} == {"log"}
+    asked = RunConfig.of(preset="guivant-2002", log=log, ekf=ekf | {"position_gate": 9.21})
+    assert asked.ekf.position_gate == 9.21
+
+
+def test_the_earlier_preset_of_all_documents_is_read(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_config(preset="as-published") == run_config(preset="nieto-2005")
+    assert "preset='as-published' is now preset='nieto-2005'" in capsys.readouterr().err
+    assert RunConfig.of(preset="as-published", log={"sigmas": "calibrated"}).log.sigmas == "log"
+
+
+@pytest.mark.parametrize("name", ["full", "compressed", "misono", "misono-full"])
+def test_the_gate_of_positions_reaches_the_filter(name: str) -> None:
+    log = open_log("waypoint-run")
+    for asked, gate in ((math.inf, math.inf), (4.0, 4.0), (None, 13.82)):
+        config = run_config(filter=name, gps="on").ekf.model_copy(update={"position_gate": asked})
+        found = build_ekf(log, settle(config, log), Trace()).fixes.gate
+        assert found == (math.inf if name == "misono" and asked is None else gate)
+
+
+def test_positions_have_the_sigma_that_is_asked_for() -> None:
+    asked = load_log(LogSection(source="waypoint-run", sigma_position_m=0.4)).positions
+    usual = load_log(LogSection(source="waypoint-run")).positions
+    assert asked is not None
+    assert usual is not None
+    assert np.array_equal(asked.covariance, np.tile(0.4**2 * np.eye(2), (len(asked.time_s), 1, 1)))
+    assert np.array_equal(asked.position_m, usual.position_m)
+    assert not np.array_equal(asked.covariance, usual.covariance)
+    without = LogSection(source="simulated-loop", sigma_position_m=0.3)
+    assert load_log(without).positions is None
+
+
 def _there(row: Documented, config: dict[str, object]) -> bool:
     section = row.at.partition(".")[0]
     return section not in EXTENSIONS or section in config["extensions"]  # type: ignore[operator]
@@ -124,7 +170,7 @@ def _there(row: Documented, config: dict[str, object]) -> bool:
 
 def test_the_gate_reaches_the_association() -> None:
     log = open_log("simulated-loop")
-    for preset, gate in (("recommended", NearestNeighbour.gate), ("as-published", 5.991464547)):
+    for preset, gate in (("recommended", NearestNeighbour.gate), ("nieto-2005", 5.991464547)):
         config = run_config(preset=preset, association="nn").ekf
         rule = build_association(log, config)
         assert isinstance(rule, NearestNeighbour)
@@ -135,7 +181,7 @@ def test_the_gate_reaches_the_association() -> None:
 def test_what_is_given_lies_over_the_preset() -> None:
     config = configure(
         RunConfig,
-        flags=run_options({"preset": "as-published", "dense": ["points"]}),
+        flags=run_options({"preset": "nieto-2005", "dense": ["points"]}),
         settings=["dense_maps.known_apart_m=0.3"],
     )
     found = config.model_dump(mode="python")
@@ -151,13 +197,13 @@ def test_a_recorded_run_can_be_repeated_and_turned(tmp_path: Path) -> None:
     turned = configure(RunConfig, file, run_options({"preset": "recommended"}))
     assert turned == run_config(dense=["points"])
     file.write_text(turned.toml())
-    assert configure(RunConfig, file, run_options({"preset": "as-published"})) == first
+    assert configure(RunConfig, file, run_options({"preset": "nieto-2005"})) == first
 
 
 def test_a_preset_is_the_same_as_a_flag_and_as_a_setting(tmp_path: Path) -> None:
     file = tmp_path / "config.toml"
     file.write_text(run_config(dense=["points"]).toml())
-    turned = configure(RunConfig, file, settings=["preset=as-published"])
+    turned = configure(RunConfig, file, settings=["preset=nieto-2005"])
     assert turned == published_run(dense=["points"])
     assert differing(turned.model_dump(mode="python")) == []
 
@@ -165,7 +211,7 @@ def test_a_preset_is_the_same_as_a_flag_and_as_a_setting(tmp_path: Path) -> None
 def test_what_was_asked_for_beside_a_preset_stays_under_another(tmp_path: Path) -> None:
     file = tmp_path / "config.toml"
     asked = ["dense_maps.known_apart_m=0.3", "dense_maps.p_free=0.4"]
-    for first, then in (("recommended", "as-published"), ("as-published", "recommended")):
+    for first, then in (("recommended", "nieto-2005"), ("nieto-2005", "recommended")):
         flags = run_options({"preset": first, "dense": ["points"]})
         file.write_text(configure(RunConfig, flags=flags, settings=asked).toml())
         turned = configure(RunConfig, file, run_options({"preset": then}))
@@ -188,7 +234,7 @@ def test_a_result_says_which_settings_are_not_the_documents() -> None:
     written = json.dumps(ours.model_dump(mode="json"), allow_nan=False)
     assert '"document": "Infinity"' in written  # of the longest edge, which JSON cannot hold
     theirs = settings_result(published_run(dense=["points"]))
-    assert settings_rows(theirs) == [Row("Settings", "preset", "as-published")]
+    assert settings_rows(theirs) == [Row("Settings", "preset", "nieto-2005")]
     by_labels, by_place = (
         [row.quantity for row in settings_rows(settings_result(run_config(association=rule)))]
         for rule in ("known", "nn")
@@ -203,11 +249,11 @@ def test_what_depends_on_the_format_of_the_log(tmp_path: Path) -> None:
     (tmp_path / "data_set.mat").write_bytes(b"")
     found = configure(
         RunConfig,
-        flags=run_options({"preset": "as-published"}),
+        flags=run_options({"preset": "nieto-2005"}),
         over={"log": {"source": str(tmp_path)}},
     )
     assert (found.log.sigmas, found.log.format) == ("published", None)
-    assert published_run().log.sigmas == "calibrated"
+    assert published_run().log.sigmas == "log"
     ours = settings_result(run_config(association="known"), "acfr-car-park")
     named = [one.setting for one in ours.differing]
     assert named == ["log.sigmas"]
@@ -245,11 +291,11 @@ def test_another_log_keeps_its_own() -> None:
 
 
 def test_the_preset_sets_it_and_what_is_given_stays() -> None:
-    assert RunConfig().log.sigmas == "calibrated"
+    assert RunConfig().log.sigmas == "log"
     car_park: dict[str, Any] = {"format": "acfr-car-park"}
-    assert RunConfig.of(preset="as-published", log=car_park).log.sigmas == "published"
-    given = RunConfig.of(preset="as-published", log=car_park | {"sigmas": "calibrated"})
-    assert given.log.sigmas == "calibrated"
+    assert RunConfig.of(preset="nieto-2005", log=car_park).log.sigmas == "published"
+    given = RunConfig.of(preset="nieto-2005", log=car_park | {"sigmas": "log"})
+    assert given.log.sigmas == "log"
 
 
 def test_the_car_park_with_either(shared_data: Path) -> None:

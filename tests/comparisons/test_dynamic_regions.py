@@ -54,7 +54,7 @@ def mapped(
     ("preset", "rule"),
     [
         ("recommended", Differencing()),
-        ("as-published", Differencing(look_s=1.0, threshold=0.5, slow_threshold=0.5)),
+        ("nieto-2005", Differencing(look_s=1.0, threshold=0.5, slow_threshold=0.5)),
     ],
 )
 def test_the_preset_reaches_the_rule_of_what_moves(preset: str, rule: Differencing) -> None:

@@ -174,7 +174,7 @@ def test_the_preset_reaches_the_map_that_is_searched() -> None:
         assert isinstance(found, HighLevel)
         return found.options.kept
 
-    assert searched("as-published").known_apart_m == 0.0  # N 3.5, its first condition
+    assert searched("nieto-2005").known_apart_m == 0.0  # N 3.5, its first condition
     assert searched("recommended") == HighLevelOptions().kept  # broken: the same for both
     assert searched("recommended").bounds.known_apart_m > 0.0
 
@@ -196,7 +196,7 @@ def test_settings_of_dense_maps_reach_the_map_that_is_searched() -> None:
 def test_the_car_park_has_its_own_pairs_and_cells_by_the_preset() -> None:
     def asked(log_format: str | None) -> HighLevelConfig:
         log = {} if log_format is None else {"format": log_format}
-        config = RunConfig.of(preset="as-published", log=log, extensions={"high_level": {}})
+        config = RunConfig.of(preset="nieto-2005", log=log, extensions={"high_level": {}})
         found = config.extensions["high_level"]
         assert isinstance(found, HighLevelConfig)
         return found

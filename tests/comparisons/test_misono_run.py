@@ -95,7 +95,8 @@ def test_eq_17_reaches_farther_than_one_sample(log: Log) -> None:
     assert d_min_exceeds_way()
 
 
-def test_as_published_takes_eq_17() -> None:
-    chosen = run_config(preset="as-published", filter="misono")
+def test_the_preset_takes_eq_17() -> None:
+    chosen = run_config(preset="misono-2007", filter="misono")
     assert chosen.ekf.association == "euclidean"
-    assert run_config(preset="as-published").ekf.association is None
+    assert run_config(preset="misono-2007").ekf.association is None
+    assert run_config(preset="nieto-2005", filter="misono").ekf.association is None

@@ -200,7 +200,7 @@ def test_a_logs_name_is_no_path(name: str, folder: str) -> None:
         ({"attributes": "on"}, "-attributes-on"),
         ({"dense": ["points", "sog"], "resolution": 0.4}, "-dense-points-sog-resolution-0.4"),
         ({"smoother_association": "ekf"}, "-smoother-association-ekf"),
-        ({"preset": "as-published"}, "-preset-as-published"),
+        ({"preset": "nieto-2005"}, "-preset-nieto-2005"),
     ],
 )
 def test_a_folder_is_named_by_what_was_asked_for(options: dict[str, object], words: str) -> None:

@@ -91,7 +91,7 @@ def test_settings_left_alone_are_those_of_scan_slam() -> None:
 
 def test_as_published_is_the_thesis_form() -> None:
     """One segment of 100 returns, tried once within 10 %, nine tenths in view, all aligned."""
-    config = run_config(landmarks="scans", preset="as-published").extensions["scan_landmarks"]
+    config = run_config(landmarks="scans", preset="nieto-2005").extensions["scan_landmarks"]
     assert isinstance(config, ScanLandmarksConfig)
     rule = template_rule(scan_slam_options(config, mapped=False))
     assert rule == TemplateRule(
@@ -118,7 +118,7 @@ def test_as_published_is_the_thesis_form() -> None:
 
 def test_what_is_given_stands_beside_the_preset() -> None:
     given = ["scan_landmarks.least_returns=15"]
-    flags = run_options({"landmarks": "scans", "preset": "as-published"})
+    flags = run_options({"landmarks": "scans", "preset": "nieto-2005"})
     config = configure(RunConfig, flags=flags, settings=given)
     found = config.extensions["scan_landmarks"].model_dump()
     assert (found["least_returns"], found["in_view"]) == (15, 0.9)

@@ -1,7 +1,7 @@
 """Nieto 2005, section 5.7: Scan-SLAM on the car park, and what is claimed of it.
 
 The log is that of `nieto_car_park`, another part of the drives than the thesis'. Beside the thesis'
-form (`--landmarks scans --preset as-published`, Table A.1 included) stands ours: all segments of a
+form (`--landmarks scans --preset nieto-2005`, Table A.1 included) stands ours: all segments of a
 scan joined in one template. Landmarks' errors are from where their axes are if the vehicle was
 where feature SLAM with GPS has it when it first saw them.
 """
@@ -147,7 +147,7 @@ def of_log(log: Log) -> CarParkScans:
     )
 
 
-_PUBLISHED = {"preset": "as-published"}
+_PUBLISHED = {"preset": "nieto-2005"}
 
 
 def _scan_slam(

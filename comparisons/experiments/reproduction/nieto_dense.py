@@ -1,7 +1,7 @@
 """Nieto 2005, sections 3.9 and 4.1.3 to 4.3: dense maps in simulation.
 
 Every experiment is run twice on the same logs: by the settings that runs use, and by the thesis'
-(`literal`, `--preset as-published`).
+(`literal`, `--preset nieto-2005`).
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ def _maps(name: str, layers: tuple[Layer, ...], sources: Sources) -> Maps:
             raise InputError(f"{name}: no drive's loop is closed by a shift of {_CLOSING_M} m")
         logs.append(open_log(name, choices=SimulationChoices(len(logs))))
         ours.append(map_log(logs[-1], _config(name, "recommended", layers=layers)))
-    literal = [map_log(log, _config(name, "as-published", layers=layers)) for log in logs]
+    literal = [map_log(log, _config(name, "nieto-2005", layers=layers)) for log in logs]
     reported = f"{name}, {len(ours)} drives from seed 0, {{}} of them corrected at once"
     found = [_of_drives(reported, drives) for drives in (ours, literal)]
     return replace(found[0], literal=found[1])
@@ -209,7 +209,7 @@ def layered_maps(sources: Sources) -> Maps:
 def rounds(sources: Sources) -> Rounds:
     """Section 4.1.3: ten rounds, one grid beside the dense map."""
     log = open_log("occupancy-loop", choices=SimulationChoices(0, ROUNDS[-1]))
-    return replace(_rounds(log, "recommended"), literal=_rounds(log, "as-published"))
+    return replace(_rounds(log, "recommended"), literal=_rounds(log, "nieto-2005"))
 
 
 def _rounds(log: Log, preset: Preset) -> Rounds:
@@ -251,7 +251,7 @@ def _round(
 def coarsened(sources: Sources) -> Coarsened:
     """Section 4.1.3, Fig. 4.6: 0.2 m, and 0.5 m where a region is almost empty."""
     log = open_log("occupancy-loop", choices=SimulationChoices(0, _COARSE_ROUNDS))
-    return replace(_coarsened(log, "recommended"), literal=_coarsened(log, "as-published"))
+    return replace(_coarsened(log, "recommended"), literal=_coarsened(log, "nieto-2005"))
 
 
 def _coarsened(log: Log, preset: Preset) -> Coarsened:
@@ -306,7 +306,7 @@ COARSENED = Experiment("section 4.1.3, two sizes of cells", coarsened)
 
 
 LITERALLY = "by the thesis' settings: "
-"""How the text of a claim begins that is of the thesis' settings (--preset as-published)."""
+"""How the text of a claim begins that is of the thesis' settings (--preset nieto-2005)."""
 _FEW = (
     "by correlation alone regions come late or never: landmarks near a well known vehicle are well "
     "known against each other but correlate little; and returns do not wait for their region"

@@ -218,7 +218,7 @@ def drives(sources: Sources) -> ScanDrives:
 def published_config() -> ScanLandmarksConfig:
     """Scan landmarks by all that the thesis says of them; the filter stays as it is in runs."""
     given = published(
-        {"extensions": {"scan_landmarks": OURS.model_dump(exclude_defaults=True)}}, ()
+        "nieto-2005", {"extensions": {"scan_landmarks": OURS.model_dump(exclude_defaults=True)}}, ()
     )
     return ScanLandmarksConfig.of(**given["extensions"]["scan_landmarks"])
 

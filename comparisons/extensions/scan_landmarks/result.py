@@ -64,10 +64,12 @@ def template_rule(options: ScanSlamOptions) -> TemplateRule:
 
 
 def published_rule() -> TemplateRule:
-    """Return the thesis' rule, as `--preset as-published` has it."""
+    """Return the thesis' rule, as `--preset nieto-2005` has it."""
     from comparisons.documented.preset import published
 
-    given = published({"extensions": {"scan_landmarks": {}}}, ())["extensions"]["scan_landmarks"]
+    given = published("nieto-2005", {"extensions": {"scan_landmarks": {}}}, ())["extensions"][
+        "scan_landmarks"
+    ]
     return template_rule(scan_slam_options(ScanLandmarksConfig.of(**given), mapped=False))
 
 
