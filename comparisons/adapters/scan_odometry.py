@@ -35,8 +35,8 @@ class ScanMotion:
     first. displacement: (N, 3) and covariance: (N, 3, 3) from the usable scan before, of the
     right perturbation; zero for the first. bridged: (N,) that no scan matched, so that the
     displacement is the wheels' (the first counts as bridged, too). matches: evidence where not
-    bridged. wheels: (N, 3) the wheels' displacement, None without odometry. scan: (N,) numbers in
-    the source, which gives the points.
+    bridged. wheels: (N, 3) the wheels' displacement, None without odometry. guessed: whether each
+    alignment began from these. scan: (N,) numbers in the source, which gives the points.
     """
 
     time_s: Array
@@ -47,6 +47,7 @@ class ScanMotion:
     bridged: NDArray[np.bool_]
     matches: tuple[Registration | None, ...]
     wheels: Array | None
+    guessed: bool
     failures: tuple[ScanFailure, ...]
     source: ScanSource
     scan: Index
@@ -75,6 +76,20 @@ class ScanMotion:
         if self.breaks:
             remarks.append(f"{self.breaks} gaps are bridged by the wheels' motion")
         return remarks
+
+    @property
+    def lacks(self) -> str:
+        """Why its path is no evidence, in words; empty where scans or wheels hold all of it.
+
+        Across a lost scan the next alignment begins from constant velocity, where no wheels guess,
+        and may end on the wrong surfaces.
+        """
+        if self.guessed or not self.failures:
+            return ""
+        return (
+            f"{len(self.failures)} of {len(self.source.row)} scans were lost without the wheels' "
+            f"motion as a guess (restarts: {self.breaks})"
+        )
 
 
 def run_scan_odometry(
@@ -133,6 +148,7 @@ def run_scan_odometry(
         bridged=np.array([increment is None for increment in found]),
         matches=tuple(matches),
         wheels=None if over is None else over.displacement,
+        guessed=guess and wheels is not None,
         failures=tuple(failures),
         source=source,
         scan=kept,

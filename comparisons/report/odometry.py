@@ -65,7 +65,8 @@ class FrontEndResult(JobResult):
         wheels: errors of the wheels' odometry.
         scan_odometry: errors of the scan odometry.
         scan_graph: errors of the scan pose graph.
-        verdict: whether the graph's optimum is verified.
+        verdict: whether the graph's optimum is verified and no scan was lost that no wheels bridge.
+        reasons: why it is not.
     """
 
     odometry: ScanOdometryResult
@@ -78,15 +79,15 @@ class FrontEndResult(JobResult):
     scan_odometry: Accuracy | None
     scan_graph: Accuracy | None
     verdict: Literal["verified", "unverified"]
+    reasons: list[str]
 
 
 def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> FrontEndResult:
     """The findings, read being the time that reading the log took."""
-    f, how = front_end, front_end.prepared.config.front_end
+    f = front_end
+    reasons = [why for why in (f.motion.lacks, f.graph.optimality.lacks) if why]
     return FrontEndResult(
-        odometry=scan_odometry_result(
-            f.motion, guess=how.guess == "wheels", seconds=f.prepared.clock.seconds["odometry"]
-        ),
+        odometry=scan_odometry_result(f.motion, seconds=f.prepared.clock.seconds["odometry"]),
         loops=LoopResult(
             tried=len(f.closed.attempts),
             closed=len(f.closed.loop_closures.first),
@@ -94,12 +95,13 @@ def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> Fr
         ),
         graph=smoother_result(f.graph, f.estimate),
         landmarks=len(f.estimate.landmark),
-        gps=how.gps,
+        gps=f.prepared.config.front_end.gps,
         increments=f.increments,
         wheels=f.accuracy_wheels,
         scan_odometry=f.accuracy_odometry,
         scan_graph=f.accuracy_graph,
-        verdict="verified" if f.graph.optimality.verified else "unverified",
+        verdict="unverified" if reasons else "verified",
+        reasons=reasons,
         remarks=_remarks(f),
         **about_job(f.prepared, f.prepared.clock.after(read)),
     )
@@ -107,8 +109,7 @@ def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> Fr
 
 def front_end_summary(result: FrontEndResult) -> Summary:
     """Return what the command prints: outcome, scans, loop closures and accuracy."""
-    o, verified = result.odometry, result.verdict == "verified"
-    lacks = [result.graph.lacks] if result.graph.lacks else []
+    o = result.odometry
     each = {
         "wheels": result.wheels,
         "scans": result.scan_odometry,
@@ -117,7 +118,7 @@ def front_end_summary(result: FrontEndResult) -> Summary:
     return Summary(
         headline=f"verdict: {result.verdict}",
         style=STYLES[result.verdict],
-        reasons=[] if verified else lacks,
+        reasons=result.reasons,
         remarks=result.remarks,
         lines=[
             ("scans", f"{o.used:,} of {o.scans:,} scans used, {o.breaks} restarts"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
+from comparisons.adapters.scan_odometry import ScanFailure, ScanMotion, run_scan_odometry
 from comparisons.checks.map_agreement import compare_maps
 from comparisons.config import FrontEndConfig, OdometryConfig
 from comparisons.errors import InputError
@@ -25,7 +26,11 @@ from comparisons.logs.readers.scan_odometry import no_measurements
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.odometry import run_front_end
 from comparisons.report.models import Result
-from comparisons.report.odometry import FrontEndResult
+from comparisons.report.odometry import (
+    FrontEndResult,
+    build_front_end_result,
+    front_end_summary,
+)
 from comparisons.report.result import build_result
 from graphslam.g2o import read_g2o
 from tests.commands import refused, works
@@ -195,6 +200,22 @@ def test_the_car_park(shared_data: Path) -> None:
     assert odometry < min(1.0, wheels)
     assert graph < 0.35
     assert f.graph.optimality.verified
+
+
+@pytest.mark.slow
+def test_the_car_park_without_wheels_is_unverified_where_scans_are_lost(shared_data: Path) -> None:
+    """A lost scan is bridged by constant velocity alone; with wheels as the guess it is not."""
+    log, how = read_log(shared_data / "acfr_car_park"), FrontEndConfig(guess="none")
+    f = run_front_end(log, OdometryConfig(front_end=how))
+    assert present(present(f.accuracy_graph).gps_rms_aligned_m) < 1.0
+    lost = ScanFailure(3, 0.6, "too few points")
+    for guessed, failures in itertools.product((False, True), ((), (lost,))):
+        motion = replace(f.motion, guessed=guessed, failures=failures)
+        result = build_front_end_result(replace(f, motion=motion))
+        wrong = bool(failures) and not guessed
+        assert result.verdict == ("unverified" if wrong else "verified")
+        assert ["were lost without the wheels" in why for why in result.reasons] == [True] * wrong
+        assert front_end_summary(result).reasons == result.reasons
 
 
 @pytest.mark.slow

@@ -75,7 +75,7 @@ class ScanMotionFinding(Finding):
         """The third estimate is heard in the verdict when its optimum is verified."""
         log, seconds = known.prepared.log, known.prepared.clock.seconds
         self.motion, self.three = motion, three
-        self._odometry = scan_odometry_result(motion, guess=True, seconds=seconds["scan odometry"])
+        self._odometry = scan_odometry_result(motion, seconds=seconds["scan odometry"])
         self._increments = check_increments(motion, log)
         entries: dict[str, object] = {"scan_odometry": self._odometry}
         if self._increments is not None:

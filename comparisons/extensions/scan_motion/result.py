@@ -19,11 +19,11 @@ _SURE = 2.0
 """Sigmas too small by more than this factor are remarked upon."""
 
 
-def scan_odometry_result(motion: ScanMotion, *, guess: bool, seconds: float) -> ScanOdometryResult:
-    """What became of the scans. guess: by the wheels, where there are any."""
+def scan_odometry_result(motion: ScanMotion, *, seconds: float) -> ScanOdometryResult:
+    """What became of the scans."""
     matches = [m for m in motion.matches if m is not None]
     return ScanOdometryResult(
-        guess="wheels" if motion.wheels is not None and guess else "none",
+        guess="wheels" if motion.guessed else "none",
         scans=len(motion.source.row),
         used=len(motion.row),
         failures=by_reason(f.reason for f in motion.failures),
