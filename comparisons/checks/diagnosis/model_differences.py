@@ -65,9 +65,7 @@ class ModelDifference:
     def __str__(self) -> str:
         """For people to read."""
         how = "is missing" if self.absent else f"differs by up to {self.largest:.2g} {self.unit}"
-        said = f"{self.quantity} {how} in {self.count} of {self.total} {self.relation}"
-        late = self.first_s is not None and self.count < self.total
-        return f"{said}, first at {self.first_s:.9g} s" if late else said
+        return f"{self.quantity} {how} in {self.count} of {self.total} {self.relation}"
 
 
 @dataclass(frozen=True)
