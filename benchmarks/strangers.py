@@ -580,20 +580,36 @@ class Unscented(Ekf):
     traced = False
     kind = "other"
 
-    @staticmethod
-    def regression(f: Any, mean: Array, cov: Array) -> tuple[Array, Array, Array]:
+    alpha: ClassVar[float] = 1.0
+    beta: ClassVar[float] = 0.0
+
+    @classmethod
+    def kappa(cls, n: int) -> float:
+        """Return kappa for n entries."""
+        return max(3.0 - n, 0.0)
+
+    @classmethod
+    def root(cls, cov: Array) -> Array:
+        """Return a square root of a covariance."""
+        lower: Array = np.linalg.cholesky(cov)
+        return lower
+
+    @classmethod
+    def regression(cls, f: Any, mean: Array, cov: Array) -> tuple[Array, Array, Array]:
         """Return the mean of f, the matrix that fits it best, and what remains."""
-        n, kappa = len(mean), max(3.0 - len(mean), 0.0)
-        spread = np.linalg.cholesky((n + kappa) * cov).T
+        n = len(mean)
+        scale = cls.alpha**2 * (n + cls.kappa(n))
+        spread = np.sqrt(scale) * cls.root(cov).T
         points = np.vstack((mean, mean + spread, mean - spread))
-        w = np.array([kappa] + [0.5] * (2 * n)) / (n + kappa)
+        w = np.array([scale - n] + [0.5] * (2 * n)) / scale
+        wc = w + np.eye(1, 2 * n + 1)[0] * (1.0 - cls.alpha**2 + cls.beta)
         first = f(mean)
         y = np.array([f(point) - first for point in points])
         y[:, 1::2] = y[:, 1::2] if len(first) == 3 else wrapped(y[:, 1::2])
         centre = w @ y
-        cross = (w[:, None] * (points - mean)).T @ (y - centre)
+        cross = (wc[:, None] * (points - mean)).T @ (y - centre)
         a = np.linalg.solve(cov, cross).T
-        rest = (w[:, None] * (y - centre)).T @ (y - centre) - a @ cov @ a.T
+        rest = (wc[:, None] * (y - centre)).T @ (y - centre) - a @ cov @ a.T
         return first + centre, a, rest
 
     def predict(self, number: int, dt: float, end_s: float) -> None:
@@ -621,6 +637,39 @@ class Unscented(Ekf):
         nu[1::2] = wrapped(nu[1::2])
         r = np.diag(self.log.sigma[ks].ravel() ** 2)
         self.correct(h, nu, r + rest)
+
+
+class UnscentedHalf(Unscented):
+    """Scaled sigma points: alpha 0.5, beta 2, kappa 0."""
+
+    alpha, beta = 0.5, 2.0
+
+    @classmethod
+    def kappa(cls, n: int) -> float:
+        """Return 0."""
+        return 0.0
+
+
+class UnscentedThird(Unscented):
+    """Sigma points that are sqrt(3) sigma away, whatever n is (Julier 2000)."""
+
+    @classmethod
+    def kappa(cls, n: int) -> float:
+        """Return 3 - n."""
+        return 3.0 - n
+
+
+class Cubature(UnscentedHalf):
+    """Cubature points along the symmetric root (Arasaratnam and Haykin 2009)."""
+
+    alpha, beta = 1.0, 0.0
+
+    @classmethod
+    def root(cls, cov: Array) -> Array:
+        """Return the symmetric root."""
+        values, axes = np.linalg.eigh(cov)
+        symmetric: Array = (axes * np.sqrt(values)) @ axes.T
+        return symmetric
 
 
 class FirstEstimates(Ekf):
@@ -906,6 +955,9 @@ SOUND: dict[str, type[Ekf]] = {
     "Euler, 100 Hz": Euler,
     "Euler, one step": EulerStep,
     "unscented": Unscented,
+    "unscented, alpha 0.5": UnscentedHalf,
+    "unscented, kappa 3 - n": UnscentedThird,
+    "cubature": Cubature,
     "right-invariant": Invariant,
     "first estimates": FirstEstimates,
     "robocentric": Robocentric,

@@ -20,8 +20,6 @@ from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Me
 from ekf_reference.core.state import Correction, KalmanState
 
 _CONVERGED_SIGMA = 1e-9
-_BETA = 2.0
-"""What the middle sigma point weighs more in covariances, for Gaussians."""
 
 
 class SequentialEkf(Ekf):
@@ -300,6 +298,32 @@ class RobocentricEkf(Ekf):
         self.state = RobocentricState(self.state.pose, np.array(self.state.covariance))
 
 
+class SigmaPoints(NamedTuple):
+    """Where the sigma points of n entries lie, and what the middle one weighs more in covariances.
+
+    spread: they lie sqrt(spread (n + kappa)) sigma from the mean, alpha^2 in the literature. kappa:
+    None for 3 - n. central: beta - alpha^2, by which the covariance has the mean's shift squared.
+    symmetric: along the columns of the covariance's symmetric root, not Cholesky's.
+    """
+
+    spread: float = 1e-6
+    kappa: float | None = 0.0
+    central: float = 2.0 - 1e-6
+    symmetric: bool = False
+
+    def squared(self, n: int) -> float:
+        """Return the squared distance from the mean, in sigma."""
+        return self.spread * (3.0 if self.kappa is None else n + self.kappa)
+
+    def root(self, covariance: Array) -> Array:
+        """Return (n, n) whose columns are the points' offsets, one way."""
+        squared = self.squared(len(covariance))
+        if not self.symmetric:
+            return np.asarray(np.sqrt(squared) * np.linalg.cholesky(covariance))
+        values, axes = np.linalg.eigh(covariance)
+        return np.asarray(np.sqrt(squared) * (axes * np.sqrt(values)) @ axes.T)
+
+
 class UnscentedEkf(Ekf):
     """The unscented Kalman filter: statistical linearisation by sigma points.
 
@@ -308,20 +332,27 @@ class UnscentedEkf(Ekf):
     (van der Merwe 2004, eqs. 3.168 to 3.187; the others follow by their correlation).
     """
 
-    alpha: ClassVar[float] = 1e-3
-    """Spread of the sigma points, in units of sqrt(n) sigma."""
+    points: ClassVar[SigmaPoints] = SigmaPoints()
+    controls: ClassVar[bool] = False
+    """The control has sigma points, too; if not, its covariance is added by the Jacobian."""
+    starts: ClassVar[bool] = True
+    """New landmarks are placed by sigma points; if not, by Jacobians."""
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
-        """Move under a control (m,) with covariance (m, m), added by its Jacobian, for a time."""
-        pose, p = self.state.pose, self.state.pose_covariance
+        """Move under a control (m,) with covariance (m, m) for a time."""
+        pose, p, v = self.state.pose, self.state.pose_covariance, len(self.state.pose)
 
         def moved(points: Array) -> Array:
-            return np.array([self.motion.step(x, control, duration_s).pose for x in points])
+            both = ((x[:v], x[v:] if self.controls else control) for x in points)
+            return np.array([self.motion.step(x, u, duration_s).pose for x, u in both])
 
-        y = unscented(pose, p, moved, alpha=self.alpha)
+        x = np.concatenate((pose, control)) if self.controls else pose
+        spread = block_diagonal_of(p, covariance) if self.controls else p
+        y = unscented(x, spread, moved, points=self.points)
         b = self.motion.step(pose, control, duration_s).jacobian_control
+        b = y.slope[:, v:] if self.controls else b
         noise = b @ covariance @ b.T + y.rest + self.stabilisation.covariance(duration_s, y.mean)
-        self.state.predict(y.mean, y.slope, noise)
+        self.state.predict(y.mean, y.slope[:, :v], noise)
 
     def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         if len(np.unique(landmark_indices[rows])) < len(
@@ -345,12 +376,15 @@ class UnscentedEkf(Ekf):
             return model.innovation(pairs[0], np.tile(pairs[1], (len(y), 1))).reshape(y.shape)
 
         prior = np.concatenate((local.pose, local.landmark.ravel()))
-        y = unscented(prior, local.covariance, measured, apart, alpha=self.alpha)
+        y = unscented(prior, local.covariance, measured, apart, points=self.points)
         innovation = model.innovation(z, y.mean.reshape(z.shape)).ravel()
         noise = block_diagonal(seen.noise[rows]) + y.rest
         self.state.update(local.columns, y.slope, innovation, noise)
 
     def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+        if not self.starts:
+            super()._initialise(seen, landmark_indices, rows)
+            return
         pose, model, p = self.state.pose, self.models[seen.kind], self.state.pose_covariance
         found = []
         for row in rows:
@@ -362,7 +396,7 @@ class UnscentedEkf(Ekf):
 
             both = block_diagonal_of(p, seen.noise[row])
             x = np.concatenate((pose, seen.z[row]))
-            found.append(unscented(x, both, placed, alpha=self.alpha))
+            found.append(unscented(x, both, placed, points=self.points))
         slope = np.array([y.slope for y in found])
         by_z, rest = slope[:, :, len(p) :], np.array([y.rest for y in found])
         noise = by_z @ seen.noise[rows] @ by_z.transpose(0, 2, 1) + rest
@@ -375,7 +409,7 @@ class UnscentedEkf(Ekf):
 class WideUnscentedEkf(UnscentedEkf):
     """Its sigma points are sqrt(n) sigma apart from the mean."""
 
-    alpha: ClassVar[float] = 1.0
+    points: ClassVar[SigmaPoints] = SigmaPoints(1.0, 0.0, 1.0)
 
 
 class Transformed(NamedTuple):
@@ -392,7 +426,7 @@ def unscented(
     function: Callable[[Array], Array],
     subtract: Callable[[Array, Array], Array] = np.subtract,
     *,
-    alpha: float,
+    points: SigmaPoints,
 ) -> Transformed:
     """Return the unscented transform of x ~ N(mean (n,), covariance (n, n)).
 
@@ -401,19 +435,18 @@ def unscented(
         covariance: (n, n), positive definite.
         function: takes points (k, n) to values (k, m).
         subtract: of values (k, m) and the middle one (m,), angles wrapped.
-        alpha: spread of the points.
+        points: where they lie.
 
-    Source: van der Merwe 2004, eqs. 3.11 to 3.21 with kappa 0, written with the odd and the even
-    part of f about the mean, which keeps the digits that a small alpha costs.
+    Source: van der Merwe 2004, eqs. 3.11 to 3.21, written with the odd and the even part of f about
+    the mean, which keeps the digits that a small alpha costs.
     """
-    n = len(mean)
-    root = alpha * np.sqrt(n) * np.linalg.cholesky(covariance)
+    n, squared = len(mean), points.squared(len(mean))
+    root = points.root(covariance)
     y = function(np.vstack((mean, mean + root.T, mean - root.T)))
     off = subtract(y[1:], y[0])
     odd, even = 0.5 * (off[:n] - off[n:]), 0.5 * (off[:n] + off[n:])
-    weight = 1.0 / (alpha**2 * n)
-    shift = weight * even.sum(axis=0)
-    rest = weight * even.T @ even + (_BETA - alpha**2) * np.outer(shift, shift)
+    shift = even.sum(axis=0) / squared
+    rest = even.T @ even / squared + points.central * np.outer(shift, shift)
     return Transformed(y[0] + shift, np.linalg.solve(root.T, odd).T, rest)
 
 

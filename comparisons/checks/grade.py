@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -55,6 +55,17 @@ class Reference:
     joint_s: float
     span_s: tuple[float, float]
     smoothed: bool = False
+
+    def at(self, time_s: Array) -> Reference:
+        """Return it with those of its poses alone that are of some times (N,)."""
+        rows = np.isin(self.time_s, time_s)
+        return replace(
+            self,
+            time_s=self.time_s[rows],
+            known=self.known[rows],
+            pose=self.pose[rows],
+            pose_covariance=self.pose_covariance[rows],
+        )
 
     def landmark_covariances(self, landmarks: Index) -> Array:
         """Return (m, 2, 2) of some landmarks (m,)."""
@@ -138,7 +149,7 @@ def likeness(given: ExternalEstimate, reference: Reference, *, labelled: bool) -
     """
     ours, theirs = match_map(given, reference, labelled=labelled)
     missing, unmapped = _missing(reference), _unmapped(given, reference, ours)
-    parts = [_poses(given, reference)]
+    parts = [pose_part(given, reference)]
     if given.landmark is not None:
         parts.append(_landmarks(given, reference, (ours, theirs)))
     if given.joint_covariance is not None:
@@ -231,7 +242,8 @@ def joint_pair(
     )
 
 
-def _poses(given: ExternalEstimate, reference: Reference) -> Part:
+def pose_part(given: ExternalEstimate, reference: Reference) -> Part:
+    """Compare the poses. given: these at the reference's times, and no others."""
     at = reference.known
     own = reference.pose_covariance[at]
     difference = pose_difference(given.pose[at], reference.pose[at])

@@ -177,6 +177,12 @@ class ExternalEstimate:
         ]
 
 
+def with_poses(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:
+    """Return an estimate with some of its poses (K,) alone."""
+    cover = None if given.pose_covariance is None else given.pose_covariance[rows]
+    return replace(given, time_s=given.time_s[rows], pose=given.pose[rows], pose_covariance=cover)
+
+
 def read_external(
     path: Path, times: str | Path | None = None, trace: str | Path | None = None
 ) -> ExternalEstimate:

@@ -87,6 +87,23 @@ class Companion(NoObserver):
         return float(self._sound[count - 1])
 
 
+class First(NoObserver):
+    """Compares the first poses, then gives the run up. left: what a companion says of each."""
+
+    def __init__(self, beside: Companion, count: int) -> None:
+        """beside: compares. count: so many poses."""
+        self._beside, self._count = beside, count
+        self.left: list[Array] = []
+
+    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+        """All that was seen until this time is fused."""
+        apart = self._beside.apart(ekf, time_s)
+        if apart is not None:
+            self.left.append(apart)
+            if len(self.left) >= self._count:
+                raise Left
+
+
 def _variances(covariance: Array) -> Array:
     found: Array = np.diagonal(covariance, 0, 1, 2)
     return found

@@ -19,7 +19,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import Family, Fault
-from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left
+from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, First, Left
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Named, RelativePoses, own_integration
 from comparisons.pipeline.estimate_motion import in_words
@@ -162,7 +162,7 @@ class _Trial:
 
     def _left(self, fault: Fault) -> Array | None:
         """What is left of the first poses; None where the filter does not reach them all."""
-        seen = _First(self._first, self._count)
+        seen = First(self._first, self._count)
         try:
             self._run(fault, seen)
         except Left:
@@ -233,22 +233,6 @@ class _Trial:
         other = replace(self.prepared, log=log)
         with np.errstate(all="ignore"):  # a fault may make it diverge
             return filter_named(self.order, other, self.given.time_s, started)
-
-
-class _First(NoObserver):
-    """Compares the first poses, then gives the run up. left: what a companion says of each."""
-
-    def __init__(self, beside: Companion, count: int) -> None:
-        self._beside, self._count = beside, count
-        self.left: list[Array] = []
-
-    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
-        """All that was seen until this time is fused."""
-        apart = self._beside.apart(ekf, time_s)
-        if apart is not None:
-            self.left.append(apart)
-            if len(self.left) >= self._count:
-                raise Left
 
 
 def _integrated(log: Log) -> Iterator[tuple[str, Log]]:

@@ -27,9 +27,7 @@ def at_instants(time_s: Array, instants_s: Array) -> Array:
     A time is an instant's that lies within half of the times' last decimal, the fourth at least;
     the third, where all times are so near.
     """
-    right = np.clip(np.searchsorted(instants_s, time_s), 1, max(len(instants_s) - 1, 1))
-    left_s, right_s = instants_s[right - 1], instants_s[np.minimum(right, len(instants_s) - 1)]
-    nearest = np.where(time_s - left_s <= right_s - time_s, left_s, right_s)
+    nearest = _nearest(time_s, instants_s)
     apart, told = np.abs(nearest - time_s), 2.0 * np.spacing(np.abs(time_s))
     for decimals in (3, *range(4, 10)):
         near = apart <= 0.5 * 10.0**-decimals + told
@@ -37,3 +35,16 @@ def at_instants(time_s: Array, instants_s: Array) -> Array:
         if written.all() and (decimals > 3 or near.all()):
             break
     return np.where(near, nearest, time_s)
+
+
+def since_origin(time_s: Array, start_s: float, instants_s: Array) -> Array:
+    """Times (K,) after a start, as instants (J,) have those that a float of many seconds tells."""
+    after = time_s - start_s
+    nearest = _nearest(after, instants_s)
+    return np.where(np.abs(nearest - after) <= 2.0 * np.spacing(abs(start_s)), nearest, after)
+
+
+def _nearest(time_s: Array, instants_s: Array) -> Array:
+    right = np.clip(np.searchsorted(instants_s, time_s), 1, max(len(instants_s) - 1, 1))
+    left_s, right_s = instants_s[right - 1], instants_s[np.minimum(right, len(instants_s) - 1)]
+    return np.where(time_s - left_s <= right_s - time_s, left_s, right_s)

@@ -8,15 +8,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess
 from comparisons.checks.agreement import Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import ExternalConsistency, external_consistency
-from comparisons.checks.diagnosis.departure import first_departure
+from comparisons.checks.diagnosis.departure import Departure, departure_from
 from comparisons.checks.diagnosis.diagnosis import (
     FEWEST,
     MOTIONS,
@@ -45,18 +45,21 @@ from comparisons.checks.grade import (
 from comparisons.checks.spread import within_spread
 from comparisons.checks.verdict import Outcome
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
-from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.fingerprints.search import fault_cause, fingerprints
+from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration
-from comparisons.logs.stamps import at_instants
+from comparisons.logs.stamps import at_instants, since_origin
 from comparisons.pipeline.estimate_motion import in_words, integrations_by_steps, integrations_of
 from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace
 from comparisons.pipeline.prepare import Progress, no_progress
 from comparisons.pipeline.references import (
     APART,
+    EKF,
     FILTERS,
     ORDERS,
+    filter_named,
     reference_ekf,
     smoother,
     variants,
@@ -104,6 +107,8 @@ class ExternalCheck(Shown):
         consistency: Its errors, and whether its covariances match them.
         accuracy: Its errors, where the log has truth or positions.
         trace: The filter's own gaps, where it handed in a trace.
+        departure: Where it first leaves the filter that it equals the longest, or its trace the
+            models; None where it is equal, or no filter is of its kind.
         grade: `equal`, `like`, `plausible` or `wrong`, with what it was compared with.
         outcome: `agree`, `disagree` or `unverified`.
         causes: Why the grade is not higher, the most important first.
@@ -124,6 +129,7 @@ class ExternalCheck(Shown):
     outcome: Outcome
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
+    departure: Departure | None = None
 
     def __repr__(self) -> str:
         """Return log, outcome, grade and the causes' names in one line."""
@@ -134,7 +140,7 @@ class ExternalCheck(Shown):
     @property
     def inside(self) -> ExternalEstimate:
         """What was given within the log's time."""
-        return _chosen(self.given, within_log(self.given, self.solution.estimate))
+        return with_poses(self.given, within_log(self.given, self.solution.estimate))
 
     @property
     def exact(self) -> bool:
@@ -188,7 +194,7 @@ def check(
         return first
     progress("motion models", 0, 0)
     first = job.integrated(first, ORDERS)
-    return job.explained(first) or job.moved_back(first) or _with_departure(first)
+    return _with_departure(job.explained(first) or job.moved_back(first) or first)
 
 
 @dataclass(frozen=True)
@@ -208,8 +214,10 @@ class _Job:
     def started(self, given: ExternalEstimate) -> ExternalCheck:
         """The grade beside references that move as the estimate's own steps do."""
         prepared = self.own.prepared
-        placed = replace(given, time_s=at_instants(given.time_s, prepared.timeline.instants_s()))
-        inside = _chosen(placed, within_log(placed, self.own.estimate))
+        instants_s = prepared.timeline.instants_s()
+        given = _on_the_logs_clock(given, self.log, instants_s)
+        placed = replace(given, time_s=at_instants(given.time_s, instants_s))
+        inside = with_poses(placed, within_log(placed, self.own.estimate))
         found = integrations_by_steps(inside, prepared)
         return self._moving(given, found) if found else self._graded(given, self.own)
 
@@ -240,7 +248,8 @@ class _Job:
         if first.outcome == "agree":
             return first
         least = self.config.min_coverage
-        found = _named(first, self.progress) or _within_spread(first, least)
+        found = _of_sigma_points(first, least) or _named(first, self.progress)
+        found = found or _within_spread(first, least)
         if found is None and first.variants:
             other = self.integrated(first, FILTERS)
             found = other if other.outcome == "agree" else _within_spread(other, least)
@@ -280,13 +289,35 @@ class _Job:
         return replace(first, causes=(said, *found.causes), remarks=found.remarks)
 
 
+def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:
+    """Return an estimate whose times count as the log's, if they count as the log's file does.
+
+    A bag's stamps count from 1970, the log's times from the first of them. instants_s: of the log.
+    """
+    start_s = float(log.provenance.get("time_origin_s", 0.0))
+    begin_s, end_s = instants_s[[0, -1]]
+    if not start_s > end_s or not begin_s - CLOCK_S <= given.time_s[0] - start_s <= end_s + CLOCK_S:
+        return given
+    trace = given.trace
+    if trace is not None:
+        trace = replace(trace, step_time_s=since_origin(trace.step_time_s, start_s, instants_s))
+    return replace(given, time_s=since_origin(given.time_s, start_s, instants_s), trace=trace)
+
+
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
-    """Say where it first leaves the filter that it is most like."""
-    near, prepared = found.grade.by, found.solution.prepared
-    if near is None or near.reference.smoothed or any(one.gap in OWN for one in found.causes):
-        return found  # a trace says what is wrong itself
-    said = first_departure(near, prepared.log, prepared.timeline)
-    return replace(found, remarks=(*([said] if said else []), *found.remarks))
+    """Say where it first leaves what a sound filter of its kind does."""
+    prepared, inside = found.solution.prepared, found.inside
+    left = found.trace and found.trace.departure
+    if left is None:
+        sound = [one for one in (*found.peers, *found.variants) if not one.smoothed]
+        if sound and not found.variants:
+            others = (filter_named(name, prepared, inside.time_s) for name in ORDERS if name != EKF)
+            sound += [one for one in others if one is not None]
+        left = departure_from(inside, sound, prepared.log, prepared.timeline)
+    if left is None:
+        return found
+    said = [] if found.outcome == "agree" else [str(left)]
+    return replace(found, departure=left, remarks=(*said, *found.remarks))
 
 
 def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
@@ -303,38 +334,65 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
     others = found.causes
     if known[0].exact:
         others = tuple(one for one in others if one.gap in OWN)
-    else:
-        found = _with_departure(found)
     return replace(found, causes=(fault_cause(known, sound), *others))
+
+
+def _filter_like(found: ExternalCheck, least: float) -> Likeness | None:
+    """What an estimate is most like, if that is a filter, and nothing else speaks against it.
+
+    None where its trace has a fault. least: share of the time to be covered.
+    """
+    near, traced = found.grade.by, found.trace
+    faulty = traced is not None and any(one.gap in OWN for one in traced.verdict.causes)
+    if faulty or near is None or near.reference.smoothed or not found.variants:
+        return None
+    return near if found.coverage.share >= least else None
+
+
+def _of_sigma_points(found: ExternalCheck, least: float) -> ExternalCheck | None:
+    """The check of an estimate beside the unscented filter of its own sigma points, if it is one.
+
+    least: as of _filter_like.
+    """
+    prepared, inside = found.solution.prepared, found.inside
+    if _filter_like(found, least) is None:
+        return None
+    ekf = likeness(inside, found.peers[0], labelled=prepared.labelled)
+    best = None
+    for reference in unscented_filters(inside, prepared, ekf):
+        best = _better(best, likeness(inside, reference, labelled=prepared.labelled))
+        if best.grade == "equal":
+            break
+    if best is None or best.grade is None:
+        return None
+    return _sound(replace(found, variants=(*found.variants, best.reference)), best, best.grade)
+
+
+def _sound(found: ExternalCheck, near: Likeness, grade: Literal["equal", "like"]) -> ExternalCheck:
+    """The check of an estimate that is as near to a filter as a grade says."""
+    graded = replace(found.grade, value=grade, by=replace(near, grade=grade))
+    outcome = outcome_of(graded, verified=found.solution.verified)
+    causes = () if outcome == "agree" else found.causes
+    return replace(found, grade=graded, outcome=outcome, causes=causes)
 
 
 def _within_spread(found: ExternalCheck, least: float) -> ExternalCheck | None:
     """The check of an estimate that is as near to a filter as other sound filters are.
 
-    None where it is not, or where its trace has a fault. least: share of the time to be covered.
+    None where it is not. least: as of _filter_like.
     """
-    near, prepared = found.grade.by, found.solution.prepared
-    faulty = found.trace is not None and any(c.gap in OWN for c in found.trace.verdict.causes)
-    if faulty or near is None or near.reference.smoothed or not found.variants:
-        return None
-    if found.coverage.share < least:
+    near = _filter_like(found, least)
+    if near is None:
         return None
     filters = (*found.peers, *found.variants)
     sound = [one for one in filters if not one.smoothed and one.name not in APART]
-    if not within_spread(near, sound, labelled=prepared.labelled):
+    if not within_spread(near, sound, labelled=found.solution.prepared.labelled):
         return None
-    grade = replace(found.grade, value="like", by=replace(near, grade="like"))
     said = (
         f"the estimate is up to {near.sigma:.2g} sigma from {near.reference.name}, its nearest, "
         f"and no part of it is farther than one of {len(sound) - 1} other sound filters is"
     )
-    return replace(
-        found,
-        grade=grade,
-        outcome=outcome_of(grade, verified=found.solution.verified),
-        causes=(),
-        remarks=(said, *found.remarks),
-    )
+    return _sound(replace(found, remarks=(said, *found.remarks)), near, "like")
 
 
 def check_external(
@@ -352,7 +410,7 @@ def check_external(
     clock, labelled = solution.prepared.clock, solution.prepared.labelled
     instants_s = solution.prepared.timeline.instants_s()
     given = replace(given, time_s=at_instants(given.time_s, instants_s))
-    inside = _chosen(given, within_log(given, solution.estimate))
+    inside = with_poses(given, within_log(given, solution.estimate))
     with clock.stage("references"):
         progress("references", 0, 0)
         references = _references(inside, solution)
@@ -470,11 +528,6 @@ def _expected(given: ExternalEstimate) -> RequiredGrade:
     return "like" if given.estimator == "ekf" else "plausible"
 
 
-def _chosen(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEstimate:
-    cover = None if given.pose_covariance is None else given.pose_covariance[rows]
-    return replace(given, time_s=given.time_s[rows], pose=given.pose[rows], pose_covariance=cover)
-
-
 def _references(given: ExternalEstimate, solution: Solution) -> _References:
     """Of a log with loop closures no filter is a peer, for none of ours uses these."""
     optimum = smoother(solution, given.time_s)
@@ -561,18 +614,10 @@ def _by_equations(
     """
     if traced.own is None or grade.value in ("like", "equal"):
         return grade
-    at = np.isin(inside.time_s, traced.own.time_s)
-    rows = np.isin(traced.own.time_s, inside.time_s)
-    own = replace(
-        traced.own,
-        time_s=traced.own.time_s[rows],
-        known=traced.own.known[rows],
-        pose=traced.own.pose[rows],
-        pose_covariance=traced.own.pose_covariance[rows],
-    )
-    if not at.any():
+    own = traced.own.at(inside.time_s)
+    if not len(own.time_s):
         return grade
-    near = likeness(_chosen(inside, at), own, labelled=labelled)
+    near = likeness(with_poses(inside, np.isin(inside.time_s, own.time_s)), own, labelled=labelled)
     return grade if near.grade is None else replace(grade, value="like", by=near)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from comparisons.checks.agreement import (
 )
 from comparisons.checks.causes import ALGEBRA_HINT
 from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
+from comparisons.checks.diagnosis.departure import Departure, departure_from, model_departure
 from comparisons.checks.diagnosis.known_model_errors import explain
 from comparisons.checks.diagnosis.model_differences import model_differences
 from comparisons.checks.diagnosis.single_precision import (
@@ -94,13 +96,15 @@ class TraceCheck(TraceFigures):
     """With causes. algebra: None where the estimate lacks the joint covariance.
 
     own: what the trace's own equations lead to, at the log's epochs; None where a cause speaks
-    against them.
+    against them. departure: where the trace first leaves the log's models, or the estimate the
+    trace's equations; None where neither does.
     """
 
     agreement: Agreement
     algebra: Gap | None
     verdict: Verdict
     own: Reference | None
+    departure: Departure | None
 
 
 def check_trace(
@@ -143,8 +147,10 @@ def check_trace(
     trace, found = run.trace, gaps.agreement
     algebra = found.algebra if known else None
     right = known and not any(one.gap in OWN for one in verdict.causes)
+    left = _departures(given, run, gaps, diagnosis, {one.gap for one in verdict.causes})
     return TraceCheck(
         own=_own_equations(run) if right else None,
+        departure=min(left, key=lambda one: one.time_s, default=None),
         agreement=found,
         algebra=algebra,
         verdict=verdict,
@@ -157,6 +163,22 @@ def check_trace(
         positions=len(trace.positions.step),
         innovations=list(event_innovations(run_events(run), run.sensors)),
     )
+
+
+def _departures(
+    given: ExternalEstimate, run: EkfRun, gaps: Gaps, diagnosis: Diagnosis, causes: set[str]
+) -> Iterator[Departure]:
+    """Where the trace leaves the models, and the estimate what the trace leads to."""
+    if "model" in causes:
+        found = model_departure(given, diagnosis.differences(), gaps.log)
+        if found is not None:
+            yield found
+    if "algebra" in causes:
+        with np.errstate(all="ignore"):  # a wrong filter may have broken down
+            own = _own_equations(run)
+        found = departure_from(given, [own], gaps.log, run.timeline)
+        if found is not None:
+            yield found
 
 
 def _own_equations(run: EkfRun) -> Reference:

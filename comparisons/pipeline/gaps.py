@@ -50,7 +50,7 @@ from graphslam.smoother import SmootherOptions, SmootherResult
 
 if TYPE_CHECKING:
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
-    from comparisons.checks.diagnosis.model_differences import ModelDifference
+    from comparisons.checks.diagnosis.model_differences import Events, ModelDifference
 
 V = TypeVar("V")
 Frozen = tuple[LinearProblem, LinearProblem, Marginal, Marginal]
@@ -133,7 +133,27 @@ class Gaps:
         said, own = self.by_steps(self.recorded, self.run.trace), self.model
         if self._model_steps is not None:
             own = replace(own, motion=self._model_steps)
-        return model_differences(said, own, ROUNDING, initialised, stored or {})
+        return model_differences(said, own, ROUNDING, initialised, stored or {}, self._events())
+
+    def _events(self) -> dict[str, Events]:
+        """Return when each relation of the trace was used."""
+        from comparisons.checks.diagnosis.model_differences import (
+            POSITIONS,
+            PREDICTIONS,
+            UPDATES,
+            Events,
+        )
+
+        times, trace = self.run.timeline, self.run.trace
+        epoch_s, new = times.epoch_time_s, trace.initialisations[POINT]
+        seen = trace.measurements[POINT].number, new.number[new.weight > 0.0]
+        number, fix = np.concatenate(seen), trace.positions.number
+        steps = epoch_s[1:] if self._model_steps is None else times.step_end_s
+        return {
+            PREDICTIONS: Events(steps),
+            UPDATES: Events(epoch_s[times.measurement_epoch[number]], number),
+            POSITIONS: Events(epoch_s[times.position_epoch[fix]], fix),
+        }
 
     def linearisation_growth(self) -> LinearisationGrowth:
         """Return where linearising cost something."""

@@ -134,7 +134,18 @@ def filter_named(
 
     started: as of run_reference.
     """
-    run = _run(prepared, dict(_VARIANTS).get(name, Ekf), time_s, started)
+    return filter_of(name, dict(_VARIANTS).get(name, Ekf), prepared, time_s, started)
+
+
+def filter_of(
+    name: str,
+    kind: type[Ekf],
+    prepared: Prepared[SolveConfig],
+    time_s: Array,
+    started: Callable[[Ekf], FilterObserver] | None = None,
+) -> Reference | None:
+    """The reference of a filter; arguments as of `filter_named`."""
+    run = _run(prepared, kind, time_s, started)
     return None if run is None else _of_run(name, run, time_s)
 
 

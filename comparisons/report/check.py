@@ -22,6 +22,7 @@ from comparisons.checks.consistency.finding import (
     nees_rows,
     smoothed_rows,
 )
+from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import Likeness, match_map
 from comparisons.figures import Model, band, finite, in_sigma, shown
 from comparisons.pipeline.check import ExternalCheck
@@ -29,6 +30,7 @@ from comparisons.pipeline.external_trace import TraceFigures
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.check import check_figure
 from comparisons.report.folder import JobFolder
+from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.map import (
     MapContent,
     Track,
@@ -40,7 +42,7 @@ from comparisons.report.html.map import (
 from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.ladder import check_ladder
-from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.models import JobResult, SmootherResult
 from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import (
@@ -89,6 +91,7 @@ def build_check_result(check: ExternalCheck, read: Clock | None = None) -> Check
         grade=check.grade.value,
         required=check.grade.required,
         nearest=_nearest(check.grade.by),
+        departure=check.departure,
         verdict=check.outcome,
         causes=check.causes,
         remarks=list(check.remarks),
@@ -258,7 +261,14 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
         ratio=ratio[marked],
         view=[smoothed.pose[:, :2], smoothed.landmark],
         beneath=beneath,
+        above=() if check.departure is None else (partial(_mark, check.departure),),
     ), marked
+
+
+def _mark(left: Departure, drawing: Drawing) -> None:
+    """Mark the first departure on the map."""
+    look, place = (DEPARTURE, DEPARTURE_COLOUR), np.array([left.place])
+    drawing.marks(*look, place, [str(left)], [DEPARTURE], [DEPARTURE_COLOUR])
 
 
 def _check_rows(result: CheckResult) -> list[Row]:
@@ -299,6 +309,8 @@ def _estimate_rows(result: CheckResult) -> list[Row]:
             ends = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
             ratios = band(*(shown(value, ".4g") for value in ends))
             rows.append(Row("Estimate", "variances, estimate over nearest reference", ratios))
+    if (left := result.departure) is not None:
+        rows.append(Row("Estimate", DEPARTURE, f"{left.time_s:.9g} s: {left.what}, {left.event}"))
     return rows
 
 
@@ -430,6 +442,7 @@ class CheckResult(JobResult):
             reference and the optimum is not verified.
         required: the lowest grade that agrees.
         nearest: the nearest reference.
+        departure: where the estimate, or its trace, first leaves a sound filter; None where not.
         verdict: the verdict.
         causes: reasons for the verdict, the first one first.
     """
@@ -455,5 +468,6 @@ class CheckResult(JobResult):
     grade: Literal["equal", "like", "plausible", "wrong"] | None
     required: Literal["equal", "like", "plausible"]
     nearest: NearestResult | None
+    departure: Departure | None
     verdict: Literal["agree", "disagree", "unverified"]
     causes: list[Cause]

@@ -13,6 +13,8 @@ EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"
 TRUTH_COLOUR = "#444444"
 SCANS_COLOUR = "#edae49"
+DEPARTURE = "first departure"
+DEPARTURE_COLOUR = "#7b4fa3"
 
 
 def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) -> Array:
@@ -51,9 +53,21 @@ class Band:
     high: Array
 
 
+@dataclass(frozen=True)
+class Moment:
+    """Where something happens on the axis that curves run along."""
+
+    name: str
+    colour: str
+    x: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """Curves over one axis. logarithmic: of the values. level: what is right, if one value is."""
+    """Curves over one axis. logarithmic: of the values. level: what is right, if one value is.
+
+    moments: what is marked across all curves.
+    """
 
     title: str
     x_label: str
@@ -61,6 +75,7 @@ class Panel:
     bands: tuple[Band, ...]
     logarithmic: bool = False
     level: float | None = None
+    moments: tuple[Moment, ...] = ()
 
 
 def nis_panel(sensor: SensorInnovations, colour: str, at: Array, x_label: str) -> Panel:

@@ -6,7 +6,7 @@ The picture and the page draw these panels, each in its way; nothing is computed
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import TYPE_CHECKING
 
@@ -20,11 +20,14 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.innovations import SensorInnovations
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.marks import (
+    DEPARTURE,
+    DEPARTURE_COLOUR,
     EKF_COLOUR,
     SCANS_COLOUR,
     SMOOTHER_COLOUR,
     Band,
     Curve,
+    Moment,
     Panel,
     nis_panel,
 )
@@ -185,6 +188,10 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
     if paths:
         paths.append(("estimate", EKF_COLOUR, c.time_s, check.optimum.pose + c.difference))
         panels.append(distance_panel(paths, check.optimum.time_s, check.optimum.pose))
+    left = check.departure
+    if left is not None:
+        mark = Moment(DEPARTURE, DEPARTURE_COLOUR, left.time_s)
+        panels = [replace(panel, moments=(mark,)) for panel in panels]
     return " ".join(reported), tuple(panels)
 
 

@@ -74,6 +74,8 @@ def draw_panel(axis: Axes, panel: Panel, *, marked: bool = False) -> None:
         )  # fmt: skip
     if panel.level is not None:
         axis.axhline(panel.level, color=TRUTH_COLOUR, linewidth=0.5)
+    for moment in panel.moments:
+        axis.axvline(moment.x, color=moment.colour, linewidth=0.9, linestyle=":", label=moment.name)
     if panel.logarithmic:
         axis.set_yscale("log")
         axis.yaxis.set_major_formatter("{x:g}")  # powers of ten set as formulas take far longer

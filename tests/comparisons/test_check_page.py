@@ -20,7 +20,8 @@ from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.pipeline.check import ExternalCheck, check
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.check import build_check_result, check_folder, check_page
+from comparisons.report.check import build_check_result, check_folder, check_page, check_summary
+from comparisons.report.figures.check import check_figure
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html.page import page
 from comparisons.report.ladder import EXTERNAL, SMOOTHER, check_ladder
@@ -285,6 +286,46 @@ def test_a_long_estimate_leaves_a_page_of_less_than_5_mb() -> None:
         consistency=replace(c, time_s=time_s, difference=c.difference[row], smoothed=smoothed),
     )
     assert len(page(check_page(long, build_check_result(found)))) < 2_500_000
+
+
+def shifted(given: ExternalEstimate, since: int) -> ExternalEstimate:
+    """From a pose on it is 1 m too far east."""
+    pose = given.pose.copy()
+    pose[since:, 0] += 1.0
+    return replace(given, pose=pose)
+
+
+def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
+    """In the text, on the page's and the picture's map, and on every curve."""
+    since = 60
+    found = check(run().log, shifted(filtered(), since))
+    left, result = present(found.departure), build_check_result(found)
+    assert left.time_s == filtered().time_s[since]
+    assert left.place == tuple(found.given.pose[since, :2])
+    said = f"first departure: the poses leave the reference EKF at {left.time_s:.9g} s"
+    summary = check_summary(result)
+    assert summary.remarks[0].startswith(said)
+    assert "first departure" in [row.quantity for row in summary.rows]
+    text = html(found)
+    layer = re.search(r'data-name="first departure".*?</g>', text)
+    assert said in present(layer)[0]
+    panels, start_s = external_panels(found)[1], data_of(text)["start"]
+    assert {moment.x for panel in panels for moment in panel.moments} == {left.time_s}
+    marks = [panel["moments"] for panel in data_of(text)["panels"]]
+    assert len(marks) == len(panels)
+    assert all(start_s + one[0]["x"] == pytest.approx(left.time_s) for one in marks)
+    axis = check_figure(found).axes[0]
+    drawn = [line for line in axis.lines if line.get_label() == "first departure"]
+    assert drawn[0].get_xydata() == pytest.approx(np.array([left.place]))
+    write_job_folder(check_folder(found, result), tmp_path / "out")
+    written = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert written["departure"]["time_s"] == left.time_s
+
+
+def test_what_is_equal_departs_nowhere() -> None:
+    assert sound().departure is None
+    assert "first departure" not in html(sound())
+    assert not any(panel.moments for panel in external_panels(sound())[1])
 
 
 def test_the_files_that_were_judged_are_named_by_their_hashes(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from comparisons.adapters.filter_variants import (
     NewFirstEkf,
     NewFirstSequentialEkf,
     SequentialEkf,
+    SigmaPoints,
     UnknownFirstSequentialEkf,
     UnscentedEkf,
     unscented,
@@ -134,7 +135,8 @@ def quadratic(x: Array) -> Array:
 def test_the_unscented_transform_is_exact_to_second_order() -> None:
     """Of x^2 + 3 x: mean m^2 + s^2 + 3 m, slope 2 m + 3, and 2 s^4 that the slope leaves over."""
     m, variance = 0.7, 0.04
-    y = unscented(np.array([m]), np.array([[variance]]), quadratic, alpha=1e-2)
+    points = SigmaPoints(spread=1e-4, central=2.0 - 1e-4)
+    y = unscented(np.array([m]), np.array([[variance]]), quadratic, points=points)
     assert y.mean[0] == pytest.approx(m**2 + variance + 3.0 * m)
     assert y.slope[0, 0] == pytest.approx(2.0 * m + 3.0)
     assert y.rest[0, 0] == pytest.approx(2.0 * variance**2, rel=1e-6)

@@ -11,13 +11,31 @@ import pytest
 
 import slamcheck
 from benchmarks.stranger_faults import Plant, instead, late_odometry, noisy, scaled, spread
-from benchmarks.strangers import Arc, Array, ByRow, Course, Ekf, Euler, read_log, simulate
+from benchmarks.strangers import (
+    Arc,
+    Array,
+    ByRow,
+    Course,
+    Cubature,
+    Ekf,
+    Euler,
+    UnscentedHalf,
+    UnscentedThird,
+    read_log,
+    simulate,
+)
 from comparisons.checks.causes import Cause
+from comparisons.checks.grade import likeness
+from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Method
 from comparisons.fingerprints import search
+from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import ExternalCheck
+from comparisons.pipeline.references import reference_ekf
+from comparisons.pipeline.solve import solve
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
+from tests.helpers import present
 
 SEED = 3
 
@@ -111,6 +129,41 @@ def test_each_fault_is_the_first_sentence(words: str, folder: Path, tmp_path: Pa
     assert "equals the estimate" in first.evidence
 
 
+@pytest.fixture(scope="module")
+def hard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive so far from linear that no unscented filter is like another."""
+    path = tmp_path_factory.mktemp("hard") / "log"
+    simulate(Course("hard", hard=True, duration_s=12.0), SEED, path)
+    return path
+
+
+def unscented_grades(kind: type[Ekf], folder: Path, out: Path) -> list[str | None]:
+    """Grades of an estimate beside the unscented filters that are fitted to it."""
+    kind(read_log(folder)).run().write(out, traced=False)
+    prepared, given = solve(slamcheck.load_log(folder)).prepared, read_external(out)
+    ekf, _ = present(reference_ekf(prepared, given.time_s))
+    fitted = unscented_filters(given, prepared, likeness(given, ekf, labelled=True))
+    return [likeness(given, one, labelled=True).grade for one in fitted]
+
+
+@pytest.mark.parametrize("kind", [UnscentedHalf, UnscentedThird, Cubature])
+def test_sigma_points_are_found_and_no_fault_is_taken_for_them(
+    kind: type[Ekf], hard: Path, tmp_path: Path
+) -> None:
+    assert "equal" in unscented_grades(kind, hard, tmp_path / "mine")
+    faulty = scaled("noise", 0.5)(kind)
+    assert not any(unscented_grades(faulty, hard, tmp_path / "worse"))
+
+
+def test_an_unscented_filter_is_equal_whatever_its_sigma_points(hard: Path, tmp_path: Path) -> None:
+    """Where no other reference is like it."""
+    found = judged(UnscentedHalf, hard, tmp_path / "mine")
+    assert (found.outcome, found.grade.value) == ("agree", "equal"), found.causes
+    assert present(found.grade.by).reference is found.variants[-1]
+    others = [likeness(found.inside, one, labelled=True) for one in found.variants[:-1]]
+    assert all(one.grade is None for one in others)
+
+
 def shortened(own: Method, ekf: Ekf, z: Array, expected: Array) -> Any:
     """A fault that no catalogue has: every range is shortened by its bearing."""
     return own(z - (0.3 * abs(z[1]), 0.0), expected)
@@ -120,7 +173,30 @@ def test_a_fault_that_nobody_knows_is_given_no_name(folder: Path, tmp_path: Path
     found = judged(instead(residual=shortened)(Newcomer), folder, tmp_path / "mine")
     assert found.outcome == "disagree"
     assert all(one.gap != "fault" for one in found.causes)
-    assert any(said.startswith("the poses first differ from") for said in found.remarks)
+    assert found.remarks[0].startswith("first departure: the poses leave")
+
+
+@pytest.mark.parametrize("traced", [True, False])
+def test_a_fault_that_comes_late_is_dated(folder: Path, tmp_path: Path, traced: bool) -> None:
+    """The nearest by the largest difference is another filter, which it leaves much earlier.
+
+    With a trace the measurement is known, without one the scan.
+    """
+    log = slamcheck.load_log(folder)
+    since = float(np.unique(log.measurements.time_s)[8])
+
+    def smaller(ekf: Ekf, k: int, r: Array) -> Array:
+        return 0.3 * r if ekf.log.used_s[k] >= since else r
+
+    noisy(smaller)(Newcomer)(read_log(folder)).run().write(tmp_path / "mine", traced=traced)
+    found = slamcheck.check(log, tmp_path / "mine", require="like")
+    left, rows = found.departure, np.flatnonzero(log.measurements.time_s == since)
+    assert found.outcome == "disagree"
+    assert left is not None
+    assert left.time_s == pytest.approx(since, rel=1e-9)
+    assert left.measurements == (rows[:1] if traced else rows).tolist()
+    assert left.landmarks == np.unique(log.measurements.landmark[left.measurements]).tolist()
+    assert str(left) == found.remarks[0]
 
 
 def test_a_fault_that_explains_all_but_a_hundredth_is_not_said_to_be_equal() -> None:

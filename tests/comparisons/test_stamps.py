@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import runpy
 import sys
+import tomllib
 from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -118,3 +123,126 @@ def test_what_a_float_adds_is_no_time_of_its_own() -> None:
     late = np.array([1_700_000_000.1234567])
     assert resolved(late).tolist() == late.tolist()
     assert stamps.resolved(np.array([1e-9])).tolist() == [1e-9]
+
+
+def driven(log: Log) -> Array:
+    """Poses (N, 3) at the odometry's samples, by dead reckoning."""
+    assert isinstance(log.odometry, VelocityOdometry)
+    o, pose = log.odometry, np.zeros((len(log.odometry.time_s), 3))
+    for k, dt in enumerate(np.diff(o.time_s).tolist()):
+        middle = pose[k, 2] + 0.5 * dt * o.yaw_rate_radps[k]
+        way = dt * o.speed_mps[k]
+        pose[k + 1] = pose[k] + (way * np.cos(middle), way * np.sin(middle), middle - pose[k, 2])
+        pose[k + 1, 2] = pose[k, 2] + dt * o.yaw_rate_radps[k]
+    return pose
+
+
+def bag(path: Path, seed: int) -> Path:
+    """The drive as a ROS bag with jittered stamps since 1970, exact to the nanosecond."""
+    from tests.comparisons.logs.bags import SECOND, Types
+
+    types, rng = Types().with_detections(), np.random.default_rng(seed)
+    log = of_speeds_and_yaw_rates(8.0)
+    start = 1_700_000_000_123_456_789
+
+    def since_1970(time_s: float) -> Fraction:
+        jitter = int(rng.integers(0, 2_000_000))
+        return Fraction(start + round(time_s * SECOND) + jitter, SECOND)
+
+    messages = [
+        types.odometry(since_1970(t), float(x), float(h), y=float(y))
+        for t, (x, y, h) in zip(log.odometry.time_s, driven(log), strict=True)
+    ]
+    seen, covariance = log.measurements, np.diag((0.04, 0.04, 0, 0, 0, 0))
+    # Within the odometry, which ends with its last sample.
+    for t in np.unique(seen.time_s[seen.time_s < log.odometry.time_s[-1]]):
+        rows = np.flatnonzero(seen.time_s == t)
+        ahead = seen.range_m[rows] * np.exp(1j * seen.bearing_rad[rows])
+        points = [
+            (str(label), "", float(z.real), float(z.imag))
+            for label, z in zip(seen.landmark[rows], ahead, strict=True)
+        ]
+        messages.append(types.detections(since_1970(t), *points, covariance=covariance))
+    messages.sort(key=lambda one: one[2])
+    return types.write(path, messages)
+
+
+def filtered_bag(folder: Path, origin: str) -> Path:
+    """Run the example filter on a log of displacements; times as the bag has them, or the log.
+
+    origin: of the times, as text; empty for the log's.
+    """
+    example = runpy.run_path(str(EXAMPLE))
+    odometry, seen = (
+        example["read"](folder / f"{name}.csv") for name in ("odometry", "measurements")
+    )
+    meta = tomllib.loads((folder / "log.toml").read_text())
+    out = folder.parent / f"mine-{origin}"
+    out.mkdir()
+    stamp = Decimal(origin or "0")
+    path, spread = [], []
+    with slamcheck.Recorder(out / "filter.trace") as record:
+        ekf = example["MyEkf"](
+            meta["prior"],
+            {"sigma_speed_mps": 0.0, "sigma_turn": 0.0, "variance_rate_position": 0.0,
+             "variance_rate_heading": 0.0},
+            record,
+        )  # fmt: skip
+        times = [meta["prior"]["time_s"], *odometry["time_s"].tolist()]
+        for step, t in enumerate(times):
+            record.at(float(stamp + Decimal(repr(t))))
+            if step:
+                displaced(ekf, {name: column[step - 1] for name, column in odometry.items()})
+            for k in np.flatnonzero(seen["time_s"] == t):
+                z = np.array([seen["range_m"][k], seen["bearing_rad"][k]])
+                sigma = seen["sigma_range_m"][k], seen["sigma_bearing_rad"][k]
+                ekf.observe(int(k), int(seen["landmark"][k]), z, np.diag(sigma) ** 2)
+            x, y, heading = ekf.x[:3].tolist()
+            turn = f"{math.sin(0.5 * heading)!r} {math.cos(0.5 * heading)!r}"
+            path.append(f"{stamp + Decimal(repr(t))} {x!r} {y!r} 0 0 0 {turn}")
+            spread.append(ekf.p[:3, :3].copy())
+        record.snapshot(ekf.p)
+    (out / "trajectory.tum").write_text("\n".join(path))
+    places = [
+        f"{label},{float(ekf.x[i])},{float(ekf.x[i + 1])}"
+        for label, i in ekf.landmark_index.items()
+    ]
+    (out / "landmarks.csv").write_text("\n".join(["id,x_m,y_m", *places]))
+    np.savez(out / "covariances.npz", pose=np.array(spread), last_pose_and_landmarks=ekf.p)
+    (out / "estimate.toml").write_text('version = 1\ninformation = "filtered"\nestimator = "ekf"\n')
+    return out
+
+
+def displaced(ekf: Any, row: dict[str, float]) -> None:
+    """Predict by a displacement, whose covariance is in the arriving frame."""
+    c, s = np.cos(ekf.x[2]), np.sin(ekf.x[2])
+    departed = ekf.x[:3].copy()
+    east = c * row["dx_m"] - s * row["dy_m"]
+    north = s * row["dx_m"] + c * row["dy_m"]
+    f = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
+    ekf.x[:3] += east, north, row["dheading_rad"]
+    turn = np.eye(3)
+    c, s = np.cos(ekf.x[2]), np.sin(ekf.x[2])
+    turn[:2, :2] = [[c, -s], [s, c]]
+    upper = np.zeros((3, 3))
+    upper[np.triu_indices(3)] = [row[f"cov_{k}"] for k in ("00", "01", "02", "11", "12", "22")]
+    q = turn @ (upper + np.triu(upper, 1).T) @ turn.T
+    ekf.p[:3] = f @ ekf.p[:3]
+    ekf.p[:, :3] = ekf.p[:, :3] @ f.T
+    ekf.p[:3, :3] += q
+    ekf.record.predict(f, q, ["pose"], point=departed, after=ekf.x[:3])
+
+
+@pytest.mark.parametrize("since_1970", [False, True])
+def test_a_right_filter_is_equal_on_a_ros_bag(since_1970: bool, tmp_path: Path) -> None:
+    """With the times of the log folder, and with those of the bag."""
+    pytest.importorskip("rosbags")
+    log = slamcheck.load_log(bag(tmp_path / "drive", seed=4))
+    origin = log.provenance["time_origin_s"]
+    assert origin.startswith("1700000000.")
+    assert np.any(np.round(log.odometry.time_s, 6) != log.odometry.time_s)
+    write_log_folder(log, tmp_path / "log")
+    mine = filtered_bag(tmp_path / "log", origin if since_1970 else "")
+    found = slamcheck.check(log, mine)
+    assert (found.outcome, found.grade.value) == ("agree", "equal"), found.causes
+    assert present(found.trace).agreement.model.within(1e-6)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,18 @@ from graphslam.linear_problem import (
 
 _PLACES = ("position", "heading")
 _EXACT: Mapping[tuple[str, str], float] = {}
+PREDICTIONS, UPDATES, POSITIONS = "predictions", "measurement updates", "position updates"
+INITIALISATIONS = "landmark initialisations"
+
+
+class Events(NamedTuple):
+    """When relations of one kind were used (N,) [s], and their numbers in the log (N,), if any."""
+
+    time_s: Array
+    number: NDArray[np.int64] | None = None
+
+
+_UNTIMED: Mapping[str, Events] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +48,8 @@ class ModelDifference:
     """One quantity of one kind of relation.
 
     count: of relations in which it differs, of `total`. largest: difference, in `unit`. absent: it
-    is zero in the filter wherever it differs.
+    is zero in the filter wherever it differs. first_s: when it first differs; number: of the
+    measurement or position with which it does.
     """
 
     relation: str
@@ -46,6 +59,8 @@ class ModelDifference:
     largest: float
     unit: str
     absent: bool
+    first_s: float | None = None
+    number: int | None = None
 
     def __str__(self) -> str:
         """For people to read."""
@@ -68,13 +83,14 @@ def model_differences(
     tolerance: float,
     initialised: int = 0,
     stored: Mapping[tuple[str, str], float] = _EXACT,
+    events: Mapping[str, Events] = _UNTIMED,
 ) -> tuple[ModelDifference, ...]:
     """What differs by more than the tolerance, the largest first; what is missing before that.
 
     stored: by relation and quantity, what storing the records explains besides.
 
     initialised: so many measurements, the last ones, initialise a landmark; they are named apart
-    where the others do not differ.
+    where the others do not differ. events: of each kind of relations, where known.
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
@@ -90,9 +106,9 @@ def model_differences(
         for kind, merged in own.merges.items()
     }
     kinds = (
-        ("predictions", "the predicted pose", *steps),
-        ("measurement updates", "the innovation", *measurements[POINT]),
-        ("position updates", "the innovation", *positions),
+        (PREDICTIONS, "the predicted pose", *steps),
+        (UPDATES, "the innovation", *measurements[POINT]),
+        (POSITIONS, "the innovation", *positions),
         ("measurements of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
         ("merges of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
     )
@@ -102,9 +118,10 @@ def model_differences(
             relation, limit = kind, tolerance + stored.get((kind, quantity), 0.0)
             off = ~(difference <= limit)
             if off.any():
+                first = _first_event(off, events.get(kind))
                 uses = len(off) - initialised
-                if relation == "measurement updates" and not off[:uses].any():
-                    relation, off, absent = "landmark initialisations", off[uses:], absent[uses:]
+                if relation == UPDATES and not off[:uses].any():
+                    relation, off, absent = INITIALISATIONS, off[uses:], absent[uses:]
                 found.append(
                     ModelDifference(
                         relation=relation,
@@ -114,9 +131,22 @@ def model_differences(
                         largest=float(difference.max()),
                         unit=unit,
                         absent=bool(absent[off].all()),
+                        first_s=first[0],
+                        number=first[1],
                     )
                 )
     return tuple(sorted(found, key=lambda d: (not d.absent, -d.largest)))
+
+
+def _first_event(off: NDArray[np.bool_], events: Events | None) -> tuple[float | None, int | None]:
+    """When the earliest of relations (N,) is, and its number in the log."""
+    if events is None:
+        return None, None
+    rows = np.flatnonzero(off)
+    order = events.time_s[rows] if events.number is None else events.number[rows]
+    first = rows[np.argmin(order)]
+    number = None if events.number is None else int(events.number[first])
+    return float(events.time_s[first]), number
 
 
 def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[ModelDifference]:

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.report.figures.style import draw_landmarks, draw_trajectory, estimates_figure
-from comparisons.report.marks import EKF_COLOUR, ellipses
+from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, ellipses
 
 
 def check_figure(check: ExternalCheck) -> Figure:
@@ -24,5 +24,8 @@ def check_figure(check: ExternalCheck) -> Figure:
             spread = np.zeros((len(given.landmark), 2, 2))
         outline = ellipses(given.landmark, spread, 3.0)
         draw_landmarks(axis, given.landmark, outline, EKF_COLOUR, "o", "estimate landmarks")
+    if check.departure is not None:
+        east, north = check.departure.place
+        axis.plot(east, north, "X", color=DEPARTURE_COLOUR, markersize=9, label=DEPARTURE)
     axis.legend(loc="best", fontsize=8)
     return figure

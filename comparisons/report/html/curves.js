@@ -123,6 +123,12 @@
       for (const c of panel.curves) {
         make('path', { d: this.line(c.x, c.y), stroke: c.colour, class: 'line' }, plot);
       }
+      for (const one of panel.moments) {
+        const x = this.across(one.x);
+        const line = make('line', { x1: x, x2: x, y1: top, y2: top + h, stroke: one.colour,
+          class: 'moment' }, plot);
+        make('title', {}, line).textContent = one.name;
+      }
       this.cursor = make('line', { class: 'cursor', y1: TOP, y2: HEIGHT - BOTTOM, visibility: 'hidden' }, svg);
       this.brush = make('rect', { class: 'brush', y: TOP, height: h, visibility: 'hidden' }, svg);
       if (panel.timed) this.at = pointed;

@@ -64,6 +64,10 @@ def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:
         "level": panel.level,
         "curves": curves,
         "bands": bands,
+        "moments": [
+            {"name": one.name, "colour": themed(one.colour), "x": round(one.x - start, 3)}
+            for one in panel.moments
+        ],
     }
 
 

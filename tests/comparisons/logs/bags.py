@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-Message = tuple[str, str, float, Any]
+Seconds = float | Fraction
+"""A fraction is exact to the nanosecond, since 1970, too."""
+Message = tuple[str, str, Seconds, Any]
 """Topic, type, time of recording [s], message."""
 
 SECOND = 10**9
@@ -60,7 +63,7 @@ class Types:
     def make(self, name: str, *values: Any, **named: Any) -> Any:
         return self.store.types[name](*values, **named)
 
-    def header(self, time: float, frame: str) -> Any:
+    def header(self, time: Seconds, frame: str) -> Any:
         ns = round(time * SECOND)
         stamp = self.make("builtin_interfaces/msg/Time", ns // SECOND, ns % SECOND)
         counter = {"seq": 0} if self.is_ros1 else {}
@@ -87,7 +90,7 @@ class Types:
         c, s, a, b = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(roll / 2), np.sin(roll / 2)
         return self.make("geometry_msgs/msg/Quaternion", c * b, s * b, s * a, c * a)
 
-    def odometry(self, time: float, x: float, yaw: float = 0.0, **changes: Any) -> Message:
+    def odometry(self, time: Seconds, x: float, yaw: float = 0.0, **changes: Any) -> Message:
         name = "geometry_msgs/msg/"
         point = self.make(name + "Point", x, changes.pop("y", 0.0), 0.3)
         turn = changes.pop("quaternion", None) or self.quaternion(yaw)
@@ -191,7 +194,7 @@ class Types:
         return self
 
     def detections(
-        self, time: float, *points: tuple[str, str, float, float], **more: Any
+        self, time: Seconds, *points: tuple[str, str, float, float], **more: Any
     ) -> Message:
         """Class, id, x and y of each; more: frame, covariance (6, 6), one or of each."""
         name = "vision_msgs/msg/"

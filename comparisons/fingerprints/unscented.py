@@ -1,0 +1,98 @@
+"""Which unscented Kalman filter an estimate is of: sigma points are fitted to its first poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+
+from comparisons.adapters.filter_variants import SigmaPoints, UnscentedEkf
+from comparisons.arrays import Array
+from comparisons.checks.grade import Likeness, Reference
+from comparisons.config import SolveConfig
+from comparisons.errors import InputError
+from comparisons.estimates.external import ExternalEstimate
+from comparisons.fingerprints.companion import EXPLAINED, Companion, First, Left
+from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.references import filter_of
+
+NAME = "an unscented Kalman filter with the estimate's sigma points"
+_START = np.array((0.25, 1.0))
+"""spread and central of SigmaPoints."""
+_LOW, _HIGH = np.array((1e-6, -1.1)), np.array((1.1, 3.1))
+_STEP = 1e-4
+_POSES, _MOST = 20, 60
+"""Fitted are the poses until the EKF has left the estimate, so many more, and at most so many."""
+_ROUNDS = 6
+_SLOW = 0.5
+"""What a round of Gauss and Newton leaves of a wrong form; of the right one it leaves far less."""
+_ROUNDING = 1e-8
+
+
+def unscented_filters(
+    given: ExternalEstimate, prepared: Prepared[SolveConfig], ekf: Likeness
+) -> Iterator[Reference]:
+    """Yield unscented filters whose sigma points explain the first poses of an estimate.
+
+    Of each form: whether sigma points lie by kappa 0 or 3 - n, along Cholesky's root or the
+    symmetric one, whether the control has some, and whether new landmarks are placed by them.
+
+    Args:
+        given: Its poses at the reference's times, and no others.
+        prepared: The log.
+        ekf: The estimate against the reference EKF.
+    """
+    fit = _Fit(given, prepared, ekf)
+    both = (True, False)
+    for symmetric, kappa, controls, starts in product((False, True), (0.0, None), both, both):
+        form = SigmaPoints(kappa=kappa, symmetric=symmetric)
+        kind = fit.fitted(form, {"controls": controls, "starts": starts})
+        found = None if kind is None else filter_of(NAME, kind, prepared, given.time_s)
+        if found is not None:
+            yield found
+
+
+class _Fit:
+    """The first poses of an estimate. ekf: as of `unscented_filters`."""
+
+    def __init__(
+        self, given: ExternalEstimate, prepared: Prepared[SolveConfig], ekf: Likeness
+    ) -> None:
+        self.given, self.prepared = given, prepared
+        self.beside = Companion(given, ekf)
+        self.count = min(self.beside.first(_POSES), _MOST, len(given.time_s))
+        self.enough = max((1.0 - EXPLAINED) * self.beside.sound_until(self.count), _ROUNDING)
+
+    def fitted(self, form: SigmaPoints, options: dict[str, bool]) -> type[UnscentedEkf] | None:
+        """Return the filter of a form that leaves the least; None where that is too much."""
+
+        def kind(at: Array) -> type[UnscentedEkf]:
+            points = form._replace(spread=float(at[0]), central=float(at[1]))
+            return type("FittedUnscentedEkf", (UnscentedEkf,), {**options, "points": points})
+
+        at, best, last = _START, _START, np.inf
+        for _ in range(_ROUNDS):
+            now, *beside = (self._left(kind(one)) for one in (at, *(at + _STEP * np.eye(2))))
+            if now is None or beside[0] is None or beside[1] is None:
+                return None
+            left = float(np.abs(now).max())
+            if left > _SLOW * last:
+                break
+            last, best = left, at
+            if left <= _ROUNDING:
+                break
+            slope = np.column_stack([one - now for one in beside if one is not None])
+            at = np.clip(at - np.linalg.lstsq(slope / _STEP, now)[0], _LOW, _HIGH)
+        return kind(best) if last <= self.enough else None
+
+    def _left(self, kind: type[UnscentedEkf]) -> Array | None:
+        """What is left of the first poses; None where the filter does not reach them all."""
+        seen = First(self.beside, self.count)
+        try:
+            filter_of(NAME, kind, self.prepared, self.given.time_s, lambda ekf: seen)
+        except Left:
+            return np.concatenate(seen.left)
+        except (InputError, np.linalg.LinAlgError):
+            return None
+        return np.concatenate(seen.left) if len(seen.left) == self.count else None
