@@ -69,7 +69,7 @@ _WORDS = ("landmark", "id")
 class PlainTable:
     """columns: by name, numbers (N,) or words. line: (N,) of the file. origin: header of each.
 
-    headers: of the file, in its order.
+    headers: of the file, in its order. A column of numbers that is empty throughout is not there.
     """
 
     path: Path
@@ -124,6 +124,10 @@ def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) ->
                 f"{path}:{line}: {len(row)} values, expected {len(names)} as in the header"
             )
     place = {name: names.index(header) for name, header in origin.items()}
+    for name, index in list(place.items()) if rows else ():
+        if name not in (*_WORDS, *_GAPS) and not any(row[index].strip() for row in rows):
+            del place[name], origin[name]
+            names[index] += " (empty)"
     columns: dict[str, Any] = {}
     for name, index in place.items():
         words = [row[index].strip() for row in rows]
