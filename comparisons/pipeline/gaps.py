@@ -128,12 +128,15 @@ class Gaps:
         """Return where F1's and F2's equations differ by more than rounding, and storing."""
         from comparisons.checks.diagnosis.model_differences import model_differences
 
-        weight = self.run.trace.initialisations[POINT].weight
-        initialised = int(np.count_nonzero(weight > 0.0))
         said, own = self.by_steps(self.recorded, self.run.trace), self.model
         if self._model_steps is not None:
             own = replace(own, motion=self._model_steps)
-        return model_differences(said, own, ROUNDING, initialised, stored or {})
+        return model_differences(said, own, ROUNDING, self.initialised, stored or {})
+
+    @property
+    def initialised(self) -> int:
+        """How many measurements initialised a point."""
+        return int(np.count_nonzero(self.run.trace.initialisations[POINT].weight > 0.0))
 
     def linearisation_growth(self) -> LinearisationGrowth:
         """Return where linearising cost something."""

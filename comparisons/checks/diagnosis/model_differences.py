@@ -47,6 +47,11 @@ class ModelDifference:
     unit: str
     absent: bool
 
+    @property
+    def group(self) -> tuple[str, bool]:
+        """The kind of relation, and whether it is of a Jacobian: the rest may follow from one."""
+        return self.relation, "Jacobian" in self.quantity
+
     def __str__(self) -> str:
         """For people to read."""
         how = "is missing" if self.absent else f"differs by up to {self.largest:.2g} {self.unit}"
@@ -61,6 +66,11 @@ class _Places:
     jacobian: Array
     covariance: Array
 
+    def rows(self, first: int, end: int | None = None) -> _Places:
+        """Return some of them."""
+        part = slice(first, end)
+        return _Places(self.place[part], self.jacobian[part], self.covariance[part])
+
 
 def model_differences(
     recorded: LinearProblem,
@@ -73,8 +83,8 @@ def model_differences(
 
     stored: by relation and quantity, what storing the records explains besides.
 
-    initialised: so many measurements, the last ones, initialise a landmark; they are named apart
-    where the others do not differ.
+    initialised: so many measurements, the last ones, initialise a landmark; they are a kind of
+    their own.
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
@@ -89,9 +99,12 @@ def model_differences(
         kind: (_of_relations(recorded.merges[kind]), _of_relations(merged))
         for kind, merged in own.merges.items()
     }
+    said, meant = measurements[POINT]
+    uses = len(meant.place) - initialised
     kinds = (
         ("predictions", "the predicted pose", *steps),
-        ("measurement updates", "the innovation", *measurements[POINT]),
+        ("measurement updates", "the innovation", said.rows(0, uses), meant.rows(0, uses)),
+        ("landmark initialisations", "the innovation", said.rows(uses), meant.rows(uses)),
         ("position updates", "the innovation", *positions),
         ("measurements of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
         ("merges of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
@@ -99,15 +112,12 @@ def model_differences(
     found = _priors(recorded.prior, own.prior, tolerance)
     for kind, place, said, meant in kinds:
         for quantity, unit, difference, absent in _compare(place, said, meant):
-            relation, limit = kind, tolerance + stored.get((kind, quantity), 0.0)
+            limit = tolerance + stored.get((kind, quantity), 0.0)
             off = ~(difference <= limit)
             if off.any():
-                uses = len(off) - initialised
-                if relation == "measurement updates" and not off[:uses].any():
-                    relation, off, absent = "landmark initialisations", off[uses:], absent[uses:]
                 found.append(
                     ModelDifference(
-                        relation=relation,
+                        relation=kind,
                         quantity=quantity,
                         count=int(np.count_nonzero(off)),
                         total=len(off),
