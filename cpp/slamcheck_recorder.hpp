@@ -464,6 +464,16 @@ class Recorder {
     put(kind_reset, text(spoken), {&J.values()});
   }
 
+  // The covariance of a block is set to P (d, d) on purpose, as where a bias starts anew: its error
+  // is independent of all others, as after a prediction with F = 0 and Q = P. about.after: its
+  // numbers from now on.
+  void renew(const std::string& block, const Matrix& P, const About& about = {}) {
+    const std::size_t d = on({block}).second;
+    expect("P", P, d, d);
+    const std::vector<double> nothing(d * d, 0.0);
+    predict(Matrix(nothing.data(), d, d), P, {block}, about);
+  }
+
   // The filter's covariance (n, n) after the last event. mean: the estimate, in the filter's own
   // numbers; error: (n) truth minus estimate. Both may be left empty.
   void snapshot(const Matrix& P, const Names& blocks = {}, const Vector& mean = {},

@@ -29,6 +29,7 @@ from graphslam.increments import dead_reckoned
 from graphslam.marginals import SingularProblemError
 from graphslam.problem import OPEN_PRIOR, LoopClosures, SlamProblem
 from graphslam.scan import planar
+from graphslam.sensor_frame import other_frame
 
 _FREE_PRIOR = 1e-12
 """Variance of the first pose where a file says nothing of the frame, or fixes that pose."""
@@ -303,6 +304,8 @@ def read_g2o(path: Path) -> G2oContents:
         held = f"pose {nodes.ids[0]} is held at its vertex, since no line fixes the frame"
         opened = "absolute positions fix it; the first vertex is a guess"
         notes["frame"] = opened if problem.open_prior else held
+    if poses is not None and (said := _vertices((first, second, motion), spread, poses)):
+        notes["vertices"] = said
     if found["EQUIV"]:
         notes["passed over"] = f"EQUIV on {len(found['EQUIV'])} lines"
     return G2oContents(
@@ -311,6 +314,19 @@ def read_g2o(path: Path) -> G2oContents:
         places.reshape(-1, 2),
         notes,
         np.array(marks.ids, dtype=np.intp),
+    )
+
+
+def _vertices(edges: tuple[Index, Index, Array], covariance: Array, poses: Array) -> str:
+    """Say of which frame vertices (K, 3) are, where that is not the edges'; else nothing."""
+    frame = other_frame(*edges, covariance, poses)
+    if frame is None:
+        return ""
+    ahead, left, turn = frame[0], frame[1], np.degrees(frame[2])
+    return (
+        f"the edges fit the vertices as motions of a frame {ahead:.2f} m ahead of theirs, "
+        f"{left:.2f} m to the left and turned by {turn:.1f} degrees: edges and vertices are of two "
+        "frames"
     )
 
 

@@ -21,6 +21,7 @@ from graphslam.optimisers import optimise, polish
 from graphslam.optimum import ChiSquareTest, chi_square_test
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.search import relaxed_values
+from graphslam.sensor_frame import mount
 
 EXTREME = 1e-20
 """A chi-square as far out by chance is no matter of noise that is somewhat larger or smaller."""
@@ -133,7 +134,7 @@ def _of_another_frame(
     def error(frame: Array) -> float:
         return _optimum(moved(frame))
 
-    frame = _mount(closed, moved_on)
+    frame = mount(closed.first, closed.second, closed.motion, moved_on)
     try:
         if 2.0 * error(frame) > _NEAR * test.chi2:
             return
@@ -148,20 +149,6 @@ def _of_another_frame(
         ),
         moved(frame),
     )
-
-
-def _mount(closed: LoopClosures, poses: Array) -> Array:
-    """Return x, y and heading of the frame whose motions closures are, beside poses (K, 3).
-
-    A motion (t, h) of it is one of the vehicle by turn t + (1 - exp(i h)) place, in complex
-    numbers: linear least squares, but for the turn's size.
-    """
-    places, ahead = poses[:, :2] @ (1.0, 1.0j), np.exp(1j * poses[:, 2])
-    moved = (places[closed.second] - places[closed.first]) / ahead[closed.first]
-    motion = closed.motion
-    columns = np.column_stack((motion[:, :2] @ (1.0, 1.0j), 1.0 - np.exp(1j * motion[:, 2])))
-    turn, place = np.linalg.lstsq(columns, moved, rcond=None)[0]
-    return np.array((place.real, place.imag, np.angle(turn)))
 
 
 def _in_vehicle(closed: LoopClosures, frame: Array) -> LoopClosures:

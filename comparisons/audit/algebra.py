@@ -68,14 +68,14 @@ _SINGLE = 1e-3
 """Sigmas of what rounding leaves of covariances in single precision."""
 _LOST = 64 * float(np.finfo(float).eps)
 """Of an estimate's numbers, as rounding."""
-_OF_EVENTS = ("covariance", "algebra", "correction", "gain")
+_OF_EVENTS = ("noise", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
 
 
 class Finding(NamedTuple):
     """What the audit found.
 
-    check: algebra, covariance, correction, gain, innovations, smoother, nees or spurious.
+    check: noise, algebra, covariance, correction, gain, innovations, smoother, nees or spurious.
     fault: false for what is named, not condemned. text: a sentence. event: where it is first seen,
     or None; sensor and blocks: which it is of.
     """
@@ -117,7 +117,8 @@ class AlgebraCheck:
     """Goes through events, the prior first, and keeps what it finds.
 
     replay: the recursion. sound: no snapshot was wrong; optimal: no gain was other than Kalman's.
-    gains: how many gains and corrections were compared with Kalman's.
+    gains: how many gains and corrections were compared with Kalman's. known: the recursion stands
+    for what the filter holds; not so from a noise that is no covariance to the next whole snapshot.
     """
 
     replay: Replay
@@ -125,7 +126,7 @@ class AlgebraCheck:
     def __init__(self, tolerance: float = ROUNDING) -> None:
         """tolerance: what rounding explains, in standard deviations."""
         self.tolerance = tolerance
-        self.sound = self.optimal = True
+        self.sound = self.optimal = self.known = True
         self.gains = 0
         self._known: set[str] = set()
         self._searched = 0
@@ -141,10 +142,16 @@ class AlgebraCheck:
         self._last: Event
         self._numbers: dict[str, Array] = {}
 
-    def take(self, event: Event) -> Fused | None:
-        """Do an event, or compare a snapshot; return what an update came to."""
+    def take(self, event: Event, unsound: str = "") -> Fused | None:
+        """Do an event, or compare a snapshot; return what an update came to, if that is known.
+
+        unsound: what is wrong with its noise, or the prior's P, where that is no covariance.
+        """
         if isinstance(event, Directions):
             return None
+        if unsound:
+            self._last = event
+            event = self._unsound(event, unsound)
         self._estimate(event)
         self._resets.take(event)
         if isinstance(event, Snapshot):
@@ -153,7 +160,8 @@ class AlgebraCheck:
         self._last = event
         if isinstance(event, Prior):
             self.replay = Replay(event)
-            self._restart()
+            if self.known:
+                self._restart()
             return None
         if self._start is not None:
             self._kept.append(event)
@@ -161,9 +169,29 @@ class AlgebraCheck:
                 self._start = None
         before = self.replay.covariance
         fused = self.replay.apply(event)
+        if not self.known:
+            return None
         if isinstance(event, Update) and event.used and fused is not None:
             self._gain(event, fused, before)
         return fused
+
+    def _unsound(self, event: Event, what: str) -> Event:
+        """Name a noise that is no covariance; return the event with a sound one in its place.
+
+        What it leads to is compared with nothing, up to the next whole snapshot.
+        """
+        self._confirm(None)
+        sensor = event.sensor if isinstance(event, Update) else None
+        text = f"{name_of(event)}: {what}"
+        number = event.number
+        self.add(Finding("noise", True, text, number, sensor, ()), what, float("inf"))
+        self.known = self.sound = False
+        self._start, self._kept = None, []
+        if isinstance(event, Prior):
+            return event._replace(covariance=np.eye(len(event.covariance)))
+        if isinstance(event, Predict | Update | Augment):
+            return event._replace(noise=np.eye(len(event.noise)))
+        return event
 
     def add(self, finding: Finding, kind: str, weight: float = 0.0) -> None:
         """Keep the first finding of a kind, and count the others.
@@ -251,8 +279,13 @@ class AlgebraCheck:
             return
         at = self.replay.layout.columns(snapshot.blocks)
         recorded, right = snapshot.covariance, self.replay.covariance[at][:, at]
-        wrong = not float(apart(recorded, right).max()) <= self.tolerance
         whole = len(recorded) == self.replay.layout.size and isinstance(at, slice)
+        if not self.known:
+            if whole:
+                self.replay.covariance, self.known = 0.5 * (recorded + recorded.T), True
+                self._restart()
+            return
+        wrong = not float(apart(recorded, right).max()) <= self.tolerance
         if wrong and not (not whole and self._broken >= set(snapshot.blocks)):
             self._localise(snapshot)
         else:
@@ -487,6 +520,8 @@ def name_of(event: Event) -> str:
             return f"augmentation {event.number} by block `{event.name}`"
         case Clone():
             return f"clone {event.number} of block `{event.source}`"
+        case Predict() if not event.jacobian.any():
+            return f"renewal {event.number} of {', '.join(f'`{b}`' for b in event.blocks)}"
         case Predict():
             return f"prediction {event.number}"
         case Remove():

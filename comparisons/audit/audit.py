@@ -79,6 +79,8 @@ class Audit:
         gaps: Snapshots against least squares, evenly thinned where there are many.
         largest: The largest gap of all snapshots.
         first_open: The first that is more than the tolerance.
+        unsolved: The event from which on nothing is compared with least squares, for its noise is
+            no covariance.
         agreement: Largest difference of the two solutions, in sigmas, up to the first fault.
         compared: How many snapshots were compared, those of the prior apart.
         gains: How many gains and corrections were compared with Kalman's.
@@ -98,6 +100,7 @@ class Audit:
     gaps: tuple[AlgebraGap, ...]
     largest: AlgebraGap | None
     first_open: AlgebraGap | None
+    unsolved: int | None
     agreement: float
     compared: int
     gains: int
@@ -143,6 +146,7 @@ class _Pass:
 
     def __init__(self, trace: Trace, tolerance: float) -> None:
         self.trace, self.tolerance = trace, tolerance
+        self.unsolved: int | None = None
         self.algebra = AlgebraCheck(tolerance)
         self.smoother: EventSmoother
         self.innovations = EventInnovations(trace.sensors)
@@ -183,13 +187,14 @@ class _Pass:
         return Audit(
             trace=self.trace.path,
             counts=self.trace.counts,
-            remarks=self.trace.remarks,
+            remarks=(*self.trace.remarks, *self._unsolved()),
             blocks=self.blocks,
             tolerance=self.tolerance,
             findings=self.algebra.findings(),
             gaps=tuple(self.gaps),
             largest=self.largest,
             first_open=self.first_open,
+            unsolved=self.unsolved,
             agreement=self.agreement,
             compared=self.compared,
             gains=self.algebra.gains,
@@ -200,64 +205,87 @@ class _Pass:
         )
 
     def _do(self, event: Event) -> None:
-        """Let both solutions do an event."""
+        """Let both solutions do an event; least squares end at a noise that is no covariance."""
+        unsound = self.trace.unsound.get(event.number, "")
+        if unsound and self.unsolved is None:
+            self.unsolved = event.number
         match event:
             case Predict() | Update() | Reset() | Augment() | Clone() | Remove():
                 self.acted = True
-                if self.spurious is not None:
+                if self.spurious is not None and self.unsolved is None:
                     self.spurious.take(event)
-                fused = self.algebra.take(event)
-                self._solve(event, fused)
+                fused = self.algebra.take(event, unsound)
+                self._follow(event, fused)
+                if self.unsolved is None:
+                    self._solve(event, fused)
             case Snapshot():
                 self._snapshot(event)
             case Prior():
                 self.blocks = dict(zip(event.blocks, event.dims, strict=True))
-                self.algebra.take(event)
-                self.smoother = EventSmoother(event.blocks, event.dims, event.covariance)
-            case Directions():
+                self.algebra.take(event, unsound)
+                if not unsound:
+                    self.smoother = EventSmoother(event.blocks, event.dims, event.covariance)
+            case Directions() if self.unsolved is None:
                 self.spurious = SpuriousInformation(event, self.algebra.replay)
+
+    def _follow(self, event: Event, fused: Fused | None) -> None:
+        """Keep innovations and blocks. fused: what the recursion made of an update."""
+        match event:
+            case Update() if fused is not None:
+                self.innovations.add(event, fused, self.algebra.replay.layout)
+            case Augment():
+                self.blocks[event.name] = len(event.jacobian)
+                self.innovations.begin(event)
+            case Clone():
+                self.blocks[event.name] = self.blocks[event.source]
+            case _:
+                pass
 
     def _solve(self, event: Event, fused: Fused | None) -> None:
         """Let least squares do an event. fused: what the recursion made of an update."""
         match event:
             case Predict():
                 self.smoother.predict(event.blocks, event.jacobian, event.noise)
-            case Update() if fused is not None:
-                self._update(event, fused)
+            case Update() if fused is not None and event.used:
+                self.smoother.measure(event.blocks, event.jacobian, event.noise, event.residual)
+                self.smoother.correct(fused.applied)
             case Reset():
                 self.smoother.predict(event.blocks, event.jacobian, None)
             case Augment():
                 g = event.noise_jacobian
                 noise = g @ event.noise @ g.T
                 self.smoother.augment(event.name, event.blocks, event.jacobian, noise)
-                self.blocks[event.name] = len(event.jacobian)
-                self.innovations.begin(event)
             case Clone():
                 self.smoother.clone(event.source, event.name)
-                self.blocks[event.name] = self.blocks[event.source]
             case Remove():
                 self.smoother.remove(event.blocks)
-
-    def _update(self, event: Update, fused: Fused) -> None:
-        self.innovations.add(event, fused, self.algebra.replay.layout)
-        if event.used:
-            self.smoother.measure(event.blocks, event.jacobian, event.noise, event.residual)
-            self.smoother.correct(fused.applied)
 
     def _snapshot(self, snapshot: Snapshot) -> None:
         """Compare a snapshot with both solutions."""
         self.snapshots += 1
         self.compared += self.acted
-        algebra, marginal = self.algebra, self.smoother.marginal()
+        algebra = self.algebra
         algebra.take(snapshot)
+        if snapshot.error is not None:
+            self._error(snapshot, snapshot.error)
+        if self.unsolved is not None:
+            return
+        marginal = self.smoother.marginal()
         self._gap(snapshot, marginal, algebra.replay.layout.columns(snapshot.blocks))
         if algebra.sound and algebra.optimal:
             scaled = apart(algebra.replay.covariance, marginal.covariance)
             self.agreement = max(self.agreement, float(scaled.max()))
-        if snapshot.error is not None:
-            self._error(snapshot, snapshot.error)
         if self.snapshots % self.every == 0 and len(marginal.mean) <= LARGEST_ANCHORED:
             self.anchors.add(snapshot.number, marginal, self.smoother.anchor())
+
+    def _unsolved(self) -> list[str]:
+        """What is not compared, after a noise that is no covariance."""
+        if self.unsolved is None:
+            return []
+        return [
+            f"from event {self.unsolved} on, whose noise is no covariance, nothing is compared "
+            "with least squares; the recursion goes on from the next snapshot of the whole state"
+        ]
 
     def _gap(self, snapshot: Snapshot, marginal: Marginal, at: slice | Index) -> None:
         """Compare with least squares over all events."""

@@ -41,7 +41,7 @@ MODEL_HINT = (
     "is squared twice, and the conventions of steering and bearing"
 )
 _NAMED = 3
-"""So many differences of the models are named."""
+"""So many events of the filter's algebra are named."""
 _GREW = 3.0
 """A dropout over which the position's sigma grew so many times is named as a cause."""
 _MATTERS = 10.0
@@ -58,6 +58,13 @@ class Explanation:
 
 
 EXPLANATIONS: dict[str, Explanation] = {
+    "invalid": Explanation(
+        "A recorded noise is no covariance",
+        "A P of the prior, a Q or an R of the trace is asymmetric, has a negative eigenvalue, or "
+        "holds a number that is not finite. Nothing that follows from it can be judged, so the "
+        "trace's equations are not solved.",
+        "Check that every entry of the matrix is set, and that no variance becomes negative.",
+    ),
     "data": Explanation(
         "Measurements used wrongly",
         "The trace shows that the filter used a measurement twice, at the wrong time, or for the "
@@ -295,6 +302,16 @@ def _apart(gap: Gap, allowed: Allowed) -> str:
     )
 
 
+def invalid(evidence: str) -> Cause:
+    """A matrix of the trace that no sound filter has."""
+    return Cause(
+        "invalid",
+        evidence,
+        "check that every entry of the matrix is set, and that no variance becomes negative; the "
+        "trace's equations are not judged",
+    )
+
+
 def algebra(
     gap: Gap,
     operations: Sequence[str],
@@ -321,8 +338,12 @@ def model(
     known_model_errors: Sequence[str],
     allowed: Allowed = EXACT,
 ) -> Cause:
-    """F1 against F2. explanations: known mistakes that reproduce what was recorded."""
-    named = "; ".join(map(str, differences[:_NAMED]))
+    """F1 against F2. explanations: known mistakes that reproduce what was recorded.
+
+    Of each kind of relation the largest difference is named, of its Jacobians and of the rest.
+    """
+    largest = {one.group: one for one in reversed(differences)}
+    named = "; ".join(str(one) for one in differences if largest[one.group] is one)
     hint = MODEL_HINT
     if differences and differences[0].absent:
         hint = (

@@ -58,6 +58,9 @@ _POSITIONS = {
     "position_jacobian_pose": (2, 3),
     "position_noise": (2, 2),
 }
+_COVARIANCES = (
+    *("prior_covariance", "step_q", "update_noise", "initialise_noise", "position_noise"),
+)
 _MAY_BE_NOTHING = ("prior_covariance", "step_q")
 """A start may be known exactly, and a step may have fewer noises than states."""
 _WHOLE = ("step", "measurement", "landmark", "number")
@@ -70,13 +73,14 @@ class TraceFile:
     Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
     the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
     done to the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
-    remarks: on the file.
+    remarks: on the file. unsound: which noise, or prior, is no covariance, in words.
     """
 
     path: Path
     step_time_s: Array
     trace: TraceArrays
     remarks: tuple[str, ...]
+    unsound: str = ""
     rounding: float = 0.0
 
     @property
@@ -94,7 +98,13 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
         outdated = (f"{path.name} {OUTDATED}",)
         return _checked(path, _former_arrays(path), landmark_id, outdated)
     trace = Trace(path)
-    return _checked(path, event_arrays(trace), landmark_id, trace.remarks)
+    arrays = event_arrays(trace)
+    unsound = ""
+    if trace.unsound:
+        event, what = min(trace.unsound.items())
+        others = len(trace.unsound) - 1
+        unsound = f"{what} at event {event}" + (f", and so at {others:,} more" if others else "")
+    return _checked(path, arrays, landmark_id, trace.remarks, unsound)
 
 
 def _former_arrays(path: Path) -> dict[str, Array]:
@@ -118,7 +128,8 @@ def _former_arrays(path: Path) -> dict[str, Array]:
     for part in (_UPDATES, _INITIALISATIONS, _POSITIONS):
         found.setdefault(f"{_kind(part)}_weight", np.ones(len(found[next(iter(part))])))
     for name, array in found.items():
-        _check(path, name, array)
+        if name not in _COVARIANCES:
+            _check(path, name, array)
     return found
 
 
@@ -132,10 +143,12 @@ def _checked(
     found: dict[str, Array],
     landmark_id: NDArray[np.int64],
     remarks: tuple[str, ...],
+    unsound: str = "",
 ) -> TraceFile:
-    """Return arrays as a trace, once their contents are checked."""
+    """Return arrays as a trace, once their contents are checked. unsound: as known so far."""
     rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
-    _check_contents(path, found, rounding)
+    _check_contents(path, found)
+    unsound = unsound or _unsound(found, rounding)
     _unwrap(found)
     landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
     none_of_poses = stack_records([], POSE.width, POSE)
@@ -164,6 +177,7 @@ def _checked(
             removals=removal_records([]),
         ),
         remarks,
+        unsound,
         rounding,
     )
 
@@ -217,8 +231,8 @@ def _check(path: Path, name: str, array: Array) -> None:
         raise InputError(f"{path}: {name} holds a value that is not a whole number of 0 or more")
 
 
-def _check_contents(path: Path, found: dict[str, Array], rounding: float) -> None:
-    """Orders, ranges, covariances and weights; what is all but symmetric is made so."""
+def _check_contents(path: Path, found: dict[str, Array]) -> None:
+    """Orders, ranges and weights."""
     count = len(found["step_time_s"])
     if not count:
         raise InputError(f"{path}: holds no steps")
@@ -231,14 +245,14 @@ def _check_contents(path: Path, found: dict[str, Array], rounding: float) -> Non
         smallest = 0.0 if part == "initialise" else 1e-9
         if not ((weight >= smallest) & (weight <= 1.0)).all():
             raise InputError(f"{path}: {part}_weight holds a value outside {smallest:g} to 1")
-    for name in (
-        "prior_covariance",
-        "step_q",
-        "update_noise",
-        "initialise_noise",
-        "position_noise",
-    ):
+
+
+def _unsound(found: dict[str, Array], rounding: float) -> str:
+    """Say which is the first that is no covariance; what is all but symmetric is made so."""
+    for name in _COVARIANCES:
         matrices = found[name].reshape(-1, *found[name].shape[-2:])
+        if not (np.abs(matrices) <= LARGEST**2).all():
+            return f"{name} is not finite, or too large"
         least = np.linalg.eigvalsh(matrices)[:, 0] if len(matrices) else np.zeros(0)
         scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
         close = 1e-9 + 64.0 * rounding
@@ -246,10 +260,9 @@ def _check_contents(path: Path, found: dict[str, Array], rounding: float) -> Non
         skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
         bad = np.flatnonzero(~positive | (skew > close * scale))
         if len(bad):
-            raise InputError(
-                f"{path}: {name}, row {bad[0]}, is not symmetric and positive definite"
-            )
+            return f"{name}, row {bad[0]}, is not symmetric and positive definite"
         found[name] = 0.5 * (found[name] + np.swapaxes(found[name], -1, -2))
+    return ""
 
 
 def _unwrap(found: dict[str, Array]) -> None:

@@ -69,7 +69,7 @@ _WORDS = ("landmark", "id")
 class PlainTable:
     """columns: by name, numbers (N,) or words. line: (N,) of the file. origin: header of each.
 
-    headers: of the file, in its order.
+    headers: of the file, in its order. A column of numbers that is empty throughout is not there.
     """
 
     path: Path
@@ -124,6 +124,9 @@ def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) ->
                 f"{path}:{line}: {len(row)} values, expected {len(names)} as in the header"
             )
     place = {name: names.index(header) for name, header in origin.items()}
+    for name in _empty(place, rows):
+        names[place.pop(name)] += " (empty)"
+        del origin[name]
     columns: dict[str, Any] = {}
     for name, index in place.items():
         words = [row[index].strip() for row in rows]
@@ -136,6 +139,13 @@ def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) ->
         else:
             columns[name] = factor[name] * _numbers(path, words, number, name, origin[name])
     return PlainTable(path=path, columns=columns, line=number, origin=origin, headers=names)
+
+
+def _empty(place: dict[str, int], rows: list[list[str]]) -> list[str]:
+    """Columns of numbers without any, where that is no value of their own. place: of each."""
+    some = {index for row in rows for index, word in enumerate(row) if word.strip()}
+    own = (*_WORDS, *_GAPS)
+    return [name for name, at in place.items() if rows and at not in some and name not in own]
 
 
 def _with_points(words: list[str]) -> list[str]:

@@ -21,6 +21,7 @@ from comparisons.checks.diagnosis.diagnosis import (
     FEWEST,
     MOTIONS,
     Motion,
+    Moved,
     frame_at_start,
     simplest_motion,
 )
@@ -190,7 +191,8 @@ def check(
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
     first = job.started(given)
-    if first.exact or len(first.inside.time_s) < FEWEST:
+    unsound = given.trace is not None and given.trace.unsound
+    if first.exact or unsound or len(first.inside.time_s) < FEWEST:
         return first
     progress("motion models", 0, 0)
     first = job.integrated(first, ORDERS)
@@ -266,9 +268,11 @@ class _Job:
             return None
         beside = paths_beside(first.inside, first.peers[0], first.optimum.pose)
         path, motion = simplest_motion(beside)
-        if motion.gap == "frame":
-            return self.undone(first, motion) or self.undone(first, frame_at_start(path))
-        return self.undone(first, motion) if motion.gap in ("scale", "time") else None
+        if motion.moved == Moved():
+            return None
+        found = self.undone(first, motion)
+        framed = motion.gap == "frame" or motion.moved.yaw_rad
+        return found or (self.undone(first, frame_at_start(path, motion)) if framed else None)
 
     def undone(self, first: ExternalCheck, motion: Motion) -> ExternalCheck | None:
         """The check of what is left without a motion; None if nothing explains that."""
@@ -432,7 +436,10 @@ def check_external(
     if short:
         known = [one for one in known if one.gap != "coverage"]
     traced, causes = None, _causes(grade, known, found)
-    if given.trace is not None:
+    if given.trace is not None and given.trace.unsound:
+        grade = replace(grade, value="wrong")
+        causes = (cause.invalid(f"{given.trace.path.name}: {given.trace.unsound}"), *causes)
+    elif given.trace is not None:
         progress("trace", 0, 0)
         traced = check_trace(given, solution.prepared, solution.result.options)
         grade = by_trace(_by_equations(grade, traced, inside, labelled=labelled), traced)
@@ -453,6 +460,7 @@ def check_external(
         *_remarks(given, found),
         *_beside(grade, known, found, outcome),
         *solution.doubts,
+        *solution.frames,
     )
     if short:
         own = tuple(one for one in causes if one.gap in OWN)  # a wrong filter may have broken down

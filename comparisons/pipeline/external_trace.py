@@ -67,7 +67,7 @@ from graphslam.smoother import SmootherOptions
 _RECORD = (
     f"{ALGEBRA_HINT}; a snapshot of the covariance, recorded after each event, has the event named"
 )
-OWN = ("data", "algebra", "model")
+OWN = ("invalid", "data", "algebra", "model")
 """Causes that a filter's trace shows whatever the smoother found."""
 
 
@@ -276,7 +276,8 @@ def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]
     found: dict[tuple[str, str], float] = {}
     for trace in restored_traces(run.trace):
         other = gaps.by_steps(recorded_system_of(replace(run, trace=trace)), trace)
-        for one in model_differences(other, gaps.by_steps(gaps.recorded, run.trace), 0.0):
+        right = gaps.by_steps(gaps.recorded, run.trace)
+        for one in model_differences(other, right, 0.0, gaps.initialised):
             key = one.relation, one.quantity
             found[key] = max(found.get(key, 0.0), FACTOR * one.largest)
     return found

@@ -128,16 +128,17 @@ class Gaps:
         """Return where F1's and F2's equations differ by more than rounding, and storing."""
         from comparisons.checks.diagnosis.model_differences import model_differences
 
-        weight = self.run.trace.initialisations[POINT].weight
-        initialised = int(np.count_nonzero(weight > 0.0))
         said, own = self.by_steps(self.recorded, self.run.trace), self.model
         if self._model_steps is not None:
             own = replace(own, motion=self._model_steps)
-        return model_differences(said, own, ROUNDING, initialised, stored or {}, self._events())
+        return model_differences(
+            said, own, ROUNDING, self.initialised, stored or {}, self._events()
+        )
 
     def _events(self) -> dict[str, Events]:
         """Return when each relation of the trace was used."""
         from comparisons.checks.diagnosis.model_differences import (
+            INITIALISATIONS,
             POSITIONS,
             PREDICTIONS,
             UPDATES,
@@ -147,13 +148,21 @@ class Gaps:
         times, trace = self.run.timeline, self.run.trace
         epoch_s, new = times.epoch_time_s, trace.initialisations[POINT]
         seen = trace.measurements[POINT].number, new.number[new.weight > 0.0]
-        number, fix = np.concatenate(seen), trace.positions.number
+        fix = trace.positions.number
         steps = epoch_s[1:] if self._model_steps is None else times.step_end_s
         return {
             PREDICTIONS: Events(steps),
-            UPDATES: Events(epoch_s[times.measurement_epoch[number]], number),
             POSITIONS: Events(epoch_s[times.position_epoch[fix]], fix),
+            **{
+                kind: Events(epoch_s[times.measurement_epoch[number]], number)
+                for kind, number in zip((UPDATES, INITIALISATIONS), seen, strict=True)
+            },
         }
+
+    @property
+    def initialised(self) -> int:
+        """How many measurements initialised a point."""
+        return int(np.count_nonzero(self.run.trace.initialisations[POINT].weight > 0.0))
 
     def linearisation_growth(self) -> LinearisationGrowth:
         """Return where linearising cost something."""

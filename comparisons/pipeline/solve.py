@@ -121,6 +121,12 @@ class Solution(Shown):
         return found if checked is None else [*found, *checked.remarks]
 
     @property
+    def frames(self) -> list[str]:
+        """What a graph's vertices say of another frame than its edges'."""
+        said = self.log.provenance.get("vertices")
+        return [] if said is None else [said]
+
+    @property
     def log(self) -> Log:
         """The log as the smoother read it."""
         return self.prepared.log

@@ -300,12 +300,13 @@ def _spurious_line(found: Learnt) -> str:
 
 
 def _algebra_line(audit: Audit) -> str:
+    until = "" if audit.unsolved is None else f" before event {audit.unsolved:,}"
     if audit.largest is None:
-        return "not checked: the trace has no snapshot"
+        return f"not checked: the trace has no snapshot{until}"
     gap = audit.first_open
     if gap is None or audit.sound:  # what only least squares sees is small, and no finding
         worst = max(audit.largest.sigma, audit.largest.covariance)
-        return f"equal to least squares at every snapshot, to {worst:.1g}"
+        return f"equal to least squares at every snapshot{until}, to {worst:.1g}"
     return (
         f"gap opens at event {gap.event:,}: {gap.sigma:.2g} sigma, {gap.covariance:.2g} in "
         "covariance"

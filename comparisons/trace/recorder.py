@@ -416,6 +416,25 @@ class Recorder:
         j = self._blob("J", J, (n, n))
         self._put(RESET, text, (j,))
 
+    def renew(
+        self,
+        block: str,
+        P: ArrayLike,  # noqa: N803
+        *,
+        after: ArrayLike | None = None,
+    ) -> None:
+        """Record that the covariance of a block is set on purpose, as where a bias starts anew.
+
+        Its error becomes independent of all others: it is a prediction with F = 0 and Q = P.
+
+        Args:
+            block: Its name.
+            P: (d, d) the block's covariance from now on; its covariances with others are zero.
+            after: Its numbers from now on.
+        """
+        d = self._size((block,))[1]
+        self.predict(np.zeros((d, d)), self._fitting("P", P, (d, d)), (block,), after=after)
+
     def snapshot(
         self,
         P: ArrayLike,  # noqa: N803

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -32,6 +32,7 @@ from comparisons.trace.events import (
 
 MOST_ENTRIES = 20_000
 """Of a state."""
+_NO_NUMBERS = "is no numbers, or has one that is not finite or too large"
 _MOST_NAMED = 4096
 _IN_CACHE = 16384
 """Numbers of matrices that are checked at once."""
@@ -93,12 +94,14 @@ def batch_rows(batch: Batch, first: int) -> Iterable[Row]:
 class EventReader:
     """Makes events of rows, and follows which blocks there are.
 
-    at: number of the last event, -1 before the first.
+    at: number of the last event, -1 before the first. unsound: by the number of an event what is
+    wrong with its noise, or the prior's P, where that is no covariance.
     """
 
     def __init__(self, path: Path) -> None:
         """path: named in errors."""
         self.at = -1
+        self.unsound: dict[int, str] = {}
         self._path = path
         self._dims: dict[str, int] = {}
         self._charts: dict[str, str] = {}
@@ -106,6 +109,7 @@ class EventReader:
         self._named: dict[Blocks, int] = {}
         self._sigma: dict[str, Array] = {}
         self._unchecked: list[tuple[int, str, bool, Array, Blocks]] = []
+        self._faults: dict[tuple[int, bool], tuple[Array, str]] = {}
         self._make: dict[str, Callable[[Row], Event]] = {
             "prior": self._prior,
             "predict": self._predict,
@@ -128,13 +132,18 @@ class EventReader:
 
         Raises:
             InputError: A row cannot be an event; of several the first, with its number.
+
+        A noise that is no covariance is in `unsound`, for every event that has it.
         """
         found: list[Event] = []
         with np.errstate(all="ignore"):  # a number that is too large is refused by itself
-            try:
-                found.extend(map(self._event, rows))
-            finally:
-                self._check_covariances()
+            found.extend(map(self._event, rows))
+            self._check_covariances()
+        for event in found if self._faults else ():
+            own = event.covariance if isinstance(event, Prior) else getattr(event, "noise", None)
+            fault = self._faults.get((id(own), isinstance(event, Update)))
+            if fault is not None:
+                self.unsound[event.number] = fault[1]
         return found
 
     def _event(self, row: Row) -> Event:
@@ -199,7 +208,9 @@ class EventReader:
     def _augment(self, row: Row) -> Augment:
         n = self._on(row)
         name, d, chart = self._new(row)
-        m = math.isqrt(len(self._flat(row, 1)))
+        own = row.cells[1]
+        known = own is not None and own.matrix is not None
+        m = math.isqrt(len(self._flat(row, 1))) if known else len(self._flat(row, 2)) // d
         g_x, g_z = self._shaped(row, 0, d, n), self._shaped(row, 2, d, m)
         r = self._covariance(row, 1, "noise (R)", m)
         self._dims[name], self._charts[name] = d, chart
@@ -307,9 +318,13 @@ class EventReader:
     def _covariance(
         self, row: Row, column: int, name: str, n: int, *, definite: bool = False
     ) -> Array:
-        """A covariance (n, n), which is checked with others."""
-        found = self._shaped(row, column, n, n)
+        """A covariance (n, n), which is checked with others; NaN where it is no finite numbers."""
         own, flag = row.cells[column], 1 + definite
+        if own is not None and own.matrix is None:
+            unknown = np.full((n, n), np.nan)
+            self._faults[id(unknown), definite] = unknown, f"{name} {_NO_NUMBERS}"
+            return unknown
+        found = self._shaped(row, column, n, n)
         if own is not None and not own.checked & flag and found.size:
             own.checked |= flag
             self._unchecked.append((row.number, name, definite, found, row.blocks or ()))
@@ -337,30 +352,27 @@ class EventReader:
 
     def _refuse_cell(self, row: Row, column: int) -> NoReturn:
         """Refuse an event without the numbers of a matrix."""
-        fault = "is no numbers, or has one that is not finite or too large"
+        fault = _NO_NUMBERS
         if row.cells[column] is None:
             fault = "is missing"
         self._refuse(row.number, f"{COLUMNS[row.kind][column]} {fault}")
 
     def _check_covariances(self) -> None:
-        """Raise InputError for the first noise or prior that no sound filter has."""
+        """Keep every noise or prior that no sound filter has, and what is wrong with it."""
         alike = defaultdict(list)
         for number, name, definite, matrix, blocks in self._unchecked:
             alike[name, definite, len(matrix)].append((number, matrix, blocks))
         self._unchecked = []
-        faults = []
         for (name, definite, n), ones in alike.items():
             stack = np.concatenate([matrix for _, matrix, _ in ones]).reshape(-1, n, n)
             sigmas = partial(self._sigmas, [one[2] for one in ones])
-            found = _fault(stack, sigmas, definite=definite)
-            if found is not None:
-                faults.append((ones[found[0]][0], f"{name} {found[1]}"))
-        if faults:
-            self._refuse(*min(faults))
+            for index, fault in _faults(stack, sigmas, definite=definite):
+                matrix = ones[index][1]
+                self._faults[id(matrix), definite] = matrix, f"{name} {fault}"
 
     def _begins(self, names: Sequence[str], dims: Sequence[int], variance: Array) -> None:
         """Keep about how large the errors of new blocks are: (n,) variances."""
-        sigma, start = np.sqrt(np.maximum(variance, 0.0)), 0
+        sigma, start = np.sqrt(np.nan_to_num(np.maximum(variance, 0.0))), 0
         for name, dim in zip(names, dims, strict=True):
             self._sigma[name] = sigma[start : start + dim]
             start += dim
@@ -373,13 +385,13 @@ class EventReader:
         raise InputError(f"{self._path}, event {shown(number)}: {fault}")
 
 
-def _fault(
+def _faults(
     stack: Array,
     sigmas: Callable[[int], Array] = lambda index: np.zeros(0),
     *,
     definite: bool,
-) -> tuple[int, str] | None:
-    """Index and fault of the first matrix of (k, n, n) that is no covariance.
+) -> Iterator[tuple[int, str]]:
+    """Yield index and fault of the matrices of (k, n, n) that are no covariances.
 
     sigmas: (n,) of the errors that each is added to, by its index; none where it is to none.
     definite: positive definite, else also semidefinite to _NEGATIVE.
@@ -394,8 +406,7 @@ def _fault(
                 if _single_sound(one, definite=definite):
                     continue
                 fault = "is not positive definite" if definite else "has a negative eigenvalue"
-                return start + bad, "is not symmetric" if skew[bad] else fault
-    return None
+                yield start + bad, "is not symmetric" if skew[bad] else fault
 
 
 def _sound_beside(one: Array, sigma: Array) -> bool:

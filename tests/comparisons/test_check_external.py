@@ -166,6 +166,11 @@ MOTIONS: dict[str, tuple[Move, str, str]] = {
     "centimetres": (lambda t, p: p * (100.0, 100.0, 1.0), "scale", r"is (99|100)\.\d+ times"),
     "heading": (lambda t, p: p + (0.0, 0.0, np.pi / 2), "heading", r"differ by (89|90)\.\d deg"),
     "point": (lambda t, p: of_point(p, 0.8, 0.3), "lever", r"point 0\.[78]\d+ m forward"),
+    "a sensor's frame": (
+        lambda t, p: about_origin(of_point(p, 0.8, 0.3) + (0.0, 0.0, np.pi / 2), -0.3, (2.0, 1.0)),
+        "lever",
+        r"frame 0\.[78]\d m forward, 0\.[23]\d m left .* turned by (89|90)\.\d degrees, rotated",
+    ),
     "shift without headings": (
         lambda t, p: p * (1.0, 1.0, 0.0) + (5.0, -3.0, 0.0),
         "frame",
@@ -203,6 +208,21 @@ def test_the_simplest_motion_is_named(
         nearest = "the smoother" if kind == "smoother" else "the reference EKF"
         words = "those of" if gap == "heading" else "from"
         assert f"{words} {nearest}" in found[0].evidence
+
+
+@pytest.mark.parametrize(("rest_m", "named"), [(0.0, True), (0.8, False)])
+def test_a_motion_that_leaves_some_of_a_difference_is_evidence_and_no_cause(
+    solution: Solution, whole: ExternalEstimate, rest_m: float, named: bool
+) -> None:
+    """A tenth of the difference is of another kind, which no motion is blamed for."""
+    t = whole.time_s / whole.time_s[-1]
+    rest = rest_m * np.column_stack((np.sin(9.0 * t), np.sin(7.0 * t), np.zeros(len(t))))
+    moved = replace(bare(whole), pose=whole.pose + rest + (5.0, -3.0, 0.0))
+    found = check_external(moved, solution)
+    assert (found.causes[0].gap == "frame") is named
+    assert ("frame" in [one.gap for one in found.causes]) is named
+    if not named:
+        assert "in part, the trajectory is shifted by" in found.causes[0].evidence
 
 
 def test_a_shift_is_no_turn(solution: Solution) -> None:

@@ -340,7 +340,6 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
                               0, a["initialise_landmark"][1]),
                           "is initialised 0 times|is initialised 2 times"),
     "no measurement": (put("update_measurement", 0, 1e9), "uses measurement 1000000000"),
-    "indefinite": (put("update_noise", 5, -1.0), "update_noise, row 5, is not symmetric"),
     "weight": (put("update_weight", 0, 2.0), "update_weight holds a value outside"),
     "end": (put("step_time_s", -1, 1e3), "the last step ends at"),
     "too early": (lambda a: a["step_time_s"].__isub__(1e3), "the first step ends at"),
@@ -365,6 +364,30 @@ def test_damage_is_one_line(
     with pytest.raises(InputError, match=reported) as caught:
         checked(tmp_path, log, choices)
     assert str(tmp_path / FORMER) in str(caught.value)
+
+
+@pytest.mark.parametrize("former", [False, True])
+def test_a_noise_that_is_no_covariance_is_the_first_cause(
+    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], former: bool
+) -> None:
+    """Though the estimate equals the reference; with the sound noise it agrees."""
+    log, choices, run = plain
+    kinds = dict(run.trace.measurements)
+    noise = kinds[POINT].noise.copy()
+    noise[5, 0, 1] += 0.5 * np.sqrt(noise[5, 0, 0] * noise[5, 1, 1])
+    kinds[POINT] = replace(kinds[POINT], noise=noise)
+    wrong = replace(run, trace=replace(run.trace, measurements=kinds))
+    hand_in(wrong, tmp_path / "wrong")
+    hand_in(run, tmp_path / "right")
+    if former:
+        change(tmp_path / "wrong", wrong, lambda arrays: None)
+    found = check(log, read_external(tmp_path / "wrong"), CheckConfig(gps=choices.gps))
+    assert found.outcome == "disagree"
+    first = found.causes[0]
+    assert first.gap == "invalid"
+    said = "update_noise, row 5, is not symmetric" if former else "noise (R) is not symmetric at"
+    assert said in first.evidence
+    assert checked(tmp_path / "right", log, choices).outcome == "agree"
 
 
 def test_a_start_and_a_step_may_be_known_exactly_in_some_direction(

@@ -44,6 +44,7 @@ from comparisons.pipeline.check import (
     check_external,
     outcome_of,
 )
+from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from tests.commands import slamcheck
@@ -200,6 +201,26 @@ def test_a_fault_is_not_like_a_filter_and_is_named(
     assert found.grade.value in ("plausible", "wrong", None)
     assert found.outcome == "disagree"
     assert NAMED[name] in evidence(found)
+
+
+@pytest.mark.parametrize(
+    ("which", "said"),
+    [
+        (0, "those from before the measurement update"),
+        (1, "those of the next prediction: an array that was recorded is written on"),
+        (2, "those of the next pose: an array that was recorded is written on"),
+    ],
+)
+def test_covariances_of_another_moment_are_named(
+    solution: Solution, right: ExternalEstimate, which: int, said: str
+) -> None:
+    """Those of the next prediction, and of the next pose, are kept where P is not copied."""
+    own = present(right.pose_covariance)
+    before = present(reference_ekf(solution.prepared, right.time_s))[1][1]
+    moments = (before, np.concatenate((before[1:], own[-1:])), np.concatenate((own[1:], own[-1:])))
+    given = replace(right, pose_covariance=moments[which])
+    assert said in evidence(check_external(given, solution, "like"))
+    assert said not in evidence(check_external(right, solution, "like"))
 
 
 @pytest.mark.parametrize("name", ["R a third", "Q 3 times", "bearing off by 0.5 degrees"])

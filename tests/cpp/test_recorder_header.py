@@ -469,6 +469,8 @@ int main(int, char** words) {
   record.directions({{"turn", {1.0, 2.0}}, {"shift", std::vector<double>{3.0, 4.0}}}, {"gps"});
   record.augment("c", {{3.0}, {4.0}}, {{1.0, 0.0}, {0.0, 1.0}}, P, {"a"});
   record.reset({{7.0}}, {"a"});
+  refused([&] { record.renew("a", P); });
+  record.renew("c", P);
   record.clone("c", "d");
   record.update("g/\"\\\n\xc3\xa9", {0.5}, {{1.0}}, one, {"a"});
   record.remove({"a", "d"});
@@ -507,6 +509,7 @@ SAID = """
 , event 1: directions or sensors are missing
 , event 1: time_s is not finite
 a matrix has rows of different lengths
+, event 4: P is 2 x 2, expected 1 x 1
 : is closed
 """
 
@@ -533,6 +536,7 @@ def test_cpp_checks_its_calls_and_records_every_kind(build: Build, tmp_path: Pat
         ("Directions", 1.5, ("a", star), [[1, 3], [2, 4]], ("turn", "shift"), ("gps",)),
         ("Augment", 1.5, "c", ("a",), [[3], [4]], [[1, 0], [0, 1]], p, *nothing, "additive"),
         ("Reset", 1.5, ("a",), [[7]]),
+        ("Predict", 1.5, ("c",), [[0, 0], [0, 0]], p, None, None),
         ("Clone", 1.5, "d", "c"),
         ("Update", 1.5, sensor, ("a",), [0.5], [[1]], [[1]], True, None, *nothing),
         ("Remove", 1.5, ("a", "d")),

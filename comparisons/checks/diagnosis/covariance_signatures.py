@@ -162,6 +162,9 @@ def _pose_candidates(poses: Poses) -> Iterator[tuple[str, Array, bool]]:
     yield "in the body frame instead of the log's frame", _turned(e, poses.heading), True
     yield "those from before the measurement update", poses.before, False
     yield "those of the previous pose", np.concatenate((e[:1], e[:-1])), False
+    for words, then in (("prediction", poses.before), ("pose", e)):
+        text = f"those of the next {words}: an array that was recorded is written on (copy it)"
+        yield text, np.concatenate((then[1:], e[-1:])), False
     if np.isfinite(poses.smoothed).all():
         yield "those of the smoother, which uses later measurements", poses.smoothed, False
     for words, order in (("heading, x, y", [2, 0, 1]), ("y, x, heading", [1, 0, 2])):

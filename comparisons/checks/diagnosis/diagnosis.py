@@ -111,16 +111,21 @@ class Paths:
 
 
 class Moved(NamedTuple):
-    """How a path u = a v + b came about, delay_s late."""
+    """How a path u = a (v + arm exp(i h)) + b came about, delay_s late, h the headings of v.
+
+    yaw_rad: by which the frame at the end of the arm is turned.
+    """
 
     a: complex = 1.0 + 0.0j
     b: complex = 0.0j
     delay_s: float = 0.0
+    arm: complex = 0.0j
+    yaw_rad: float = 0.0
 
     @property
     def turn_rad(self) -> float:
         """By which headings are turned."""
-        return float(np.angle(self.a))
+        return float(np.angle(self.a)) + self.yaw_rad
 
 
 _STILL = Moved()
@@ -152,7 +157,7 @@ class Motion:
 
 
 class Diagnosis(NamedTuple):
-    """whole: causes that explain a difference. partly: those that take most of it away."""
+    """whole: causes that explain a difference. partly: what takes most of it away, as evidence."""
 
     whole: list[Cause]
     partly: list[Cause]
@@ -196,26 +201,42 @@ def simplest_motion(references: Sequence[Paths]) -> tuple[Paths, Motion]:
     motion = _simplest(motions) if paths.rms_m > _NO_MATTER_M else motions[0]
     if motion.gap in ("", "frame", "time"):
         motion = _within(motions, motion)
+    if motion.gap == "frame":
+        motion = _on_vehicle(paths) or motion
     return paths, motion
 
 
-def frame_at_start(paths: Paths) -> Motion:
-    """Return the frame in which a path starts where the reference does, whatever follows."""
-    a = complex(np.exp(1j * (paths.pose[0, 2] - paths.reference[0, 2])))
-    b = complex(paths.u[0] - a * paths.v[0])
-    left = paths.u - a * paths.v - b
+def frame_at_start(paths: Paths, found: Motion) -> Motion:
+    """Return the frame in which a path starts where the reference does, whatever follows.
+
+    found: the frame, or the vehicle's, that fits all of the path.
+    """
+    arm, yaw = found.moved.arm, found.moved.yaw_rad
+    a = complex(np.exp(1j * (paths.pose[0, 2] - paths.reference[0, 2] - yaw)))
+    start = complex(paths.v[0] + arm * np.exp(1j * paths.reference[0, 2]))
+    return _of_frame(paths, Moved(a, complex(paths.u[0] - a * start), arm=arm, yaw_rad=yaw))
+
+
+def _of_frame(paths: Paths, moved: Moved) -> Motion:
+    """A motion into another frame of the map, and of the vehicle where there is a yaw."""
+    left = paths.u - moved.a * (paths.v + moved.arm * np.exp(1j * paths.reference[:, 2])) - moved.b
     error = np.column_stack((left.real, left.imag))
     place = (
-        f"rotated by {_degrees(a)} about the log's origin and shifted by {_place(b)} m at its start"
+        f"rotated by {_degrees(moved.a)} about the log's origin and shifted by {_place(moved.b)} m"
     )
+    if moved.yaw_rad:
+        place = (
+            f"that of a frame {moved.arm.real:.2f} m forward, {moved.arm.imag:.2f} m left of the "
+            f"reference point and turned by {np.degrees(moved.yaw_rad):.1f} degrees, {place}"
+        )
     return Motion(
-        gap="frame",
-        free=3,
+        gap="lever" if moved.yaw_rad else "frame",
+        free=6 if moved.yaw_rad else 3,
         square=paths.square(error),
         left_m=rms(error),
         place=place,
-        hint=_FRAME_HINT,
-        moved=Moved(a, b),
+        hint=_LEVER_HINT if moved.yaw_rad else _FRAME_HINT,
+        moved=moved,
     )
 
 
@@ -320,6 +341,25 @@ def _motions(paths: Paths) -> Iterator[Motion]:
             "of the reference point"
         )
         yield motion("lever", 2, u - v - arm * ahead, said, _LEVER_HINT)
+
+
+def _on_vehicle(paths: Paths) -> Motion | None:
+    """Fit another frame of the vehicle, in another frame of the map.
+
+    None where the headings tell of none.
+    """
+    ahead = np.exp(1j * paths.reference[:, 2])
+    columns = np.column_stack((paths.v, ahead, np.ones(len(ahead))))
+    turn = np.linalg.lstsq(columns, paths.u, rcond=None)[0][0]
+    a = complex(np.exp(1j * np.angle(turn)))
+    arm, b = np.linalg.lstsq(
+        np.column_stack((a * ahead, np.ones(len(ahead)))), paths.u - a * paths.v, rcond=None
+    )[0]
+    yaws = np.angle(np.exp(1j * paths.pose[:, 2]) / (a * ahead))
+    yaw = float(np.angle(np.mean(np.exp(1j * yaws))))
+    if abs(yaw) < _LEAST_HEADING_RAD or _spread(yaws) > _PARTLY * abs(yaw):
+        return None
+    return _of_frame(paths, Moved(a, complex(b), arm=complex(arm), yaw_rad=yaw))
 
 
 def _heading_spreads(paths: Paths, delay: float) -> tuple[float, float]:

@@ -56,7 +56,9 @@ def facts(given: ExternalEstimate, found: Likeness, clues: Clues) -> list[Cause]
     if found.grade is not None:
         return []
     causes, partly = _means(given, found, clues)
-    causes += _covariances(given, found, clues)
+    covariances = _covariances(given, found, clues)
+    valid = not any(signatures.invalid(own) for own, _ in _pairs(given, found).values())
+    causes = [*causes, *covariances] if valid else [*covariances, *causes]
     if found.missing:
         causes.append(Cause("coverage", "; ".join(found.missing), "supply the whole trajectory"))
     if found.unmapped:
@@ -92,16 +94,18 @@ def _means(given: ExternalEstimate, found: Likeness, clues: Clues) -> Diagnosis:
         return Diagnosis([], [])
     known = _known_path(given, found, clues) if far_poses.any() else None
     causes: list[Cause] = []
-    partly: list[Cause] = []
+    evidence: list[Cause] = []
     if known is not None:
         causes.append(known)
     elif far_poses.any():
-        causes, partly = diagnose(paths_beside(given, found.reference, clues.smoothed[0]))
-    swapped = _swapped(given, found)
+        causes, evidence = diagnose(paths_beside(given, found.reference, clues.smoothed[0]))
+    swapped, partly = _swapped(given, found), []
     if swapped is not None and not causes:  # another frame exchanges landmarks, too
         (partly if far_poses.any() else causes).append(swapped)
     if not causes or far.any():
-        causes.append(_apart(given, found, far_poses, far))
+        apart = _apart(given, found, far_poses, far)
+        said = (apart.evidence, *(one.evidence for one in evidence))
+        causes.append(replace(apart, evidence="; ".join(said)))
     return Diagnosis(causes, partly)
 
 
@@ -118,14 +122,18 @@ def paths_beside(given: ExternalEstimate, reference: Reference, smoothed: Array)
 def undone(given: ExternalEstimate, moved: Moved, instants_s: Array) -> ExternalEstimate:
     """Return an estimate as it was before a motion of its frame, scale or clock.
 
-    A clock that was late by the same everywhere leads back to instants (J,) of the log.
+    A clock that was late by the same everywhere leads back to instants (J,) of the log. Landmarks
+    are not of the vehicle's frame, so that they stay where an arm alone is undone.
     """
+    arm = moved.arm * np.exp(1j * (given.pose[:, 2] - moved.turn_rad))
 
-    def back(place: Array) -> Array:
-        at = (place[:, :2] @ (1.0, 1.0j) - moved.b) / moved.a
+    def back(place: Array, arm: NDArray[np.complex128] | complex = 0.0j) -> Array:
+        at = (place[:, :2] @ (1.0, 1.0j) - moved.b) / moved.a - arm
         return np.column_stack((at.real, at.imag, place[:, 2:] - moved.turn_rad))
 
-    def turned(covariance: Array | None, pose: int) -> Array | None:
+    def turned(
+        covariance: Array | None, pose: int, arm: NDArray[np.complex128] | complex = 0.0j
+    ) -> Array | None:
         if covariance is None:
             return None
         own = 1.0 / moved.a
@@ -135,7 +143,10 @@ def undone(given: ExternalEstimate, moved: Moved, instants_s: Array) -> External
         if pose:
             by = np.insert(np.insert(by, 2, 0.0, axis=0), 2, 0.0, axis=1)
             by[2, 2] = 1.0
-        return np.asarray(by @ covariance @ by.T)
+            by = np.tile(by, (*covariance.shape[:-2], 1, 1))
+            across = -1j * np.asarray(arm)
+            by[..., 0, 2], by[..., 1, 2] = across.real, across.imag
+        return np.asarray(by @ covariance @ by.swapaxes(-1, -2))
 
     time_s = given.time_s - moved.delay_s
     nearest = instants_s[np.abs(instants_s[None] - time_s[:, None]).argmin(axis=1)]
@@ -143,11 +154,11 @@ def undone(given: ExternalEstimate, moved: Moved, instants_s: Array) -> External
     return replace(
         given,
         time_s=time_s,
-        pose=back(given.pose),
+        pose=back(given.pose, arm),
         landmark=None if given.landmark is None else back(given.landmark),
-        pose_covariance=turned(given.pose_covariance, 3),
+        pose_covariance=turned(given.pose_covariance, 3, arm),
         landmark_covariance=turned(given.landmark_covariance, 0),
-        joint_covariance=turned(given.joint_covariance, 3),
+        joint_covariance=turned(given.joint_covariance, 3, arm[-1]),
     )
 
 

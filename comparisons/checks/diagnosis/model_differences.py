@@ -62,6 +62,11 @@ class ModelDifference:
     first_s: float | None = None
     number: int | None = None
 
+    @property
+    def group(self) -> tuple[str, bool]:
+        """The kind of relation, and whether it is of a Jacobian: the rest may follow from one."""
+        return self.relation, "Jacobian" in self.quantity
+
     def __str__(self) -> str:
         """For people to read."""
         how = "is missing" if self.absent else f"differs by up to {self.largest:.2g} {self.unit}"
@@ -76,6 +81,11 @@ class _Places:
     jacobian: Array
     covariance: Array
 
+    def rows(self, first: int, end: int | None = None) -> _Places:
+        """Return some of them."""
+        part = slice(first, end)
+        return _Places(self.place[part], self.jacobian[part], self.covariance[part])
+
 
 def model_differences(
     recorded: LinearProblem,
@@ -89,8 +99,8 @@ def model_differences(
 
     stored: by relation and quantity, what storing the records explains besides.
 
-    initialised: so many measurements, the last ones, initialise a landmark; they are named apart
-    where the others do not differ. events: of each kind of relations, where known.
+    initialised: so many measurements, the last ones, initialise a landmark; they are a kind of
+    their own. events: of each kind of relations, where known.
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
@@ -105,9 +115,12 @@ def model_differences(
         kind: (_of_relations(recorded.merges[kind]), _of_relations(merged))
         for kind, merged in own.merges.items()
     }
+    said, meant = measurements[POINT]
+    uses = len(meant.place) - initialised
     kinds = (
         (PREDICTIONS, "the predicted pose", *steps),
-        (UPDATES, "the innovation", *measurements[POINT]),
+        (UPDATES, "the innovation", said.rows(0, uses), meant.rows(0, uses)),
+        (INITIALISATIONS, "the innovation", said.rows(uses), meant.rows(uses)),
         (POSITIONS, "the innovation", *positions),
         ("measurements of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
         ("merges of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
@@ -115,16 +128,13 @@ def model_differences(
     found = _priors(recorded.prior, own.prior, tolerance)
     for kind, place, said, meant in kinds:
         for quantity, unit, difference, absent in _compare(place, said, meant):
-            relation, limit = kind, tolerance + stored.get((kind, quantity), 0.0)
+            limit = tolerance + stored.get((kind, quantity), 0.0)
             off = ~(difference <= limit)
             if off.any():
                 first = _first_event(off, events.get(kind))
-                uses = len(off) - initialised
-                if relation == UPDATES and not off[:uses].any():
-                    relation, off, absent = INITIALISATIONS, off[uses:], absent[uses:]
                 found.append(
                     ModelDifference(
-                        relation=relation,
+                        relation=kind,
                         quantity=quantity,
                         count=int(np.count_nonzero(off)),
                         total=len(off),

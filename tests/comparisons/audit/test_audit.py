@@ -468,3 +468,86 @@ def test_sound_filters_are_rarely_called_faulty(tmp_path: Path) -> None:
     ]
     assert FALSE_ALARMS == 1e-3
     assert len(faulty) <= 1
+
+
+def unset(r: Array) -> Array:
+    """An entry beside the diagonal that was never set."""
+    return r + np.array([[0.0, 0.7], [0.0, 0.0]])
+
+
+UNSOUND: dict[str, tuple[Callable[[Array], Array], list[str]]] = {
+    "asymmetric": (unset, ["update 11 of sensor `gps`: noise (R) is not symmetric; and 2 more"]),
+    "negative": (
+        lambda r: r - 2.0 * np.eye(2),
+        ["update 11 of sensor `gps`: noise (R) is not positive definite; and 2 more"],
+    ),
+    "not a number": (
+        lambda r: r * np.nan,
+        [
+            "update 11 of sensor `gps`: noise (R) is no numbers, or has one that is not finite or "
+            "too large; and 2 more"
+        ],
+    ),
+    "symmetric": (lambda r: unset(r) + unset(r).T, []),
+}
+
+
+@pytest.mark.parametrize("kind", UNSOUND)
+def test_a_noise_that_is_no_covariance_comes_first_and_what_follows_from_it_is_no_finding(
+    tmp_path: Path, kind: str
+) -> None:
+    """A later fault of the algebra is found all the same; of a sound R nothing is said."""
+    change, said = UNSOUND[kind]
+    p, right = np.diag([4.0, 1.0]), np.diag([1.0, 4.0])
+    with Recorder(tmp_path / "run.trace") as record:
+        record.prior({"place": 2}, p)
+        for step in range(12):
+            p = p + 0.1 * np.eye(2)
+            record.predict(np.eye(2), 0.1 * np.eye(2))
+            r = change(right) if step in (3, 4, 7) else right
+            p = p - p @ np.linalg.inv(p + np.nan_to_num(r)) @ p
+            p = 0.5 * (p + p.T) * (2.0 if step == 10 else 1.0)
+            record.update("gps", [0.1, 0.2], np.eye(2), r)
+            record.snapshot(p)
+    found = audit(tmp_path / "run.trace")
+    assert [one.text for one in found.findings if one.check == "noise"] == said
+    own = [one for one in found.findings if one.check in ("noise", "algebra", "covariance")]
+    assert [one.check for one in own] == ["noise"] * len(said) + ["algebra"]
+    assert found.findings[: len(own)] == tuple(own)
+    assert own[-1].event in (31, 32)
+    assert (found.unsolved is None) == (not said)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "cleared", "said"),
+    [
+        (True, True, None),
+        (False, True, "between events"),
+        (True, False, "renewal 4 of `bias`: F was not applied to the covariance with other blocks"),
+    ],
+)
+def test_a_covariance_that_is_set_on_purpose_is_recorded(
+    tmp_path: Path, recorded: bool, cleared: bool, said: str | None
+) -> None:
+    """Not where that is not said, nor where the filter keeps the block's other covariances."""
+    p = np.array([[4.0, 0.5], [0.5, 1.0]])
+    f, h, q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 0.01 * np.eye(2)
+    draw = np.random.default_rng(1)
+    with Recorder(tmp_path / "run.trace") as record:
+        record.prior({"place": 1, "bias": 1}, p)
+        for step in range(8):
+            p = f @ p @ f.T + q
+            record.predict(f, q)
+            spread = float(p[0, 0] + 1.0)
+            p = p - p @ h.T @ h @ p / spread
+            record.update("gps", np.sqrt(spread) * draw.standard_normal(), h, 1.0)
+            record.snapshot(p)
+            if step == 0:
+                kept = 0.0 if cleared else p[0, 1]
+                p = np.array([[p[0, 0], kept], [kept, 0.25]])
+                if recorded:
+                    record.renew("bias", 0.25)
+    found = audit(tmp_path / "run.trace")
+    assert found.sound is (said is None)
+    if said is not None:
+        assert said in found.findings[0].text

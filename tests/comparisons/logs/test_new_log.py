@@ -239,6 +239,14 @@ BAD: dict[str, tuple[str, str, str]] = {
         VELOCITY, "id,range,t\n1,5,0.1\n",
         r"no column for bearing_rad, .*named bearing \(ranges alone are not supported\); found id,",
     ),
+    "empty bearings": (
+        VELOCITY, "id,range,bearing,t\n1,5,,0.1\n1,5, ,0.2\n",
+        r"named bearing \(ranges alone are not supported\); found id, range, bearing \(empty\), t;",
+    ),
+    "a bearing lacks": (
+        VELOCITY, "id,range,bearing,t\n1,5,0,0.1\n1,5,,0.2\n",
+        r"trees.csv:3: 'bearing' is '', expected a finite number",
+    ),
     "two kinds": ("t,v,w,x,y,yaw\n0,1,0,0,0,0\n", TREES, r"holds velocity and poses.*--kind"),
     "no kind": (
         "t,a\n0,1\n",
