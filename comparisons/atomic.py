@@ -31,6 +31,13 @@ LIST = "files.sha256"
 """Of an output folder: its other files with their hashes, as `sha256sum` writes them."""
 _LISTED = re.compile(r"([0-9a-f]{64})  (.+)")
 _LIST_BYTES = 1 << 24
+_SUFFIXES = frozenset(
+    {
+        *(".csv", ".html", ".json", ".npz", ".pdf", ".pgm"),
+        *(".pgw", ".png", ".toml", ".trace", ".tum", ".yaml"),
+    }
+)
+"""Of what jobs write: whatever a list says, a file of another kind is nobody's output."""
 _HEAD_BYTES = 1 << 12
 
 
@@ -160,15 +167,18 @@ def _check_earlier(target: Path, folder: Path, mark: str | None) -> None:
         if name == LIST and listed:
             continue
         if not _is_as_listed(path, listed.get(name)):
-            changed = ", which is not as it was written" if name in listed else ""
+            ours = name in listed and path.suffix in _SUFFIXES
+            changed = ", which is not as it was written" if ours else ""
             raise InputError(
                 f"{target}: already holds {name}{changed}; give a new folder or empty this one"
             )
 
 
 def _is_as_listed(path: Path, sha256: str | None) -> bool:
-    """Whether a file is a regular one with this hash."""
-    return sha256 is not None and path.is_file() and _hash(path) == sha256
+    """Whether a file is a regular one with this hash, of a kind that jobs write."""
+    if sha256 is None or path.suffix not in _SUFFIXES or path.is_symlink():
+        return False
+    return path.is_file() and _hash(path) == sha256
 
 
 def _hash(path: Path) -> str:

@@ -44,8 +44,8 @@ _TABLE = np.dtype(
     }
 )
 _HEAD = struct.Struct("<4I")
-MOST_NUMBERS = 1 << 27
-"""Of all matrices of a batch."""
+SPARE_NUMBERS = 1 << 22
+"""All matrices of a batch may have so many numbers, and one more for each of its bytes."""
 
 
 class Batch(NamedTuple):
@@ -97,8 +97,9 @@ def unpack(data: bytes) -> Batch:
     table = np.frombuffer(bytes_of.take(count * ROW.size), _TABLE)
     texts = _texts(bytes_of.take(spoken, padded=True))
     sizes = np.frombuffer(bytes_of.take(4 * matrices, padded=True), "<u4")
-    if sizes.sum(dtype=np.int64) > MOST_NUMBERS:
-        raise ValueError(f"more than {MOST_NUMBERS} numbers")
+    most = SPARE_NUMBERS + len(data)
+    if sizes.sum(dtype=np.int64) > most:
+        raise ValueError(f"more than {most} numbers")
     arrays: list[Array | None] = [np.zeros(0)] * matrices
     for size in np.unique(sizes[sizes > 0]).tolist():
         alike = np.flatnonzero(sizes == size).tolist()

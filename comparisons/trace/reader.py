@@ -9,11 +9,13 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
 
 from comparisons.errors import InputError, check_regular, printable
@@ -181,7 +183,13 @@ class Trace:
         """Yield the file, opened to be read; a killed recording's last transaction is undone."""
         path = self.path
         try:
-            with closing(sqlite3.connect(self._address(), uri=True)) as file:
+            with ExitStack() as stack:
+                found = self._resolved()
+                file = stack.enter_context(closing(_connect(found, "ro")))
+                if _is_to_be_undone(file):
+                    copy = Path(stack.enter_context(TemporaryDirectory())) / "trace"
+                    _copy(found, copy)
+                    file = stack.enter_context(closing(_connect(copy, "rw")))
                 file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_BYTES)
                 file.set_progress_handler(_patience(path), _STEPS)
                 file.execute("PRAGMA trusted_schema = OFF")
@@ -192,15 +200,14 @@ class Trace:
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
-    def _address(self) -> str:
+    def _resolved(self) -> Path:
         """Return where SQLite shall open the file, after a look at its first bytes.
 
         It follows links before it looks for a journal, so its look and ours are at the same file.
         """
         check_regular(self.path)
         path = Path(os.path.realpath(self.path))
-        journal = Path(f"{path}-journal")
-        check_regular(journal)
+        check_regular(_journal(path))
         if not path.exists():
             raise InputError(f"{self.path}: no such file, expected a filter's trace")
         with path.open("rb") as start:
@@ -212,12 +219,9 @@ class Trace:
                 f"{self.path}: has a write-ahead log, which a trace has not; "
                 "PRAGMA journal_mode = DELETE ends it"
             )
-        mode = "ro"
-        if journal.exists():
-            mode = "rw"  # SQLite undoes what is in a journal, for which it must write.
-            if _last_bytes(journal, 8) == _JOURNAL_MAGIC:
-                raise InputError(f"{journal}: names another file, which SQLite would delete")
-        return f"{path.as_uri()}?mode={mode}"
+        if _last_bytes(_journal(path), 8) == _JOURNAL_MAGIC:
+            raise InputError(f"{_journal(path)}: names another file, as a recorder's never does")
+        return path
 
     def _check(self, file: sqlite3.Connection) -> int:
         """Return the format. Raise InputError where the tables are not those of a recorder."""
@@ -235,7 +239,7 @@ class Trace:
         expected = math.prod(
             file.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size")
         )
-        size = self.path.stat().st_size
+        size = Path(file.execute("PRAGMA database_list").fetchone()[2]).stat().st_size
         if size < expected:
             raise InputError(f"{self.path}: is cut off: {size} bytes, expected {expected}")
         found = list(file.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
@@ -369,6 +373,33 @@ def _unreadable(where: object, error: Exception) -> InputError:
         f"{where}: SQLite cannot read it ({printable(str(error)):.100}); record it again, or "
         "recover it with the sqlite3 shell's .recover"
     )
+
+
+def _journal(path: Path) -> Path:
+    return path.with_name(f"{path.name}-journal")
+
+
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.as_uri()}?mode={mode}", uri=True)
+
+
+def _is_to_be_undone(file: sqlite3.Connection) -> bool:
+    """Whether a journal is a killed recording's, for which SQLite would have to write."""
+    try:
+        file.execute("PRAGMA application_id").fetchone()
+    except sqlite3.OperationalError as error:
+        if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
+            raise
+        return True
+    return False
+
+
+def _copy(path: Path, copy: Path) -> None:
+    """Copy a file and its journal: nothing that was handed in is written. Raises InputError."""
+    shutil.copyfile(path, copy)
+    shutil.copyfile(_journal(path), _journal(copy))
+    if _last_bytes(_journal(copy), 8) == _JOURNAL_MAGIC:
+        raise InputError(f"{_journal(path)}: names another file, as a recorder's never does")
 
 
 def _last_bytes(path: Path, count: int) -> bytes:

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from comparisons.checks.agreement import EXACT
+from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.faults.fault import with_state
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, RelativePoses, SteeringOdometry
-from comparisons.pipeline.compare import Modified
+from comparisons.pipeline.compare import REQUIRED, Modified, compare_prepared
+from comparisons.pipeline.prepare import prepare
+from comparisons.report.folder import write_job_folder
+from comparisons.report.result import build_result
+from comparisons.report.run import run_folder
+from comparisons.settings import configure
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import Correction, KalmanState
 from graphslam.marginals import SingularProblemError
@@ -119,6 +126,23 @@ def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
     assert len(c.ekf.landmark_index) < len(log.measurements.time_s)
     said = [*(cause.evidence for cause in c.verdict.causes), *c.verdict.remarks]
     assert any("broke down" in line for line in said)
+
+
+SMALL = {"fastslam": {"particles": 10, "clouds": 16}, "posterior": {"draws": 800}}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+def test_extensions_show_a_filter_that_breaks_down(name: str, tmp_path: Path) -> None:
+    """They end where the filter does, and so do the page and the figures."""
+    log = simulated(loop_s=10.0)
+    config = configure(RunConfig, over={"extensions": {name: SMALL[name]}})
+    broken = Modified(with_state(NotANumber))
+    c = compare_prepared(prepare(log, config, required=REQUIRED, also=(broken,)))
+    assert c.ekf.breakdown
+    assert len(c.ekf.estimate.time_s) < len(c.prepared.timeline.epoch_time_s)
+    write_job_folder(run_folder(c, build_result(c)), tmp_path / "out", ("png",))
+    assert "broke down" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 def with_prior_of(sigma_m: float) -> Log:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -83,6 +85,19 @@ def test_an_earlier_output_is_replaced_by_its_own_kind_alone(tmp_path: Path) -> 
     with pytest.raises(InputError, match=r"ekf/trajectory\.tum, which is not as it was written"):
         an_output(folder)
     assert (folder / "ekf" / "trajectory.tum").read_text() == "by hand"
+
+
+@pytest.mark.parametrize("name", ["thesis.txt", "thesis.toml"])
+def test_a_list_of_right_hashes_removes_only_what_jobs_write(name: str, tmp_path: Path) -> None:
+    """As `sha256sum` makes one, of a folder with a stranger's file."""
+    folder = an_output(tmp_path / "out")
+    (folder / name).write_text("years of work")
+    with (folder / LIST).open("a") as file:
+        file.write(f"{hashlib.sha256(b'years of work').hexdigest()}  {name}\n")
+    refused = name == "thesis.txt"
+    with pytest.raises(InputError, match=r"holds thesis\.txt;") if refused else nullcontext():
+        an_output(folder)
+    assert (folder / name).exists() == refused
 
 
 @pytest.mark.parametrize("kind", ["file", "folder"])

@@ -39,9 +39,13 @@ HOSTILE = (
     *("../../etc/passwd", "1970-01-01T00:00:00Z", "2026-02-30", "-9223372036854775809"),
 )  # fmt: skip
 """Words to put in a field's place."""
+N = 20_000
 LINES = (
     "", "#", ",", "strange = 1", "[prior]", "[[prior]]", "[strange]", "__proto__ = {}", "\x00",
     "1,2,3", "nan nan nan", "1e308 " * 8, "-1 0 0 0 0 0 0 1", '"strange": 1,', "\ufeff", "}", "{",
+    "," * N, "1 " * N, "1," * N, "\n" * N, "#\n" * N, '"' * N, '"' + "\\" * N + '"', "[[s]]\n" * N,
+    "\n".join(f"k{i} = 1" for i in range(N)), "\n".join(f"[s{i}]" for i in range(N)),
+    f"a{'.a' * 60} = 1", f"'a'{' . a' * N} = 1", '{"a":' * N, f"[{'[],' * N}[]]",
 )  # fmt: skip
 """Lines to put in between."""
 ARRAYS: dict[str, np.ndarray] = {
@@ -62,6 +66,19 @@ ARRAYS: dict[str, np.ndarray] = {
     "big-endian": np.arange(4, dtype=">f4"),
 }
 """Arrays to put in an array's place."""
+_KEYS = b"".join(b'"k%d": 1,' % i for i in range(N))
+GROWN: dict[str, Callable[[bytes, bytes], bytes]] = {
+    "blanks in a header": lambda first, rest: first + b" [" + b" " * N + rest,
+    "brackets in a header": lambda first, rest: first + b"(" * N + rest,
+    "header again": lambda first, rest: b",".join([first.strip()] * 2000) + rest,
+    "digits": lambda first, rest: first + re.sub(rb"\d+", b"0" * 900 + b"1", rest[:9000]),
+    "decimals": lambda first, rest: first + re.sub(rb"\.\d+", b"." + b"3" * 900, rest[:9000]),
+    "last line": lambda first, rest: first + rest + rest[-80:].rpartition(b"\n")[2] * N,
+    "a line": lambda first, rest: first + rest + (rest.split(b"\n", 2)[1:2] or [b""])[0] * N,
+    "keys": lambda first, rest: first.replace(b"{", b"{" + _KEYS, 1) + rest,
+    "values": lambda first, rest: first.replace(b"{", b'{"a":[' + b"[]," * N + b"[]],", 1) + rest,
+}
+"""What makes a text long, given its first line and the rest, which begins with the line's end."""
 EDITS = ("nan", "inf", "1e300", "negated", "doubled", "short", "transposed", "tall", "zero")
 """What may happen to an array's own values."""
 
@@ -87,11 +104,15 @@ class Damage:
             path.write_bytes(_CONTENTS[self.kind](data, self))
 
 
+_PACKED = (".npz", ".mat", ".mcap", ".bag", ".db3", ".trace", ".events", "-journal")
+"""Of files that are no text."""
+
+
 def damages(files: list[str]) -> st.SearchStrategy[list[Damage]]:
     """One to three damages to any of the files."""
     share = st.floats(0.0, 1.0, exclude_max=True)
     archives = [name for name in files if name.endswith(".npz")]
-    texts = [name for name in files if not name.endswith((".npz", ".mat", ".mcap", ".bag", ".db3"))]
+    texts = [name for name in files if not name.endswith(_PACKED)]
 
     def of(kinds: list[str], names: list[str], what: st.SearchStrategy[str]) -> list[object]:
         if not names:
@@ -108,6 +129,7 @@ def damages(files: list[str]) -> st.SearchStrategy[list[Damage]]:
         *of(["line"], texts, st.sampled_from(LINES)) * 2,
         *of(["line gone", "line twice", "lines swapped", "crlf", "cr", "bom", "utf-16", "latin-1"],
             texts, nothing),
+        *of(["grown"], texts, st.sampled_from(sorted(GROWN))) * 2,
         *of(["array"], archives, st.sampled_from(sorted(ARRAYS))) * 2,
         *of(["values"], archives, st.sampled_from(EDITS)) * 2,
         *of(["no array", "array named", "declared shape", "bomb"], archives, nothing),
@@ -168,6 +190,11 @@ def _word(data: bytes, damage: Damage) -> bytes:
         return damage.what.encode("utf-8", "surrogatepass")
     first, last = spans[int(damage.at * len(spans))]
     return data[:first] + damage.what.encode("utf-8", "surrogatepass") + data[last:]
+
+
+def _grown(data: bytes, damage: Damage) -> bytes:
+    end = data.find(b"\n") % (len(data) + 1)
+    return GROWN[damage.what](data[:end], data[end:])
 
 
 def _lines(data: bytes, damage: Damage) -> bytes:
@@ -252,6 +279,7 @@ _CONTENTS: dict[str, Callable[[bytes, Damage], bytes]] = {
     "splice": _splice,
     "repeat": _repeat,
     "word": _word,
+    "grown": _grown,
     **dict.fromkeys(("line", "line gone", "line twice", "lines swapped"), _lines),
     "crlf": lambda data, damage: data.replace(b"\n", b"\r\n"),
     "cr": lambda data, damage: data.replace(b"\n", b"\r"),

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import functools
+import json
+import os
+import shutil
+import sqlite3
+import struct
 import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +20,7 @@ from rich.console import Console
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
+from comparisons.audit.audit import audit
 from comparisons.baseline import build_baseline, read_baseline, write_baseline
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
@@ -32,7 +39,9 @@ from comparisons.report import side_by_side
 from comparisons.report.models import Result
 from comparisons.report.result import build_result
 from comparisons.settings import configure, run_config, run_options
+from comparisons.trace.reader import RAW, VERSION
 from graphslam.g2o import G2oContents, write_g2o
+from tests.comparisons.audit.toy_filter import Toy
 from tests.comparisons.former_trace import write_trace
 from tests.comparisons.logs.rawlogs import rawlog
 from tests.comparisons.logs.test_log_folder import full_log, velocity_log
@@ -225,6 +234,55 @@ def read_chunk(folder: Path) -> None:
     chunk_files(folder).read("ekf", 0)
 
 
+def killed_trace(folder: Path) -> None:
+    """Of a recording that was killed within a transaction, with the journal that undoes it."""
+    path, left = folder / "whole", folder / "run.trace"
+    Toy(1, 40).record(path)
+    with closing(sqlite3.connect(path, isolation_level=None)) as file:
+        file.execute("PRAGMA cache_size = 1")
+        file.execute("BEGIN")
+        file.execute("UPDATE batch SET data = zeroblob(300000)")
+        shutil.copy(path, left)
+        shutil.copy(f"{path}-journal", f"{left}-journal")
+    path.unlink()
+
+
+def plain_trace(folder: Path) -> None:
+    """Of batches one after the other, as C++ writes them."""
+    Toy(1, 40).record(folder / "whole")
+    with closing(sqlite3.connect(folder / "whole")) as file:
+        batches = list(file.execute("SELECT * FROM batch"))
+        about = [[n, g, c and json.loads(c)] for n, g, c in file.execute("SELECT * FROM sensor")]
+    (folder / "whole").unlink()
+    spoken = _spaced(json.dumps(about))
+    parts = [RAW, struct.pack("<2q", VERSION, len(spoken)), spoken]
+    for *numbers, state, data in batches:
+        parts += [
+            struct.pack("<6q", *numbers, len(_spaced(state)), len(data)),
+            _spaced(state),
+            data,
+        ]
+    (folder / "run.events").write_bytes(b"".join(parts))
+
+
+def _spaced(text: str) -> bytes:
+    return text.encode() + b" " * (-len(text.encode()) % 8)
+
+
+def audited(name: str) -> Callable[[Path], object]:
+    """Audit a trace, and see that nothing that was handed in is written."""
+
+    def read(folder: Path) -> None:
+        files = [path for path in folder.iterdir() if path.is_file() and not path.is_symlink()]
+        before = {path: path.read_bytes() for path in files if os.access(path, os.R_OK)}
+        try:
+            audit(folder / name)
+        finally:
+            assert before == {path: path.read_bytes() for path in before}
+
+    return read
+
+
 def g2o_file(folder: Path) -> None:
     write_g2o(folder / "graph.g2o", small_solution()[1])
 
@@ -283,6 +341,9 @@ SUBJECTS: dict[str, Subject] = {
     ),
     "result": Subject(result_file, read_result),
     "Monte Carlo chunk": Subject(chunk_file, read_chunk),
+    "trace": Subject(lambda folder: Toy(1, 40).record(folder / "run.trace"), audited("run.trace")),
+    "trace of a killed filter": Subject(killed_trace, audited("run.trace")),
+    "trace without SQLite": Subject(plain_trace, audited("run.events")),
 }
 BAGS: dict[str, Subject] = {
     "rosbag2, MCAP": Subject(bag(mcap=True), opened(lambda folder: folder / "bag")),

@@ -12,8 +12,8 @@ import shlex
 import signal
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -134,7 +134,8 @@ class Command:
                 reason = error.strerror if isinstance(error, OSError) else error
                 raise EstimatorError(f"{words[0]}: cannot be started ({reason})") from None
             try:
-                code = program.wait(self.timeout_s)
+                with _ending_with_us(program.pid):
+                    code = program.wait(self.timeout_s)
             except BaseException as error:  # it, and what it has started, end before we go on
                 with suppress(OSError):
                     os.killpg(program.pid, signal.SIGKILL)
@@ -148,6 +149,25 @@ class Command:
                 last = next((one for one in tail.splitlines()[::-1] if one.strip()), "no message")
                 ended = f"exit code {code}" if code > 0 else f"killed by signal {-code}"
                 raise EstimatorError(f"{ended}: {last}", tail)
+
+
+@contextmanager
+def _ending_with_us(group: int) -> Iterator[None]:
+    """Have a group of processes end where this process ends meanwhile, also by SIGKILL.
+
+    A shell waits for a line that only this process can send, or for the end of its input.
+    """
+    watch = subprocess.Popen(  # noqa: S603
+        ("/bin/sh", "-c", 'read line || kill -s KILL -- "-$0"', str(group)),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield
+    finally:
+        watch.communicate(b"\n")
 
 
 def _tail(file: IO[bytes]) -> str:

@@ -59,17 +59,17 @@ class FastSlamExtension(Extension):
         prepared = known.prepared
         with prepared.clock.stage("fastslam"):
             prepared.progress("fastslam", 0, 0)
-            cloud = self.cloud(prepared)
+            cloud = self.cloud(prepared, len(known.ekf.estimate.time_s))
             stretches = StretchComparison(known.gaps, prepared.log, self.sampling)
             progress = prepared.stage_progress("fastslam, stretches")
             check = check_clouds(stretches.run(self._settings.clouds, progress))
         return FastSlamFinding(known, self._settings, cloud, check)
 
-    def cloud(self, prepared: Prepared[Any]) -> Cloud:
-        """Run one cloud through the whole log."""
+    def cloud(self, prepared: Prepared[Any], epochs: int) -> Cloud:
+        """Run one cloud through the log, up to where the filter came."""
         log = prepared.log
         slam = build_fastslam(log, self.sampling, known=prepared.labelled)
-        return run_fastslam(slam, log, prepared.timeline)
+        return run_fastslam(slam, log, prepared.timeline.prefix(epochs))
 
 
 class FastSlamFinding(Finding):

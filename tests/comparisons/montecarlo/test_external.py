@@ -40,6 +40,7 @@ from comparisons.pipeline.prepare import prepare
 from tests.commands import refused, works
 from tests.comparisons.montecarlo.test_command import ENVIRONMENT, SLAMCHECK
 from tests.comparisons.montecarlo.worlds import short, short_world, shortened, study_of
+from tests.comparisons.test_beside import gone
 from tests.helpers import present
 
 PROGRAM = """
@@ -398,12 +399,18 @@ def test_the_page_shows_every_filter_and_every_two(scenario: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_study_that_is_ended_ends_the_command(
-    scenario: Path, program: Callable[[str], str], tmp_path: Path
+    number: signal.Signals, scenario: Path, program: Callable[[str], str], tmp_path: Path
 ) -> None:
-    places, began, alive = (tmp_path / name for name in ("places", "began", "alive"))
+    """With what the command has started, however the study is ended."""
+    places, began = tmp_path / "places", tmp_path / "began"
     places.mkdir()
-    body = f"import time; Path({str(began)!r}).touch(); time.sleep(5); Path({str(alive)!r}).touch()"
+    body = (
+        "import os, subprocess, time; child = subprocess.Popen(['sleep', '600']); "
+        f"part = Path({str(began)!r} + '.part'); part.write_text(f'{{os.getpid()}} {{child.pid}}')"
+        f"; part.rename({str(began)!r}); time.sleep(600)"
+    )
     asked = study(scenario, tmp_path / "out", "--runs", "1", "--command", program(body))
     job = subprocess.Popen(
         (*SLAMCHECK, *asked),
@@ -412,8 +419,9 @@ def test_a_study_that_is_ended_ends_the_command(
     )
     while not began.exists() and job.poll() is None:
         time.sleep(0.02)
-    job.send_signal(signal.SIGTERM)
-    assert job.wait(30) == 143
-    assert list(places.iterdir()) == []
-    time.sleep(5.5)
-    assert not alive.exists()
+    started = [int(one) for one in began.read_text().split()]
+    assert not any(gone(one, 0.0) for one in started)
+    job.send_signal(number)
+    assert job.wait(30) == (143 if number == signal.SIGTERM else -number)
+    assert all(gone(one) for one in started)
+    assert number == signal.SIGKILL or not list(places.iterdir())

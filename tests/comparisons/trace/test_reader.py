@@ -12,7 +12,7 @@ import struct
 import time
 import tracemalloc
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -390,8 +390,27 @@ def test_a_bad_batch_is_one_line(trace: Path, name: str) -> None:
 
 def test_a_batch_of_more_numbers_than_it_may_hold_is_refused() -> None:
     head = struct.pack("<4I", 0, 2, 4, 0) + b"[]".ljust(8, b"\0")
-    with pytest.raises(ValueError, match="more than 134217728 numbers"):
+    with pytest.raises(ValueError, match="more than 4194344 numbers"):
         unpack(head + struct.pack("<4I", *[2**31] * 4))
+
+
+@pytest.mark.parametrize("count", [50, 400])
+def test_a_small_batch_takes_little_memory(count: int) -> None:
+    """Of a hundred thousand numbers each, all as the first."""
+    size = 100_000
+    mask = np.arange(count * size) < size
+    packed = np.packbits(mask, bitorder="little").tobytes()
+    data = struct.pack("<4I", 0, 2, count, 0) + b"[]".ljust(8, b"\0")
+    data += np.full(count, size, "<u4").tobytes() + packed + np.zeros(size).tobytes()
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="more than") if count == 400 else nullcontext():
+            unpack(data)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 50 * len(data) + 200e6
+    assert count * size * 13 > 50 * len(data) + 200e6 or count == 50
 
 
 def test_a_truncated_file_is_refused_at_any_length(trace: Path) -> None:
