@@ -71,6 +71,7 @@ def new_log(folder: Path, **given: Any) -> None:
 
         from comparisons.adapters.motion import with_regular_motion
         from comparisons.atomic import check_replaceable
+        from comparisons.checks.diagnosis.log_doctor import examine
         from comparisons.logs.log_folder import read_log_folder, write_log_folder
         from comparisons.logs.new_log import OPTIONS, UserFiles, build
 
@@ -95,11 +96,16 @@ def new_log(folder: Path, **given: Any) -> None:
         )
         found = build(files)
         log = with_regular_motion(found.log)
+        examined = examine(log)
+        if any(one.unit for one in examined.findings):
+            raise InputError(f"the files contradict each other: {examined.words}")
         write_log_folder(replace(log, format="new-log"), folder, found.remarks)
         records = ", ".join(f"{n:,} {name}" for name, n in read_log_folder(folder).records.items())
         for note in found.notes:
             typer.echo(note)
         typer.echo(f"{folder}: {records}; {log.duration_s:.1f} s; defaults in {folder}/log.toml")
+        if examined.findings:
+            typer.echo(f"warning: {examined.words}")
         name = shlex.quote(str(folder))
         typer.echo(f"next: slamcheck run {name}, or slamcheck check {name} --estimate PATH")
 

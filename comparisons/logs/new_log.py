@@ -379,7 +379,7 @@ class _Reading:
             )
         if unit:
             return number * units[unit]
-        factor = 1.0 if table is None else table.factor.get(column, 1.0)
+        factor = 1.0 if table is None else abs(table.factor.get(column, 1.0))
         if factor != 1.0 and table is not None:
             unit = next(one for one, value in units.items() if value == factor)
             self.notes.append(

@@ -73,6 +73,11 @@ _GAPS = ("diameter_m", "intensity")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _WORDS = ("landmark", "id")
+_SIGNED = (
+    "bearing_rad", "yaw_rate_radps", "steering_rad", "heading_rad", "dheading_rad", "x_m", "y_m",
+    "dx_m", "dy_m", "speed_mps",
+)  # fmt: skip
+"""Columns that may count the other way round, as `--unit bearing=-deg`."""
 _FOLLOWS = {"sigma_range_m": "range_m", "sigma_bearing_rad": "bearing_rad", "sigma_m": "x_m"}
 """A column of sigmas, and the one whose unit it has where its header names none."""
 _ISO = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,12}))?(Z|[+-]\d\d:?\d\d)?")
@@ -161,7 +166,7 @@ def read_plain(
             columns[name] = _heading(lines, source)
         else:
             found = source.unit or _followed(name, sources)
-            factor[name] = UNITS.get(_dimension(name), {}).get(found or "", 1.0)
+            factor[name] = _factor(name, found or "")
             words = lines.words(source.places[0])
             columns[name] = factor[name] * _numbers(path, words, lines.line, name, header)
             unit[name] = _unit_words(name, found, source)
@@ -273,12 +278,13 @@ def _stated(lines: _Lines, name: str, source: _Source, units: Mapping[str, str])
     if given is None:
         return source
     known = UNITS.get(_dimension(name), {})
-    if units[given] not in known:
+    unit = units[given].removeprefix("-")
+    if unit not in known or (unit != units[given] and name not in _SIGNED):
         raise InputError(
             f"--unit {given}={units[given]}: the unit is unknown, expected "
             f"{', '.join(known) or 'none'}"
         )
-    if source.unit is not None and known[source.unit] != known[units[given]]:
+    if source.unit is not None and known[source.unit] != known[unit]:
         raise InputError(
             f"--unit {given}={units[given]}: '{shorten(header)}' of {lines.path} says "
             f"{source.unit}, expected the same"
@@ -304,10 +310,16 @@ def _column(path: Path, header: str, wanted: Sequence[str]) -> tuple[str | None,
     return None, None
 
 
+def _factor(name: str, unit: str) -> float:
+    """What makes SI of a column's values; a unit behind `-` counts the other way round."""
+    factor = UNITS.get(_dimension(name), {}).get(unit.removeprefix("-"), 1.0)
+    return -factor if unit.startswith("-") else factor
+
+
 def _followed(name: str, sources: Mapping[str, _Source]) -> str | None:
     """The unit of the column whose sigmas another holds."""
     followed = sources.get(_FOLLOWS.get(name, ""))
-    return None if followed is None else followed.unit
+    return None if followed is None or not followed.unit else followed.unit.removeprefix("-")
 
 
 def _unit_words(name: str, unit: str | None, source: _Source) -> str:
