@@ -183,7 +183,7 @@ def check(
     solver: in the place of `solve`, as one that keeps what it has solved.
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
-    first = job.started(given)
+    first = job.started(given.numbered_as(log.labels))
     if first.exact or len(first.inside.time_s) < FEWEST:
         return first
     progress("motion models", 0, 0)
