@@ -23,7 +23,7 @@ _STEP_S = 0.1
 
 
 def drive(seed: int, kind: str, count: int = 400) -> Log:
-    """A vehicle that winds among posts, as a log of one kind of odometry."""
+    """A vehicle that winds among posts, as a log of one kind of odometry, by that one's model."""
     rng = np.random.default_rng(seed)
     time_s = _STEP_S * np.arange(count)
     speed = rng.uniform(0.7, 1.5) + 0.2 * np.sin(2 * np.pi * time_s / rng.uniform(7.0, 20.0))
@@ -32,7 +32,7 @@ def drive(seed: int, kind: str, count: int = 400) -> Log:
     wheelbase = 2.0
     pose = np.zeros((count + 1, 3))
     for k in range(count):
-        middle = pose[k, 2] + 0.5 * turn[k] * _STEP_S
+        middle = pose[k, 2] + (0.0 if kind == "steering" else 0.5 * turn[k] * _STEP_S)
         step = speed[k] * _STEP_S
         pose[k + 1] = pose[k] + (step * np.cos(middle), step * np.sin(middle), turn[k] * _STEP_S)
     low, high = pose[:, :2].min(axis=0) - 6.0, pose[:, :2].max(axis=0) + 6.0
