@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -228,12 +229,12 @@ def _scales(turn: str, speed: str, rate: str) -> Iterator[_Suspicion]:
         right = "degrees" if taken == "deg" else "radians"
         yield _Suspicion(
             f"bearings are {right}", f"give --unit bearing={taken}",
-            lambda g, k=factor: sensed(g, bearing=(k, 0.0)),
+            partial(sensed, bearing=(factor, 0.0)),
         )  # fmt: skip
         yield _Suspicion(
             f"{turn} is in {right}",
             f"give --unit {turn}={degrees if taken == 'deg' else rate}",
-            lambda g, k=factor: driven(g, turn=(k, 0.0)),
+            partial(driven, turn=(factor, 0.0)),
         )
     yield _Suspicion(
         f"bearings and {turn} are degrees", f"give --unit bearing=deg --unit {turn}={degrees}",
@@ -242,11 +243,11 @@ def _scales(turn: str, speed: str, rate: str) -> Iterator[_Suspicion]:
     for unit, factor in (("cm", 1e-2), ("mm", 1e-3)):
         yield _Suspicion(
             f"ranges are {unit}", f"give --unit range={unit}",
-            lambda g, k=factor: sensed(g, (k, 0.0)),
+            partial(sensed, range_=(factor, 0.0)),
         )  # fmt: skip
         yield _Suspicion(
             f"{speed} is in {unit}" + ("/s" if speed == "speed" else ""),
-            f"divide it by {1.0 / factor:.0f}", lambda g, k=factor: driven(g, (k, 0.0)),
+            f"divide it by {1.0 / factor:.0f}", partial(driven, speed=(factor, 0.0)),
         )  # fmt: skip
     if speed == "speed":
         yield _Suspicion(
@@ -264,7 +265,7 @@ def _frames() -> Iterator[_Suspicion]:
     ):
         yield _Suspicion(
             what, f"give the odometry as x = {x}, y = {y}" + (", -heading" if turned < 0 else ""),
-            lambda g, x=x, y=y, turned=turned: other_frame(g, x, y, turned), True,
+            partial(other_frame, x=x, y=y, turned=turned), True,
         )  # fmt: skip
 
 
@@ -314,30 +315,34 @@ def _as_variances(log: Log) -> Iterator[_Suspicion]:
     """Stated sigmas that are variances, below 1; those of two sensors may be."""
     seen = log.measurements
 
-    def measured(g: Log, name: str) -> Log:
-        root = np.sqrt(getattr(g.measurements, name))
-        return replace(g, measurements=replace(g.measurements, **{name: root}))
-
     for name, what in (("sigma_range_m", "range"), ("sigma_bearing_rad", "bearing")):
         if (getattr(seen, name) < 1.0).all():
             sigma = float(np.median(getattr(seen, name)))
             yield _Suspicion(
                 f"the sigma of {what}s, {sigma:.4g}, is a variance",
                 f"give --sigma-{what} {np.sqrt(sigma):.4g}",
-                lambda g, name=name: measured(g, name),
+                partial(_rooted, names=(name,)),
             )
     both = "sigma_range_m", "sigma_bearing_rad"
     if all((getattr(seen, name) < 1.0).all() for name in both):
         yield _Suspicion(
             "the sigmas of ranges and bearings are variances", "give their square roots",
-            lambda g: measured(measured(g, both[0]), both[1]),
+            partial(_rooted, names=both),
         )  # fmt: skip
-    if not isinstance(log.odometry, RelativePoses):
-        noise = log.odometry.noise
-        roots = {n: np.sqrt(getattr(noise, n)) for n in ("sigma_speed_mps", "sigma_turn")}
+    moved = log.odometry
+    if not isinstance(moved, RelativePoses):
+        speed, turn = np.sqrt((moved.noise.sigma_speed_mps, moved.noise.sigma_turn)).tolist()
+        noise = replace(moved.noise, sigma_speed_mps=speed, sigma_turn=turn)
+        rooted = replace(moved, noise=noise)
         yield _Suspicion(
             "the sigmas of the odometry are variances",
-            f"give --sigma-speed {roots['sigma_speed_mps']:.4g} --sigma-turn "
-            f"{roots['sigma_turn']:.4g}",
-            lambda g: replace(g, odometry=replace(g.odometry, noise=replace(noise, **roots))),
+            f"give --sigma-speed {speed:.4g} --sigma-turn {turn:.4g}",
+            lambda g: replace(g, odometry=rooted),
         )
+
+
+def _rooted(log: Log, names: tuple[str, ...]) -> Log:
+    """The log with the square roots of some sigmas."""
+    seen = log.measurements
+    roots = {name: np.sqrt(getattr(seen, name)) for name in names}
+    return replace(log, measurements=replace(seen, **roots))
