@@ -118,6 +118,15 @@ EVERY: dict[str, tuple[Change, str]] = {
     "range's variance": (squared("sigma_range_m"), "the sigma of ranges"),
     "bearing's variance": (squared("sigma_bearing_rad"), "the sigma of bearings"),
 }
+EVERY["bearing's sigma taken for degrees"] = (
+    lambda g: replace(
+        g,
+        measurements=replace(
+            g.measurements, sigma_bearing_rad=_DEGREE * g.measurements.sigma_bearing_rad
+        ),
+    ),
+    "was taken for degrees",
+)
 WHEELS: dict[str, tuple[Change, str]] = {
     "milliseconds": (
         lambda g: driven(g, (1e3, 0.0), (1e3 if rates(g) else 1.0, 0.0)),

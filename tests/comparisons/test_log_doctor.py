@@ -16,6 +16,7 @@ from benchmarks.log_doctor import EVERY, POSES, WHEELS, drive
 from comparisons.checks.diagnosis.log_doctor import examine
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.logs.odometry import VelocityOdometry
 from tests.commands import slamcheck
 
 CASES = {
@@ -25,6 +26,7 @@ CASES = {
     "turns in degrees": "velocity",
     "km/h": "steering",
     "bearing's variance": "velocity",
+    "bearing's sigma taken for degrees": "velocity",
     "y to the right": "poses",
 }
 
@@ -80,8 +82,9 @@ def test_units_that_contradict_the_data_are_refused(tmp_path: Path) -> None:
     """A yaw rate in rad/s taken for degrees; the option that mends bearings alone is accepted."""
     log = drive(7, "velocity")
     seen, moved = log.measurements, log.odometry
-    rows = zip(moved.time_s, moved.speed_mps, moved.yaw_rate_radps, strict=True)  # type: ignore[union-attr]
-    text = "time,v,w\n" + "".join(f"{t:.3f},{v:.9g},{w:.9g}\n" for t, v, w in rows)
+    assert isinstance(moved, VelocityOdometry)
+    controls = zip(moved.time_s, moved.speed_mps, moved.yaw_rate_radps, strict=True)
+    text = "time,v,w\n" + "".join(f"{t:.3f},{v:.9g},{w:.9g}\n" for t, v, w in controls)
     (tmp_path / "odometry.csv").write_text(text)
     rows = zip(seen.time_s, seen.landmark, seen.range_m, np.degrees(seen.bearing_rad), strict=True)
     text = "time,label,range,bearing\n"

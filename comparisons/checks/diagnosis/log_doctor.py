@@ -312,7 +312,7 @@ def _exchanged_controls(log: Log) -> Log:
 
 
 def _as_variances(log: Log) -> Iterator[_Suspicion]:
-    """Stated sigmas that are variances, below 1; those of two sensors may be."""
+    """Stated sigmas that are variances, below 1, or of another unit; of two sensors, too."""
     seen = log.measurements
 
     for name, what in (("sigma_range_m", "range"), ("sigma_bearing_rad", "bearing")):
@@ -329,6 +329,17 @@ def _as_variances(log: Log) -> Iterator[_Suspicion]:
             "the sigmas of ranges and bearings are variances", "give their square roots",
             partial(_rooted, names=both),
         )  # fmt: skip
+    sigma = float(np.median(seen.sigma_bearing_rad)) / _DEGREE
+    yield _Suspicion(
+        "the sigma of bearings is in radians and was taken for degrees",
+        f"give --sigma-bearing {sigma:.4g}rad",
+        lambda g: replace(
+            g,
+            measurements=replace(
+                g.measurements, sigma_bearing_rad=g.measurements.sigma_bearing_rad / _DEGREE
+            ),
+        ),
+    )
     moved = log.odometry
     if not isinstance(moved, RelativePoses):
         speed, turn = np.sqrt((moved.noise.sigma_speed_mps, moved.noise.sigma_turn)).tolist()
