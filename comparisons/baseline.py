@@ -28,13 +28,13 @@ from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig, merge
 from comparisons.errors import InputError
 from comparisons.figures import current, finite, kept_fields
-from comparisons.innovations import Nis
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.check import CheckResult
 from comparisons.report.models import Result
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
+from comparisons.statistics import Nis
 
 Found = Result | CheckResult
 """What `slamcheck run` or `slamcheck check` found."""

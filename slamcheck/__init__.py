@@ -271,7 +271,7 @@ def compare_estimates(
         given = ExternalEstimate.of(one) if isinstance(one, Estimate) else one
         given = given if isinstance(given, ExternalEstimate) else read_external(given)
         pair.append(given.validated())
-    return compare_pair(*pair, relation=relation)
+    return compare_pair(pair[0], pair[1], relation)
 
 
 def solve(

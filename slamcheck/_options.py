@@ -47,7 +47,6 @@ class CheckOptions(TypedDict, total=False):
     preset: Literal['recommended', 'as-published']
     association: Literal['known', 'own']
     gps: Literal['off', 'on', 'half']
-    estimate: str
     times: str
     trace: str
     require: Literal['equal', 'like', 'plausible']

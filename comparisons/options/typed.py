@@ -18,6 +18,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, TypedDict
 '''
+_ARGUMENTS = ("estimate",)
+"""What a job takes by a parameter of its own."""
 _CLASSES = {
     "run": "RunOptions",
     "check": "CheckOptions",
@@ -36,7 +38,7 @@ def source() -> str:
         parts += [
             f"    {flag.name.rstrip('_')}: {_type(flag)}\n"
             for flag in of_job(job)
-            if not flag.field.startswith("log.")
+            if not flag.field.startswith("log.") and flag.field not in _ARGUMENTS
         ]
     return "".join(parts)
 
