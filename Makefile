@@ -78,6 +78,7 @@ types: $(VENV)/installed-dev
 settings: $(VENV)/installed
 	$(BIN)/python -m comparisons.documented.page > docs/settings.md
 	$(BIN)/python -m comparisons.options.source > table.py~ && mv table.py~ comparisons/options/table.py
+	$(BIN)/python -m comparisons.options.typed > typed.py~ && mv typed.py~ slamcheck/_options.py
 
 # The pages, in build/docs; a dead link is an error.
 docs: $(VENV)/installed-dev

@@ -19,7 +19,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from comparisons.atomic import Kind, begins, write_whole
 from comparisons.checks.agreement import LandmarkAgreement
 from comparisons.checks.causes import Cause
-from comparisons.checks.consistency.finding import ConsistencyResult, ExternalConsistencyResult
+from comparisons.checks.consistency.finding import (
+    ConsistencyResult,
+    ExternalConsistencyResult,
+    NeesResult,
+)
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig, merge
 from comparisons.errors import InputError
@@ -30,12 +34,13 @@ from comparisons.report.check import CheckResult
 from comparisons.report.models import Result
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
+from comparisons.statistics import Nis
 
 Found = Result | CheckResult
 """What `slamcheck run` or `slamcheck check` found."""
-Side = Literal["less", "more", "same", "count", "left out"]
-"""Which change of a figure is for the better: less, more, or neither. A count is the same as none
-where it is zero. Figures that are left out are in no baseline."""
+Side = Literal["less", "more", "nominal", "same", "count", "left out"]
+"""Which change of a figure is for the better: less, more, nearer to its nominal value, or none. A
+count is the same as none where it is zero. Figures that are left out are in no baseline."""
 State = Literal["holds", "better", "new", "broken"]
 
 
@@ -60,11 +65,11 @@ SIDES: Mapping[str, Judged] = {
     "*_limit_sigma": Judged("left out", "follows from the log's prior"),
     "*_gap_sigma": Judged("less", "a difference that should not be there"),
     "*_gap_covariance": Judged("less", "a difference that should not be there"),
-    "optimism": Judged("same", "smaller is too sure, larger is less sure than before"),
-    "pessimism": Judged("same", "as optimism"),
-    "variance_ratio_*": Judged("same", "as optimism"),
-    "mean": Judged("same", "NEES and NIS have an expected value, not a best one"),
-    "squared_per_dof": Judged("same", "as NEES"),
+    "optimism": Judged("nominal", "variances of the filter over the smoother's: 1"),
+    "pessimism": Judged("nominal", "as optimism"),
+    "variance_ratio_*": Judged("nominal", "as optimism"),
+    "mean": Judged("nominal", "NEES and NIS have an expected value: their degrees of freedom"),
+    "squared_per_dof": Judged("nominal", "as NEES, per degree of freedom: 1"),
     "landmark_difference_rms_m": Judged("less", "distance from the optimum"),
     "rms_m": Judged("less", "distance from the optimum"),
     "rms_heading_rad": Judged("less", "distance from the optimum"),
@@ -93,8 +98,8 @@ SIDES: Mapping[str, Judged] = {
         )
     },
 }
-"""How each figure is judged. The verdict and all words are exact, but for the grade: whoever kept
-`disagree` kept a known fault, and `agree` in its place is to be looked at before it is kept."""
+"""How each figure is judged. Words are exact, but for the grade and a verdict that becomes `agree`,
+which are better."""
 
 RELATIVE = 0.02
 """Share of a value that it may change by, unless the noise floor is wider."""
@@ -277,7 +282,11 @@ def compare_with(baseline: Baseline, found: Found) -> list[Change]:
             "differ, or slamcheck 0.2 or older saved it; save a new baseline"
         )
     return changes_of(
-        baseline, _all_words(found), figures(found), lambda name: _rounding(name, found)
+        baseline,
+        _all_words(found),
+        figures(found),
+        lambda name: _rounding(name, found),
+        _expected(found),
     )
 
 
@@ -286,10 +295,12 @@ def changes_of(
     now: Mapping[str, str | None],
     values: Mapping[str, float | None],
     rounding: Callable[[str], float | None] = lambda _: None,
+    expected: Mapping[str, float] | None = None,
 ) -> list[Change]:
     """Return every word and figure of a baseline beside those of now.
 
-    rounding: what rounding explains of a figure, by its name.
+    rounding: what rounding explains of a figure, by its name. expected: nominal values of averages;
+    of other figures that have one it is 1.
     """
     then = _all_words(baseline)
     changes = [
@@ -300,7 +311,8 @@ def changes_of(
     for name in dict.fromkeys((*baseline.metrics, *values)):
         kept = baseline.metrics.get(name, none)
         value = values.get(name)
-        state = _state(name, kept, value, rounding(name))
+        nominal = (expected or {}).get(name, 1.0)
+        state = _state(name, kept, value, rounding(name), nominal)
         changes.append(Change(name, kept.value, value, kept.tolerance, state))
     return changes
 
@@ -382,7 +394,9 @@ def _rounding(name: str, found: Found) -> float | None:
     return None if of is None or gaps is None else float(getattr(gaps, of))
 
 
-def _state(name: str, kept: Metric, value: float | None, rounding: float | None) -> State:
+def _state(
+    name: str, kept: Metric, value: float | None, rounding: float | None, nominal: float
+) -> State:
     judged = judged_by(name)
     side = judged.side if judged else "same"
     then = kept.value
@@ -396,6 +410,8 @@ def _state(name: str, kept: Metric, value: float | None, rounding: float | None)
         return "broken"
     if abs(value - then) <= kept.tolerance:
         return "holds"
+    if side == "nominal":
+        return "better" if abs(value - nominal) < abs(then - nominal) else "broken"
     return "better" if side == ("less" if value < then else "more") else "broken"
 
 
@@ -404,7 +420,7 @@ def _word_state(name: str, then: str | None, now: str | None) -> State:
         return "holds"
     if name == "grade" and then in GRADES and now in GRADES:
         return "better" if GRADES.index(now) > GRADES.index(then) else "broken"
-    return "broken"
+    return "better" if name == "verdict" and now == "agree" else "broken"
 
 
 def _words(found: Found) -> dict[str, str | None]:
@@ -450,21 +466,32 @@ def _of_consistency(
     found: ConsistencyResult | ExternalConsistencyResult,
 ) -> dict[str, float | None]:
     """Averages of the NEES and NIS, and of the estimate's poses against the smoother's."""
-    kept: dict[str, float | None] = {}
-    if isinstance(found, ConsistencyResult):
-        name, truth = "ekf", found.ekf
-        for one in found.innovations:
-            kept |= {f"innovations.{one.sensor}.{nis.name}.mean": nis.mean for nis in one.nis}
-    else:
-        name, truth = "truth", found.truth
-    if truth is not None:
-        for part in type(truth).model_fields:
-            mean = getattr(getattr(truth, part), "mean", None)
-            kept |= {} if mean is None else {f"{name}.{part}.mean": mean}
+    kept: dict[str, float | None] = {name: one.mean for name, one in _averages(found)}
     if found.filter_against_smoother is not None:
         squared = found.filter_against_smoother.squared_per_dof
         kept["filter_against_smoother.squared_per_dof"] = squared
     return {f"consistency.{name}": value for name, value in kept.items()}
+
+
+def _averages(
+    found: ConsistencyResult | ExternalConsistencyResult,
+) -> Iterator[tuple[str, Nis | NeesResult]]:
+    """Return what has a mean and the degrees of freedom that this should be, by name."""
+    if isinstance(found, ConsistencyResult):
+        name, truth = "ekf", found.ekf
+        for sensor in found.innovations:
+            yield from ((f"innovations.{sensor.sensor}.{one.name}.mean", one) for one in sensor.nis)
+    else:
+        name, truth = "truth", found.truth
+    for part in () if truth is None else type(truth).model_fields:
+        one = getattr(truth, part)
+        if getattr(one, "mean", None) is not None:
+            yield f"{name}.{part}.mean", one
+
+
+def _expected(found: Found) -> dict[str, float]:
+    """Return the nominal value of each average."""
+    return {f"consistency.{name}": float(one.dof) for name, one in _averages(found.consistency)}
 
 
 def _left_out(name: str) -> bool:
@@ -474,10 +501,13 @@ def _left_out(name: str) -> bool:
 
 def _side_in_words(change: Change) -> str:
     if isinstance(change.then, str) or isinstance(change.now, str):
-        return "in order of grades" if change.name == "grade" else "any change counts"
+        orders = {"grade": "in order of grades", "verdict": "agree is better"}
+        return orders.get(change.name, "any change counts")
     judged = judged_by(change.name)
     if judged is not None and judged.side in ("less", "more"):
         return f"{judged.side} is better"
+    if judged is not None and judged.side == "nominal":
+        return "nearer to its nominal value is better"
     return "any change counts"
 
 

@@ -9,12 +9,12 @@
     mine = slamcheck.check(log, "my-filter-output")
     print(mine.outcome, *mine.causes, sep="\\n")
 
-A job (`compare`, `check`, `solve`, `odometry`, `dense_map`) takes a log and its options, named as
-the command's on the command line (`--smoother-association own` is `smoother_association="own"`), or
-a whole configuration in their place. Its result shows itself in a notebook; `to_pandas()` returns
-its tables as data frames, where pandas is installed. What a user can mend raises `InputError`, in
-one line. The modules `comparisons`, `ekf_reference` and `graphslam` that these names come from are
-private: they may change in any release.
+A job (`compare`, `check`, `solve`, `odometry`, `dense_map`) takes a log, or its name or path, and
+options, named as the command's on the command line (`--smoother-association own` is
+`smoother_association="own"`) and typed, or a whole configuration in their place. Its result shows
+itself in a notebook; `to_pandas()` returns its tables as data frames, where pandas is installed.
+What a user can mend raises `InputError`, in one line. The modules `comparisons`, `ekf_reference`
+and `graphslam` that these names come from are private: they may change in any release.
 
 A name is imported when it is first used, so `import slamcheck` takes no time.
 """
@@ -24,14 +24,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from slamcheck._packages import check_packages
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from comparisons.audit.audit import Audit as Audit
     from comparisons.audit.directions import inertial_directions as inertial_directions
     from comparisons.audit.directions import planar_directions as planar_directions
+    from comparisons.checks.pair_of_estimates import EstimateComparison as EstimateComparison
     from comparisons.config import CheckConfig as CheckConfig
     from comparisons.config import JobConfig
     from comparisons.config import MapConfig as MapConfig
@@ -58,6 +61,13 @@ if TYPE_CHECKING:
     from ekf_reference.core.ekf import Ekf as Ekf
     from ekf_reference.filters.compressed import CompressedEkf as CompressedEkf
     from ekf_reference.filters.misono import DirectionCosineEkf as DirectionCosineEkf
+    from slamcheck._options import (
+        CheckOptions,
+        MapOptions,
+        OdometryOptions,
+        RunOptions,
+        SolveOptions,
+    )
 
     C = TypeVar("C", bound=JobConfig)
     Progress = Callable[[str, int, int], None]
@@ -71,6 +81,7 @@ _PLACES = {
     "DirectionCosineEkf": "ekf_reference.filters.misono",
     "Ekf": "ekf_reference.core.ekf",
     "Estimate": "comparisons.estimates.estimate",
+    "EstimateComparison": "comparisons.checks.pair_of_estimates",
     "FrontEnd": "comparisons.pipeline.odometry",
     "ExternalCheck": "comparisons.pipeline.check",
     "ExternalEstimate": "comparisons.estimates.external",
@@ -103,6 +114,7 @@ __all__ = [
     "DirectionCosineEkf",
     "Ekf",
     "Estimate",
+    "EstimateComparison",
     "ExternalCheck",
     "ExternalEstimate",
     "FrontEnd",
@@ -118,6 +130,7 @@ __all__ = [
     "audit",
     "check",
     "compare",
+    "compare_estimates",
     "dense_map",
     "inertial_directions",
     "load_log",
@@ -156,16 +169,17 @@ def load_log(source: str | Path, **settings: Any) -> Log:
 
 
 def compare(
-    log: Log,
+    log: Log | str | Path,
     config: RunConfig | None = None,
     *,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[RunOptions],
 ) -> Comparison:
     """Run EKF and smoother over a log and judge whether they agree.
 
     Args:
-        log: Both estimators read it, with one set of standard deviations and one prior.
+        log: A log, its bundled name or its path. Both estimators read it, with one set of standard
+            deviations and one prior.
         config: A whole configuration, in place of options.
         progress: Called with the stage, how much is done, and of how much (0 if unknown).
         options: Options of `slamcheck run` by name: `filter="compressed"`, `association="nn"`.
@@ -181,21 +195,21 @@ def compare(
     from comparisons.pipeline.compare import compare as run
     from comparisons.pipeline.prepare import no_progress
 
-    return run(log, _configured(RunConfig, config, options), progress or no_progress)
+    return run(_read(log), _configured(RunConfig, config, options), progress or no_progress)
 
 
 def check(
-    log: Log,
+    log: Log | str | Path,
     estimate: ExternalEstimate | Estimate | str | Path,
     config: CheckConfig | None = None,
     *,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[CheckOptions],
 ) -> ExternalCheck:
     """Grade another system's estimate of a log.
 
     Args:
-        log: The log that the estimate was made from.
+        log: The log that the estimate was made from, its bundled name or its path.
         estimate: A trajectory file, an estimate folder, or arrays as an `ExternalEstimate`.
         config: A whole configuration, in place of options.
         progress: Called with the stage, how much is done, and of how much (0 if unknown).
@@ -222,20 +236,55 @@ def check(
         estimate = ExternalEstimate.of(estimate)
     if not isinstance(estimate, ExternalEstimate):
         estimate = read_external(Path(estimate), settings.times, settings.trace)
-    return check_external_estimate(log, estimate.validated(), settings, progress or no_progress)
+    return check_external_estimate(
+        _read(log), estimate.validated(), settings, progress or no_progress
+    )
+
+
+def compare_estimates(
+    first: ExternalEstimate | Estimate | str | Path,
+    second: ExternalEstimate | Estimate | str | Path,
+    *,
+    relation: Literal["independent", "filter-smoother"] = "independent",
+) -> EstimateComparison:
+    """Compare two estimates of one drive, without its log.
+
+    Args:
+        first: A trajectory file, an estimate folder, or arrays; the filter's, where the two are a
+            filter's and a smoother's.
+        second: As first, in the same frame and on the same clock.
+        relation: What the covariance of their difference is: of `independent` estimates the sum of
+            theirs; of a filter's and a smoother's of the same data the first's less the second's.
+
+    Returns:
+        Differences and NEES by time and by landmark.
+
+    Raises:
+        InputError: An estimate cannot be read, or they share no time.
+    """
+    from comparisons.checks.pair_of_estimates import compare_pair
+    from comparisons.estimates.estimate import Estimate
+    from comparisons.estimates.external import ExternalEstimate, read_external
+
+    pair = []
+    for one in (first, second):
+        given = ExternalEstimate.of(one) if isinstance(one, Estimate) else one
+        given = given if isinstance(given, ExternalEstimate) else read_external(given)
+        pair.append(given.validated())
+    return compare_pair(pair[0], pair[1], relation)
 
 
 def solve(
-    log: Log,
+    log: Log | str | Path,
     config: SolveConfig | None = None,
     *,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[SolveOptions],
 ) -> Solution:
     """Run the smoother alone.
 
     Args:
-        log: The log.
+        log: The log, its bundled name or its path.
         config: A whole configuration, in place of options.
         progress: Called with the stage, how much is done, and of how much (0 if unknown).
         options: Options of `slamcheck solve` by name: `association="own"`, `robust="huber"`.
@@ -252,20 +301,20 @@ def solve(
     from comparisons.pipeline.prepare import no_progress
     from comparisons.pipeline.solve import solve as run
 
-    return run(log, _configured(SolveConfig, config, options), progress or no_progress)
+    return run(_read(log), _configured(SolveConfig, config, options), progress or no_progress)
 
 
 def odometry(
-    log: Log,
+    log: Log | str | Path,
     config: OdometryConfig | None = None,
     *,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[OdometryOptions],
 ) -> FrontEnd:
     """Run scan odometry, loop closure and the scan pose graph over a log's scans.
 
     Args:
-        log: A log with scans or clouds.
+        log: A log with scans or clouds, its bundled name or its path.
         config: A whole configuration, in place of options.
         progress: Called with the stage, how much is done, and of how much (0 if unknown).
         options: Options of `slamcheck odometry` by name, as `loop_closure=False`.
@@ -282,20 +331,20 @@ def odometry(
     from comparisons.pipeline.prepare import no_progress
 
     settings = _configured(OdometryConfig, config, options)
-    return run_front_end(log, settings, progress or no_progress)
+    return run_front_end(_read(log), settings, progress or no_progress)
 
 
 def dense_map(
-    log: Log,
+    log: Log | str | Path,
     config: MapConfig | None = None,
     *,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[MapOptions],
 ) -> DenseMapping:
     """Run the EKF with a dense map beside it, anchored to its landmarks.
 
     Args:
-        log: A log with scans.
+        log: A log with scans, its bundled name or its path.
         config: A whole configuration, in place of options.
         progress: Called with the stage, how much is done, and of how much (0 if unknown).
         options: Options of `slamcheck map` by name: `layer=["occupancy"]`, `resolution=0.1`.
@@ -314,9 +363,9 @@ def dense_map(
     from comparisons.pipeline.prepare import no_progress
 
     if config is None:
-        options = {"layer": ["points", "occupancy"], **options}
+        options.setdefault("layer", ["points", "occupancy"])
     settings = _configured(MapConfig, config, options)
-    return map_log(log, settings, progress or no_progress)
+    return map_log(_read(log), settings, progress or no_progress)
 
 
 def audit(trace: str | Path, *, tolerance: float = 1e-6, progress: Progress | None = None) -> Audit:
@@ -375,6 +424,11 @@ def write_report(result: Comparison | ExternalCheck | Solution | Audit, folder: 
 
         content = solution_folder(result, build_solution_result(result))
     write_job_folder(content, Path(folder))
+
+
+def _read(log: Log | str | Path) -> Log:
+    """Return a log, or the one of a bundled name or path."""
+    return load_log(log) if isinstance(log, str | Path) else log
 
 
 def _configured(job: type[C], config: C | None, options: Mapping[str, Any]) -> C:

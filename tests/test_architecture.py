@@ -270,6 +270,7 @@ def test_nothing_stands_on_experiments() -> None:
 APART = (
     "comparisons.documented.page",  # makes docs/settings.md
     "comparisons.options.source",  # makes the table of options
+    "comparisons.options.typed",  # makes their types
     "comparisons.logs.readers.",  # found by the name of a format
     "ekf_reference.scan_matching.grid_correlation",  # of the documents, for researchers
 )

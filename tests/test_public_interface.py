@@ -57,6 +57,28 @@ def test_types_reach_a_users_type_checker(package: str) -> None:
     assert "py.typed" in found["tool"]["setuptools"]["package-data"]["*"]
 
 
+def test_options_are_typed_as_the_table_has_them() -> None:
+    """`make settings` makes the file; a wrong word then fails in a user's type checker."""
+    from comparisons.options.typed import source
+
+    text = (SOURCE.parent / "_options.py").read_text()
+    assert text == source()
+    assert "filter: Literal['full', 'compressed'," in text
+    for job, options in (("compare", "Run"), ("check", "Check"), ("solve", "Solve")):
+        assert f"Unpack[{options}Options]" in str(inspect.signature(getattr(slamcheck, job)))
+
+
+def test_names_and_paths_stand_for_logs_and_estimates(tmp_path: Path) -> None:
+    log = slamcheck.load_log("simulated-loop", seed=3)
+    slamcheck.write_log(log, str(tmp_path / "mine"))
+    solved = slamcheck.solve(str(tmp_path / "mine"))
+    slamcheck.write_estimate(solved.estimate, str(tmp_path / "out"))
+    read = slamcheck.read_estimate(str(tmp_path / "out"))
+    assert len(read.time_s) == len(solved.estimate.time_s)
+    with pytest.raises(slamcheck.InputError, match="no-such-log"):
+        slamcheck.compare("no-such-log")
+
+
 def test_importing_it_loads_nothing_heavy() -> None:
     code = (
         "import sys, slamcheck; "

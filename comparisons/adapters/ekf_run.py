@@ -183,6 +183,7 @@ def run_ekf(
         },
         pose_landmark_id=pose_landmark_id,
         pose_landmarks=ekf.state.places(POSE)[pose_landmark_id],
+        labels=log.labels if config.association == "known" else {},
     )
     fused = np.unique(arrays.positions.number)
     return EkfRun(

@@ -223,9 +223,15 @@ def smooth_problem(
 
 
 def smoothed_estimate(
-    result: SmootherResult, time_s: Array, landmark_id: NDArray[np.int64], association: str
+    result: SmootherResult,
+    time_s: Array,
+    landmark_id: NDArray[np.int64],
+    association: str,
+    labels: Mapping[int, str] | None = None,
 ) -> Estimate:
     """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,).
+
+    labels: names of these by id, where they have any.
 
     Of two pose landmarks that are one, the first stands for both.
     """
@@ -247,6 +253,7 @@ def smoothed_estimate(
         provenance={"estimator": f"graphslam, {result.options.method}", "association": association},
         pose_landmark_id=kept,
         pose_landmarks=pose_landmarks[kept],
+        labels=labels or {},
     )
 
 

@@ -407,7 +407,7 @@ def linearisation(
     spurious: Learnt | None = None,
 ) -> Cause:
     """The gap between F2 and S. growth: where it arose, if that was looked for."""
-    names = [f"landmark {i}" for i in run.estimate.landmark_id]
+    names = [f"landmark {i}" for i in run.estimate.names]
     names += [f"scan landmark {i}" for i in run.estimate.pose_landmark_id]
     blocks = (*agreement.landmarks, *agreement.pose_landmarks)
     off = [i for i, block in enumerate(blocks) if not block.agrees]
@@ -497,7 +497,7 @@ def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
     if growth.landmark_index >= 0:
         template = "template" in growth.kind  # whose landmark's id is its landmark index
         index = growth.landmark_index
-        seen = f" of landmark {index if template else run.estimate.landmark_id[index]}"
+        seen = f" of landmark {index if template else run.estimate.names[index]}"
     around = _degrees(sigma[max(at - 1, 0) : at + 1].max())
     return (
         f"the largest linearisation error is that of {growth.kind}{seen} at {time_s[at]:.1f} s "

@@ -292,7 +292,7 @@ def _map_faults(
         parts.append(
             f"{len(far)} of {len(blocks)} landmarks are more than {LARGEST_DISTANCE:g} sigma "
             "from the "
-            f"optimum, landmark {found.landmark_id[worst]} most, by "
+            f"optimum, landmark {smoothed.landmark_name(int(rows[1][worst]))} most, by "
             f"{blocks[worst].difference_m:.2f} m "
             f"({blocks[worst].distance_sigma:.1f} sigma)"
         )

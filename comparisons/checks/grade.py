@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -41,7 +41,8 @@ class Reference:
     name: as in "equal to NAME". time_s: (K,). known: (K,) whether it speaks of the pose at that
     time. pose: (K, 3). pose_covariance: (K, 3, 3). landmark_id: (L,). landmark: (L, 2).
     joint_covariance: (3 + 2 L, 3 + 2 L) of the pose at joint_s and these. span_s: begin and end of
-    what the log observes. smoothed: its poses have seen the future.
+    what the log observes. smoothed: its poses have seen the future. labels: names by id,
+    where landmarks have any.
     """
 
     name: str
@@ -55,6 +56,12 @@ class Reference:
     joint_s: float
     span_s: tuple[float, float]
     smoothed: bool = False
+    labels: Mapping[int, str] = field(default_factory=dict)
+
+    def landmark_name(self, row: int) -> str:
+        """Return what a landmark is called: its label, else its id."""
+        number = int(self.landmark_id[row])
+        return self.labels.get(number, str(number))
 
     def at(self, time_s: Array) -> Reference:
         """Return it with those of its poses alone that are of some times (N,)."""

@@ -185,7 +185,7 @@ def _run(stopped: Sequence[int]) -> NoReturn:
         from typer.rich_utils import rich_format_error
 
         # An Enum's parser puts its own class of error in front.
-        error.message = error.message.replace("Value error, ", "")
+        error.message = error.message.replace("Value error, ", "") + _meant(asked, error.message)
         with suppress(OSError):  # nobody reads it; the exit code stays
             rich_format_error(error)
         sys.exit(UNUSABLE)
@@ -195,6 +195,14 @@ def _run(stopped: Sequence[int]) -> NoReturn:
         if not stopped:
             traceback.print_exc()
         sys.exit(BROKEN)
+
+
+def _meant(command: str, message: str) -> str:
+    """The option that a word without one was meant for."""
+    stray = message.removeprefix("Got unexpected extra argument (").removesuffix(")")
+    if command != "check" or stray == message:
+        return ""
+    return f"; the estimate goes with --estimate: slamcheck check LOG --estimate {stray}"
 
 
 def _stop_on_signals() -> list[int]:

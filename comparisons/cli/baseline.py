@@ -10,7 +10,7 @@ import typer
 
 from comparisons.cli.flags import Command, Given, from_flags
 from comparisons.cli.jobs import read_job
-from comparisons.cli.support import AGREE, DISAGREE, guarded, progress_bar
+from comparisons.cli.support import AGREE, DISAGREE, guarded, print_text, progress_bar
 from comparisons.errors import InputError
 from comparisons.options import GRADE, Flag
 from comparisons.options.table import of_job
@@ -149,7 +149,7 @@ def compare(
         states = {change.state for change in changes}
         if states != {"holds"}:
             meant = "if that is meant, keep it" if "broken" in states else "to keep it"
-            typer.echo(f"{meant} in {file}: --update")
+            print_text(lambda console: console.file.write(f"{meant} in {file}: --update\n"))
         raise SystemExit(DISAGREE if "broken" in states else AGREE)
 
 
@@ -168,8 +168,9 @@ def _print_changes(changes: Sequence[Change], found: Found) -> None:
     outcome = "worse" if "broken" in counts else "not worse"
     holding = sum(change.state == "holds" for change in changes)
     parts = [f"{holding} of {len(changes)} figures hold", *counts.values()]
-    for line in (f"verdict: {outcome} than the baseline; {', '.join(parts)}", *lines):
-        typer.echo("\n".join(fit(line, after="  ")))
+    lines.insert(0, f"verdict: {outcome} than the baseline; {', '.join(parts)}")
+    text = "".join("\n".join(fit(line, after="  ")) + "\n" for line in lines)
+    print_text(lambda console: console.file.write(text))
 
 
 def _runs(given: int | None, *, estimate: bool) -> int:

@@ -108,13 +108,18 @@ def set_parameters(command: Callable[..., None], *parameters: inspect.Parameter)
 
 def argument(
     name: str,
-    kind: type,
+    kind: Any,
     metavar: str,
     text: str,
     complete: Callable[[str], list[str]] | None = None,
 ) -> inspect.Parameter:
-    """Return a required argument as typer reads it. complete: what the shell offers for it."""
-    option = typer.Argument(metavar=metavar, help=text, autocompletion=complete)
+    """Return an argument as typer reads it, one that may be None for a kind that allows it.
+
+    complete: what the shell offers for it.
+    """
+    option = typer.Argument(metavar=metavar, help=text, autocompletion=complete, show_default=False)
+    if isinstance(None, kind):
+        return _parameter(name, Annotated[kind, option], None)
     return _parameter(name, Annotated[kind, option])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -12,9 +12,56 @@ from comparisons.cli.flags import argument, log_names, of_flag, set_parameters
 from comparisons.cli.support import guarded
 from comparisons.options.table import of_job
 
+if TYPE_CHECKING:
+    from comparisons.logs.log import Log
 
-def logs() -> None:
-    """List the bundled logs and the formats that can be read."""
+
+def logs(log: str | None, **given: Any) -> None:
+    """List the bundled logs and readable formats; with LOG, examine that log.
+
+    Units, signs, exchanged columns, clocks and sigmas: the smoother solves a part of the log with
+    its labels, as it is and with each changed.
+
+    \b
+    Examples:
+      slamcheck logs
+      slamcheck logs my-drive
+    """
+    if log is None:
+        _list()
+        return
+    with guarded():
+        from comparisons.checks.diagnosis.log_doctor import examine
+
+        source = _read(log, given)
+        records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
+        typer.echo(f"{source.name}: {records}; {source.duration_s:.1f} s")
+        found = examine(source)
+        test = found.test
+        if found.lacks:
+            typer.echo(f"not examined: {found.lacks}")
+        elif found.findings:
+            typer.echo(found.words)
+            raise typer.Exit(1)
+        else:
+            fits = "fits its sigmas" if test.reading == "plausible" else f"is {test.reading}"
+            typer.echo(
+                f"no fault found in units, signs, columns, clock or sigmas: chi-square {fits} "
+                f"({test.chi2:.4g} for {test.dof} degrees of freedom)"
+            )
+
+
+def _read(log: str, given: dict[str, Any]) -> Log:
+    """A log with the options of its reader."""
+    from comparisons.config import LogSection
+    from comparisons.pipeline.read import load_log
+
+    asked = {flag.field.removeprefix("log."): given[flag.name] for flag in _FLAGS}
+    chosen = {name: value for name, value in asked.items() if value not in (None, [])}
+    return load_log(LogSection.of(source=log, **chosen))
+
+
+def _list() -> None:
     from comparisons.logs.bundled import NAMED
     from comparisons.logs.readers import READERS
 
@@ -41,14 +88,10 @@ def convert(log: str, folder: Path, **given: Any) -> None:
     """
     with guarded():
         from comparisons.atomic import check_replaceable
-        from comparisons.config import LogSection
         from comparisons.logs.log_folder import write_log_folder
-        from comparisons.pipeline.read import load_log
 
         check_replaceable(folder)
-        asked = {flag.field.removeprefix("log."): given[flag.name] for flag in _FLAGS}
-        chosen = {name: value for name, value in asked.items() if value not in (None, [])}
-        source = load_log(LogSection.of(source=log, **chosen))
+        source = _read(log, given)
         write_log_folder(source, folder)
         records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
         typer.echo(f"{folder}: {records}")
@@ -58,6 +101,11 @@ def convert(log: str, folder: Path, **given: Any) -> None:
 
 
 _FLAGS = [flag for flag in of_job("solve") if flag.field.startswith("log.") and flag.help]
+set_parameters(
+    logs,
+    argument("log", str | None, "LOG", "Log to examine. [list the logs]", log_names),
+    *map(of_flag, _FLAGS),
+)
 set_parameters(
     convert,
     argument("log", str, "LOG", "Name in `slamcheck logs`, or path.", log_names),

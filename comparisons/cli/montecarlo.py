@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
@@ -10,9 +12,11 @@ import typer
 
 from comparisons.cli.flags import OUTPUT
 from comparisons.cli.support import AGREE, chosen_output, guarded, print_result, progress_bar
+from comparisons.errors import note
 
 if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.config import MonteCarloConfig
+    from comparisons.pipeline.prepare import Progress
 
 
 class _Given(NamedTuple):
@@ -137,13 +141,32 @@ def montecarlo(**values: Any) -> None:
             ours = one_each_core() if given.workers is None else given.workers
             theirs = 1 if given.workers is None else given.workers
             external = External(commands, given.reuse, theirs)
-            outcome = run_study(study, folder, ours, given.scheduler, progress, external)
+            with _kept_if_stopped(progress, folder) as reported:
+                outcome = run_study(study, folder, ours, given.scheduler, reported, external)
             progress("report", 0, 0)
             write_montecarlo(outcome, folder)
             if given.keep is not None:
                 keep_log(study, folder, given.keep)
         print_result(montecarlo_summary(outcome), folder / RESULT, output)
         raise SystemExit(AGREE)
+
+
+@contextmanager
+def _kept_if_stopped(progress: Progress, folder: Path) -> Iterator[Progress]:
+    """Say what a study keeps that is stopped."""
+    reached = (0, 0)
+
+    def reported(stage: str, done: int, total: int) -> None:
+        nonlocal reached
+        reached = (done, total) if total else reached
+        progress(stage, done, total)
+
+    try:
+        yield reported
+    except (KeyboardInterrupt, SystemExit):
+        done, total = reached
+        note(f"stopped: {folder} keeps {done} of {total} parts; the same command continues")
+        raise
 
 
 _HINTS = get_type_hints(_Given, include_extras=True)

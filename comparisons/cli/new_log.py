@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +17,7 @@ from comparisons.errors import InputError
 if TYPE_CHECKING:
     from comparisons.logs.plain_csv import PlainTable
 
-_Number = float | None
+_Text = str | None
 _File = Path | None
 _OPTIONS: dict[str, tuple[Any, str, str]] = {
     "odometry": (Path, "FILE", "Velocities, poses, or relative poses."),
@@ -24,24 +25,31 @@ _OPTIONS: dict[str, tuple[Any, str, str]] = {
     "positions": (_File, "FILE", "GPS positions, in the frame of the start pose."),
     "truth": (_File, "FILE", "True poses, CSV or TUM."),
     "truth_landmarks": (_File, "FILE", "True landmarks: id, x, y."),
-    "sigma_range": (_Number, "M", "Sigma of ranges, where the file has no such column."),
-    "sigma_bearing": (_Number, "RAD", "Sigma of bearings, where the file has no such column."),
-    "sigma_speed": (_Number, "M/S", "Sigma of speeds."),
+    "sigma_range": (_Text, "M", "Sigma of ranges, where the file has no such column."),
+    "sigma_bearing": (_Text, "RAD", "Sigma of bearings, where the file has no such column."),
+    "sigma_speed": (_Text, "M/S", "Sigma of speeds."),
     "sigma_turn": (
-        _Number,
+        _Text,
         "RAD",
         "Sigma of turn rates (rad/s), steering angles or relative turns (rad).",
     ),
-    "sigma_move": (_Number, "M", "Sigma of relative positions. [grows with distance]"),
-    "sigma_position": (_Number, "M", "Sigma of GPS positions, where the file has no such column."),
-    "wheelbase": (_Number, "M", "Wheelbase, for steering angles."),
-    "prior_pose": (str | None, "X,Y,RAD", "Start pose. [truth, else 0,0,0]"),
+    "sigma_move": (_Text, "M", "Sigma of relative positions. [grows with distance]"),
+    "sigma_position": (_Text, "M", "Sigma of GPS positions, where the file has no such column."),
+    "wheelbase": (_Text, "M", "Wheelbase, for steering angles."),
+    "prior_pose": (_Text, "X,Y,RAD", "Start pose. [truth, else 0,0,0]"),
     "kind": (
-        str | None,
+        _Text,
         "KIND",
         "Odometry: velocity, steering, poses or relative-poses. [by the columns]",
     ),
-    "degrees": (bool, "", "Angles whose header states no unit are degrees. [radians]"),
+    "unit": (
+        list[str],
+        "COLUMN=UNIT",
+        "Unit of a column whose header names none, as bearing=deg; repeatable. Of one file: "
+        "truth:yaw=deg. [s, m, rad; times by their size]",
+    ),
+    "imu": (_File, "FILE", "Yaw rates of an IMU, in place of the odometry's."),
+    "degrees": (bool, "", ""),
 }
 
 
@@ -49,7 +57,9 @@ def new_log(folder: Path, **given: Any) -> None:
     """Make a log folder from CSV files.
 
     Columns, in any order: time, v, omega (or steering; x, y, yaw; dx, dy, dyaw) and time, range,
-    bearing, label. Units: SI and radians, or in the header: bearing_deg, t_ns, range_mm, v_kmh.
+    bearing, label; or a ROS message's fields, as any tool exports them. Units: SI and radians, or
+    in the header: bearing_deg, t_ns, range_mm, v_kmh. A sigma has its column's unit, or its own:
+    0.5deg, 5cm.
 
     \b
     Example:
@@ -61,43 +71,68 @@ def new_log(folder: Path, **given: Any) -> None:
 
         from comparisons.adapters.motion import with_regular_motion
         from comparisons.atomic import check_replaceable
+        from comparisons.checks.diagnosis.log_doctor import examine
         from comparisons.logs.log_folder import read_log_folder, write_log_folder
         from comparisons.logs.new_log import OPTIONS, UserFiles, build
 
         check_replaceable(folder)
+        if given["degrees"]:
+            raise InputError(
+                "--degrees turned every angle and rate; give the unit of each column in degrees, "
+                "as --unit bearing=deg"
+            )
+        units = _units(given["unit"] or ())
         by_option = {column: given[_parameter(option)] for column, option in OPTIONS.items()}
         stated = {column: value for column, value in by_option.items() if value is not None}
         truth = given["truth"]
         files = UserFiles(
             name=folder.resolve().name,
             stated=stated,
-            truth=None if truth is None else _read_truth(truth, degrees=given["degrees"]),
+            truth=None if truth is None else _read_truth(truth, units),
             prior_pose=_pose(given["prior_pose"]),
+            units=units,
             **{name: given[name] for name in ("odometry", "measurements", "positions")},
-            **{name: given[name] for name in ("truth_landmarks", "kind", "degrees")},
+            **{name: given[name] for name in ("truth_landmarks", "kind", "imu")},
         )
         found = build(files)
         log = with_regular_motion(found.log)
+        examined = examine(log)
+        if any(one.unit for one in examined.findings):
+            raise InputError(f"the files contradict each other: {examined.words}")
         write_log_folder(replace(log, format="new-log"), folder, found.remarks)
         records = ", ".join(f"{n:,} {name}" for name, n in read_log_folder(folder).records.items())
         for note in found.notes:
             typer.echo(note)
         typer.echo(f"{folder}: {records}; {log.duration_s:.1f} s; defaults in {folder}/log.toml")
+        if examined.findings:
+            typer.echo(f"warning: {examined.words}")
         name = shlex.quote(str(folder))
         typer.echo(f"next: slamcheck run {name}, or slamcheck check {name} --estimate PATH")
 
 
-def _read_truth(path: Path, *, degrees: bool) -> PlainTable:
+def _units(given: Sequence[str]) -> dict[str, str]:
+    """Units by column, of `COLUMN=UNIT` and `STREAM:COLUMN=UNIT`."""
+    found = {}
+    for text in given:
+        column, equals, unit = text.rpartition("=")
+        if not (equals and column and unit):
+            raise InputError(f"--unit is '{text}', expected COLUMN=UNIT, as bearing=deg")
+        found[column] = unit
+    return found
+
+
+def _read_truth(path: Path, units: dict[str, str]) -> PlainTable:
     """Poses of a CSV file with a header, or of a file of numbers alone (TUM)."""
     from comparisons.estimates.trajectory_files import read_trajectory_file
     from comparisons.logs.from_arrays import KINDS
+    from comparisons.logs.new_log import units_of
     from comparisons.logs.plain_csv import PlainTable, read_plain
     from comparisons.logs.table import read_text
 
     names = ("time_s", *KINDS["poses"])
     lines = [line for line in read_text(path).splitlines() if line.strip() and line[0] != "#"]
     if not lines or not lines[0].split()[0][:1].isdigit():
-        return read_plain(path, names, degrees=degrees)
+        return read_plain(path, names, units=units_of(units, "truth"))
     found = read_trajectory_file(path)
     if found.left_out:
         typer.echo(found.left_out)
@@ -122,7 +157,11 @@ def _parameter(option: str) -> str:
 
 def _option(name: str, kind: Any, metavar: str, text: str) -> inspect.Parameter:
     option = typer.Option(
-        f"--{name.replace('_', '-')}", metavar=metavar or None, help=text, show_default=False
+        f"--{name.replace('_', '-')}",
+        metavar=metavar or None,
+        help=text,
+        show_default=False,
+        hidden=not text,
     )
     default = {Path: inspect.Parameter.empty, bool: False}.get(kind)
     keyword = inspect.Parameter.KEYWORD_ONLY

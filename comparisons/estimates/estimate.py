@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -37,6 +38,7 @@ class Estimate(Shown):
         provenance: Free text by key.
         pose_landmark_id: (Q,) of pose landmarks, such as scan landmarks.
         pose_landmarks: (Q, 3) x, y [m], heading [rad].
+        labels: Names of point landmarks by id, where they have any but the id.
     """
 
     time_s: Array
@@ -49,6 +51,12 @@ class Estimate(Shown):
     provenance: dict[str, str] = field(default_factory=dict)
     pose_landmark_id: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     pose_landmarks: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    labels: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """(L,) of point landmarks: their labels, else their ids."""
+        return [self.labels.get(i, str(i)) for i in self.landmark_id.tolist()]
 
     def __repr__(self) -> str:
         """Return counts in one line."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, printable
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.folder import (
     FILES,
@@ -52,6 +52,7 @@ class ExternalEstimate:
         trace: Where the filter linearised, for its algebra and model gaps.
         sha256: Of the files that it was read from, by name.
         left_out: Which poses of its file were not read, and why; empty where all were.
+        labels: Names of landmarks by id, where its file names them by text.
     """
 
     time_s: Array
@@ -66,6 +67,34 @@ class ExternalEstimate:
     trace: TraceFile | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     left_out: str = ""
+    labels: Mapping[int, str] = field(default_factory=dict)
+
+    def numbered_as(self, labels: Mapping[int, str]) -> ExternalEstimate:
+        """Return it with the ids that a log has for its landmarks' names.
+
+        Args:
+            labels: Of the log: names by id.
+
+        Returns:
+            The same where its landmarks have no names; names that the log lacks get further ids.
+
+        Raises:
+            InputError: The log names landmarks by numbers.
+        """
+        if not self.labels or self.landmark_id is None:
+            return self
+        if not labels:
+            name = next(iter(self.labels.values()))
+            raise InputError(
+                f"the estimate names landmarks by text ('{printable(name)}'), the log by numbers; "
+                "use the numbers of the log's measurements.csv"
+            )
+        known = {text: number for number, text in labels.items()}
+        names = [self.labels.get(i, str(i)) for i in self.landmark_id.tolist()]
+        for name in names:
+            known.setdefault(name, max(known.values()) + 1)
+        ids = np.array([known[name] for name in names], dtype=np.int64)
+        return replace(self, landmark_id=ids, labels={known[name]: name for name in names})
 
     @classmethod
     def of(cls, estimate: Estimate) -> ExternalEstimate:
@@ -87,6 +116,7 @@ class ExternalEstimate:
             landmark_covariance=estimate.landmark_covariances(),
             joint_covariance=estimate.joint_covariance,
             information=estimate.information,
+            labels=estimate.labels,
         )
 
     def validated(self) -> ExternalEstimate:
@@ -146,6 +176,7 @@ class ExternalEstimate:
             if self.joint_covariance is None
             else self.joint_covariance,
             information=self.information or "filtered",
+            labels=self.labels,
         )
 
     def may_be(self, information: Information) -> bool:
@@ -184,7 +215,7 @@ def with_poses(given: ExternalEstimate, rows: NDArray[np.bool_]) -> ExternalEsti
 
 
 def read_external(
-    path: Path, times: str | Path | None = None, trace: str | Path | None = None
+    path: str | Path, times: str | Path | None = None, trace: str | Path | None = None
 ) -> ExternalEstimate:
     """Read a trajectory file, or a folder with `trajectory.tum` and more of an estimate folder.
 
@@ -199,6 +230,7 @@ def read_external(
     Raises:
         InputError: A file is missing, unreadable, or not of the form it should have.
     """
+    path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder, expected a trajectory or a folder")
     if path.is_dir():
@@ -255,8 +287,9 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
         meta = read_meta(path / "estimate.toml")
         information, estimator = meta.information, meta.estimator
     ids = places = None
+    labels: Mapping[int, str] = {}
     if (path / "landmarks.csv").exists():
-        ids, places = read_landmarks(path / "landmarks.csv")
+        ids, places, labels = read_landmarks(path / "landmarks.csv")
     covariances = _read_covariances(path, len(pose), 0 if places is None else len(places))
     if trace is not None and ids is None:
         raise InputError(f"{trace}: needs landmarks.csv beside the trajectory")
@@ -271,6 +304,7 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
         information=information,
         estimator=estimator,
         trace=None if trace is None or ids is None else read_trace(trace, ids),
+        labels=labels,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault
-from comparisons.logs.table import Table, read_toml
+from comparisons.logs.plain_csv import read_plain
+from comparisons.logs.table import Table, is_record, read_text, read_toml, shorten
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from ekf_reference.core.layout import Layout
 
@@ -58,7 +59,7 @@ def write_estimate(estimate: Estimate, folder: str | Path) -> None:
     (folder / "trajectory.tum").write_text(
         tum_text(estimate.time_s, estimate.pose), encoding="utf-8"
     )
-    rows = zip(estimate.landmark_id.tolist(), estimate.landmark.tolist(), strict=True)
+    rows = zip(map(_quoted, estimate.names), estimate.landmark.tolist(), strict=True)
     (folder / "landmarks.csv").write_text(
         ",".join(_LANDMARKS) + "\n" + "".join(f"{i},{x!r},{y!r}\n" for i, (x, y) in rows),
         encoding="utf-8",
@@ -94,7 +95,7 @@ def read_estimate(folder: Path) -> Estimate:
     meta = read_meta(folder / "estimate.toml")
     time_s, poses = read_trajectory(folder / "trajectory.tum")
     archive_path = folder / "covariances.npz"
-    ids, landmark = read_landmarks(folder / "landmarks.csv")
+    ids, landmark, labels = read_landmarks(folder / "landmarks.csv")
     pose_landmark_id, pose_landmarks = read_scan_landmarks(folder / SCAN_LANDMARKS)
     size = Layout.packed(3, len(ids), len(pose_landmark_id)).size
     pose, joint = read_archive(
@@ -113,6 +114,7 @@ def read_estimate(folder: Path) -> Estimate:
         provenance=meta.provenance,
         pose_landmark_id=pose_landmark_id,
         pose_landmarks=pose_landmarks,
+        labels=labels,
     )
 
 
@@ -167,8 +169,39 @@ def in_plane(table: Table, place: Array, up: Array) -> None:
         )
 
 
-def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
-    """Ids (L,) and places (L, 2) of a `landmarks.csv`. Raises InputError."""
+class NamedLandmarks(NamedTuple):
+    """ids: (L,). place: (L, 2). labels: names by id where the file has texts, else none."""
+
+    ids: NDArray[np.int64]
+    place: Array
+    labels: dict[int, str]
+
+
+def read_landmarks(path: Path) -> NamedLandmarks:
+    """Read a `landmarks.csv`. Where any name is text, all are, and ids are by their order.
+
+    Raises InputError.
+    """
+    header, *lines = read_text(path).splitlines() or [""]
+    words = [line.partition(",")[0] for line in lines if is_record(line)]
+    if header.strip().split(",") != list(_LANDMARKS) or all(map(_is_number, words)):
+        return NamedLandmarks(*_read_ids(path), {})
+    table = read_plain(path, _LANDMARKS)
+    words = table.columns["id"].tolist()
+    place = np.column_stack((table.columns["x_m"], table.columns["y_m"]))
+    seen = {""}
+    for row, word in enumerate(words):
+        if word in seen:
+            fault = f"is '{shorten(word)}' a second time" if word else "is empty"
+            raise InputError(f"{path}:{table.line[row]}: id {fault}, expected a name of its own")
+        seen.add(word)
+    if not (np.abs(place) <= LARGEST).all():
+        row = int(np.argwhere(~(np.abs(place) <= LARGEST))[0][0])
+        raise InputError(f"{path}:{table.line[row]}: expected at most {LARGEST:g} m")
+    return NamedLandmarks(np.arange(len(words)), place, dict(enumerate(words)))
+
+
+def _read_ids(path: Path) -> tuple[NDArray[np.int64], Array]:
     try:
         return _read_table(path, "landmarks", _LANDMARKS)
     except InputError as error:
@@ -176,6 +209,20 @@ def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
             raise
         reported = "by which the log's measurements.csv names the landmark (labels: in log.toml)"
         raise InputError(f"{error} {reported}") from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return not word.strip()
+    return True
+
+
+def _quoted(name: str) -> str:
+    """A name as CSV has it."""
+    plain = not any(one in name for one in ',"#')
+    return name if plain else '"' + name.replace('"', '""') + '"'
 
 
 def read_scan_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:

@@ -30,6 +30,7 @@ from comparisons.logs.odometry import (
     SteeringOdometry,
     VelocityOdometry,
 )
+from comparisons.logs.readers.ros_points import added_between, reckoned_motion
 from comparisons.logs.readers.scan_odometry import (
     NOISE_TEXT,
     displacements,
@@ -48,6 +49,8 @@ KINDS = {
 }
 """Kinds of odometry, and the columns that each needs besides `time_s`."""
 COVARIANCE = tuple(f"cov_{i}{j}" for i in range(3) for j in range(i, 3))
+TWIST = ("var_forward", "var_left", "var_turn")
+"""Variances of velocities that a message of odometry has beside its poses."""
 PRIOR_VARIANCE = 1e-6
 _UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
 """What stands, in either case, for a landmark that is not known."""
@@ -152,7 +155,8 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
     kind = odometry_kind([name for name in given if name != "time_s"])
     sigmas = ("sigma_move_m", "sigma_turn")
     if kind == "poses":
-        table = _columns("odometry", given, ("time_s", *KINDS[kind]), sigmas)
+        optional = (*sigmas, *COVARIANCE, *TWIST)
+        table = _columns("odometry", given, ("time_s", *KINDS[kind]), optional)
         table["time_s"] = resolved(np.asarray(table["time_s"], dtype=float))
         return _between_poses(_poses("odometry", table), table, wanted_s)
     if kind == "relative-poses":
@@ -185,15 +189,25 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
         raise InputError(f"odometry: {len(time_s)} poses, expected at least two")
     within = (wanted_s >= time_s[0]) & (wanted_s <= time_s[-1])
     instants = instants_of(wanted_s[within], time_s)
-    motion = displacements(instants, poses_at(instants, time_s, poses.pose))
     variance = _step_variances(table, len(time_s) - 1)
+    if variance is None and set(COVARIANCE) <= table.keys():
+        twist = [table.get(name, np.zeros(len(time_s))) for name in TWIST]
+        rows = np.column_stack((poses.pose, *twist, upper_triangles(table).reshape(-1, 9)))
+        motion, words = reckoned_motion(instants, time_s, rows)
+        return Motion(motion, float(time_s[0]), words)
+    motion = displacements(instants, poses_at(instants, time_s, poses.pose))
     if variance is None:
         return Motion(motion, float(time_s[0]), NOISE_TEXT)
-    total = np.concatenate((np.zeros((1, 3)), np.cumsum(variance, axis=0)))
-    reported = np.column_stack([np.interp(instants, time_s, column) for column in total.T])
-    covariance = np.diff(reported, axis=0)[:, :, None] * np.eye(3)
+    covariance = added_between(instants, time_s, variance[:, :, None] * np.eye(3))
     stated = RelativePoses(motion.time_s, motion.displacement, covariance)
     return Motion(stated, float(time_s[0]), "stated, for each motion between the given poses")
+
+
+def upper_triangles(table: Mapping[str, Any]) -> Array:
+    """Return the covariances (N, 3, 3) of the columns `cov_00` to `cov_22`."""
+    upper = np.column_stack([table[name] for name in COVARIANCE])
+    found: Array = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return found
 
 
 def _relative(table: dict[str, Any]) -> Motion:
@@ -203,8 +217,7 @@ def _relative(table: dict[str, Any]) -> Motion:
     moved = np.column_stack([table[name] for name in KINDS["relative-poses"]])
     start_s = float(2 * time_s[0] - time_s[1]) if len(time_s) > 1 else float(time_s[0] - 1.0)
     if set(COVARIANCE) <= table.keys():
-        upper = np.column_stack([table[name] for name in COVARIANCE])
-        covariance = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        covariance = upper_triangles(table)
         return Motion(RelativePoses(time_s, moved, covariance), start_s, "the columns cov_00 to 22")
     variance = _step_variances(table, len(time_s))
     if variance is None:

@@ -7,6 +7,7 @@ RecordError naming stream, row, value and expectation.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -432,6 +433,12 @@ class Log(Shown):
         if not any(len(s.time_s) for s in streams if s is not None):
             streams = (self.scans, self.clouds)
         return max(float(s.time_s[-1]) for s in streams if s is not None and len(s.time_s))
+
+    @property
+    def labels(self) -> dict[int, str]:
+        """Names of landmarks by id, where its file names them by text; empty where by numbers."""
+        numbers = json.loads(self.provenance.get("labels", "{}"))
+        return {number: text for text, number in numbers.items()}
 
     @property
     def duration_s(self) -> float:

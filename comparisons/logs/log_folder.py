@@ -137,7 +137,9 @@ def read_log_folder(folder: Path) -> Log:
         raise InputError(f"{folder}: {error}") from None
 
 
-def write_log_folder(log: Log, folder: Path, remarks: Mapping[str, str] | None = None) -> None:
+def write_log_folder(
+    log: Log, folder: str | Path, remarks: Mapping[str, str] | None = None
+) -> None:
     """Write a log into a new or empty folder, which appears whole or not at all.
 
     Args:
@@ -148,7 +150,7 @@ def write_log_folder(log: Log, folder: Path, remarks: Mapping[str, str] | None =
     Raises:
         InputError: Something is there already: a log may be the only copy of its data.
     """
-    with fresh_folder(folder) as work:
+    with fresh_folder(Path(folder)) as work:
         _write_odometry(work / "odometry.csv", log.odometry)
         _write_measurements(work / "measurements.csv", log.measurements)
         if log.known_measurements is not None:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.from_arrays import COVARIANCE, KINDS, odometry_kind
-from comparisons.logs.log import Log, Prior
-from comparisons.logs.plain_csv import NAMES, SEE, PlainTable, read_plain
+from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST
+from comparisons.logs.log import Log, Positions, Prior
+from comparisons.logs.message_csv import is_message
+from comparisons.logs.odometry import Odometry, RelativePoses, VelocityOdometry
+from comparisons.logs.plain_csv import NAMES, SEE, UNITS, PlainTable, read_plain, split_unit
+from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
+from graphslam import increments
+from graphslam.increments import dead_reckoned
 
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
 _MEASUREMENTS = (
@@ -26,6 +32,8 @@ _MEASUREMENTS = (
 )
 _VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
 _PLACE = ("time_s", "x_m", "y_m")
+_DEGREES = ("latitude", "longitude")
+_FIX = ("time_s", *_DEGREES)
 _ALONE = {
     "bearing_rad": " (ranges alone are not supported)",
     "range_m": " (bearings alone are not supported)",
@@ -45,26 +53,43 @@ OPTIONS = {
     "wheelbase_m": "--wheelbase",
 }
 """The option that states a column's number for all rows."""
+_SIGMA_OF: dict[str, tuple[str, tuple[str, ...]]] = {
+    "sigma_speed_mps": ("odometry", ("speed_mps",)),
+    "sigma_turn": (
+        "odometry", ("yaw_rate_radps", "steering_rad", "heading_rad", "dheading_rad"),
+    ),
+    "sigma_move_m": ("odometry", ("x_m", "dx_m")),
+    "sigma_range_m": ("measurements", ("range_m",)),
+    "sigma_bearing_rad": ("measurements", ("bearing_rad",)),
+    "sigma_m": ("positions", ("x_m",)),
+    "wheelbase_m": ("", ("wheelbase_m",)),
+}  # fmt: skip
+"""The stream and the columns that a stated sigma is of: whose unit it has."""
+LEAST_VARIANCE = 1e-6
+"""Drivers write smaller ones of positions for what they do not know."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UserFiles:
     """What a user has, and what he states.
 
-    stated: numbers by column, such as `sigma_range_m`, that hold for all rows. truth: its poses,
-    already read. kind: of odometry, None where the columns say. degrees: of angles whose header
-    names no unit. prior_pose: (x, y, heading) at the first odometry.
+    stated: by column, such as `sigma_range_m`, what holds for all rows: numbers in SI, or texts,
+    "1" in the unit of the column that the sigma is of, or "1deg". truth: its poses, already read.
+    kind: of odometry, None where the columns say. units: by `COLUMN` or `STREAM:COLUMN`, of values
+    whose header names no unit. prior_pose: (x, y, heading) at the first odometry. imu: yaw
+    rates in place of the odometry's.
     """
 
     name: str
     odometry: Path
     measurements: Path
-    stated: dict[str, float]
+    stated: Mapping[str, float | str]
     positions: Path | None = None
     truth: PlainTable | None = None
     truth_landmarks: Path | None = None
     kind: str | None = None
-    degrees: bool = False
+    units: Mapping[str, str] = field(default_factory=dict)
+    imu: Path | None = None
     prior_pose: tuple[float, float, float] | None = None
 
 
@@ -78,10 +103,6 @@ class Found(NamedTuple):
 
 def build(files: UserFiles) -> Found:
     """Read the files into a log. Raises InputError naming file, line, value and expectation."""
-    for name, value in files.stated.items():
-        least = 1e-7 if name in _SHARP else 0.0
-        if not least <= value <= 1e6:
-            raise InputError(f"{OPTIONS[name]} is {value:g}, expected between {least:g} and 1e+06")
     reading = _Reading(files)
     odometry = reading.odometry()
     measurements, positions = reading.measurements(), reading.positions()
@@ -106,9 +127,13 @@ def build(files: UserFiles) -> Found:
     if files.prior_pose is not None:
         pose = np.array(files.prior_pose)
         log = replace(log, prior=Prior(log.prior.time_s, pose, log.prior.covariance))
+    if reading.geodetic and log.positions is not None:
+        log, note = _laid(log, log.positions)
+        reading.notes.append(note)
     origins = {f"{stream} file": _origins(t, limits=False) for stream, t in reading.tables.items()}
     log = replace(log, provenance={**log.provenance, **origins})
     reading.check_instants(log)
+    reading.check_units()
     notes = [f"{stream}: {_origins(t, limits=True)}" for stream, t in reading.tables.items()]
     return Found(log, _remarks(files, log), notes + reading.notes)
 
@@ -120,18 +145,26 @@ class _Reading:
         self.files, self.stated = files, dict(files.stated)
         self.tables: dict[str, PlainTable] = {}
         self.notes: list[str] = []
-        self.kind = ""
+        self.kind, self.geodetic = "", False
         self.span_s = (-np.inf, np.inf)
 
     def odometry(self) -> dict[str, Any]:
         """Columns of one kind, with what is stated of it."""
-        table = self._read("odometry", self.files.odometry, ("time_s", *_MOTION, *COVARIANCE))
+        wanted = ("time_s", *_MOTION, *COVARIANCE, *TWIST)
+        table = self._read("odometry", self.files.odometry, wanted)
+        if self.files.imu is not None:
+            table = self._with_imu(table, self.files.imu)
         self.kind = self.files.kind or self._kind(table)
         if self.kind not in KINDS:
             raise InputError(f"--kind is {self.kind!r}, expected one of {', '.join(KINDS)}")
         needed = ("time_s", *KINDS[self.kind])
         _need(table, needed)
-        covariances = COVARIANCE if self.kind == "relative-poses" else ()
+        moves = [name for name in ("sigma_move_m", "sigma_turn") if name in self.stated]
+        covariances: tuple[str, ...] = ()
+        if self.kind == "relative-poses":
+            covariances = COVARIANCE
+        elif self.kind == "poses" and not moves:
+            covariances = (*COVARIANCE, *TWIST)
         table = self.tables["odometry"] = _only(table, (*needed, *covariances))
         for name in ("yaw_rate_radps", "steering_rad"):
             self._check_angle(table, name)
@@ -145,10 +178,38 @@ class _Reading:
         if self.kind in ("velocity", "steering"):
             wheelbase = ("wheelbase_m",) if self.kind == "steering" else ()
             stated = {n: self._take(n) for n in ("sigma_speed_mps", "sigma_turn", *wheelbase)}
-        elif not set(COVARIANCE) <= table.columns.keys():
-            moves = [name for name in ("sigma_move_m", "sigma_turn") if name in self.stated]
-            stated = {name: self.stated.pop(name) for name in moves}
+        elif self.kind == "poses" or not set(COVARIANCE) <= table.columns.keys():
+            stated = {name: self._take(name) for name in moves}
         return {**table.columns, **stated}
+
+    def _with_imu(self, table: PlainTable, path: Path) -> PlainTable:
+        """Odometry with the mean yaw rate of an IMU over each of its samples."""
+        _need(table, ("time_s", "speed_mps"))
+        imu = self._read("imu", path, ("time_s", "yaw_rate_radps"))
+        _need(imu, ("time_s", "yaw_rate_radps"))
+        time_s, at_s = table.columns["time_s"], imu.columns["time_s"]
+        if len(at_s) < 2 or len(time_s) < 2 or np.diff(at_s).min() <= 0.0:
+            raise InputError(f"{path}: expected at least two samples of times that increase")
+        slack = 2.0 * float(np.median(np.diff(at_s)))
+        ends = np.append(time_s[1:], 2.0 * time_s[-1] - time_s[-2])
+        if at_s[0] > time_s[0] + slack or at_s[-1] < time_s[-1] - slack:
+            raise InputError(
+                f"{path}: from {at_s[0]:.3f} to {at_s[-1]:.3f} s, expected yaw rates for the "
+                f"odometry's {time_s[0]:.3f} to {time_s[-1]:.3f} s"
+            )
+        rate = imu.columns["yaw_rate_radps"]
+        turned = np.append(0.0, np.cumsum(np.diff(at_s) * (rate[1:] + rate[:-1]) / 2))
+        begin, end = (np.clip(one, at_s[0], at_s[-1]) for one in (time_s, ends))
+        long = end - begin
+        mean = np.where(
+            long > 0.0,
+            (np.interp(end, at_s, turned) - np.interp(begin, at_s, turned))
+            / np.where(long > 0.0, long, 1.0),
+            np.interp(begin, at_s, rate),
+        )
+        columns = {**_only(table, ("time_s", "speed_mps")).columns, "yaw_rate_radps": mean}
+        origin = {**table.origin, "yaw_rate_radps": f"{path.name}, mean of each sample"}
+        return replace(table, columns=columns, origin=origin)
 
     def measurements(self) -> dict[str, Any]:
         """Columns, within the odometry's time."""
@@ -169,16 +230,30 @@ class _Reading:
         return {**table.columns, **sigmas}
 
     def positions(self) -> dict[str, Any] | None:
-        """Columns, within the odometry's time."""
+        """Columns, within the odometry's time; of latitudes and longitudes, about the first."""
         if self.files.positions is None:
             return None
-        table = self._read("positions", self.files.positions, (*_PLACE, *_VARIANCES))
-        _need(table, _PLACE)
+        table = self._read(
+            "positions", self.files.positions, (*_PLACE, *_DEGREES, "altitude", *_VARIANCES)
+        )
+        self.geodetic = set(_FIX) <= table.columns.keys() and "x_m" not in table.columns
+        _need(table, _FIX if self.geodetic else _PLACE)
         table = self._within("positions", self._once("positions", table))
-        if set(_VARIANCES) <= table.columns.keys():
-            return table.columns
-        self.tables["positions"] = table = _only(table, _PLACE)
-        return {**table.columns, "sigma_m": self._take("sigma_m")}
+        columns = dict(table.columns)
+        if self.geodetic:
+            altitude = np.nan_to_num(columns.pop("altitude", np.zeros(len(table.line))))
+            plane = east_north(columns.pop("latitude"), columns.pop("longitude"), altitude)
+            columns |= {"x_m": plane[:, 0], "y_m": plane[:, 1]}
+        variances = {name: columns.pop(name, None) for name in _VARIANCES}
+        place = {name: columns[name] for name in _PLACE}
+        if all(
+            one is not None and (name == "cov_xy_m2" or one.min(initial=np.inf) >= LEAST_VARIANCE)
+            for name, one in variances.items()
+        ):
+            return {**place, **variances}
+        if variances["var_x_m2"] is not None:
+            self.notes.append("covariances of positions below (1 mm)^2 are none, and not used")
+        return {**place, "sigma_m": self._take("sigma_m")}
 
     def truth(self) -> dict[str, Any] | None:
         """Columns of the truth's poses."""
@@ -225,7 +300,8 @@ class _Reading:
                 )
 
     def _read(self, stream: str, path: Path, wanted: tuple[str, ...]) -> PlainTable:
-        table = self.tables[stream] = read_plain(path, wanted, degrees=self.files.degrees)
+        units = units_of(self.files.units, stream)
+        table = self.tables[stream] = read_plain(path, wanted, units=units)
         if table.columns and not table.line:
             raise InputError(
                 f"{path}: holds no records, expected rows below the header (a line that begins "
@@ -249,18 +325,75 @@ class _Reading:
         return table.rows(kept)
 
     def _kind(self, table: PlainTable) -> str:
-        try:
-            return odometry_kind([name for name in table.columns if name != "time_s"])
-        except InputError as error:
-            text = str(error).replace("one of these kinds", "one of them: give --kind")
-            found = ", ".join(table.headers)
-            raise InputError(f"{table.path}: {text}; found {found}; {SEE}") from None
+        """The kind of the columns; of several, the one whose sigma is stated, or a message's poses.
+
+        A message of odometry holds poses and velocities; a bag's poses are read.
+        """
+        names = [name for name in table.columns if name in _MOTION]
+        kinds = [kind for kind, needed in KINDS.items() if set(needed) <= set(names)]
+        driven = [kind for kind in kinds if kind in ("velocity", "steering")]
+        if len(driven) == 1 and "sigma_speed_mps" in self.stated:
+            kinds = driven
+        elif len(kinds) > 1 and is_message(table.origin.get("x_m", "")):
+            kinds = ["poses"]
+        if len(kinds) == 1:
+            return kinds[0]
+        found = ", ".join(table.headers)
+        if kinds:
+            raise InputError(
+                f"{table.path}: odometry: holds {' and '.join(kinds)}, expected one of them: give "
+                f"--kind; found {found}; {SEE}"
+            )
+        choices = "; ".join(
+            f"{kind}: {', '.join(_called(name) for name in needed)}"
+            for kind, needed in KINDS.items()
+        )
+        raise InputError(
+            f"{table.path}: odometry: columns of no kind, found {found}; wanted are time and one "
+            f"of {choices}; {SEE}"
+        )
 
     def _take(self, name: str) -> float:
+        """A stated number in SI; a text without a unit has that of the column it is a sigma of."""
         if name not in self.stated:
             column = f" or a column {name}" if name in NAMES else ""
             raise InputError(f"{OPTIONS[name]} is missing, expected a number{column}; {SEE}")
-        return self.stated.pop(name)
+        value = self.stated.pop(name)
+        if isinstance(value, str):
+            value = self._in_si(name, value)
+        least = 1e-7 if name in _SHARP else 0.0
+        if not least <= value <= 1e6:
+            raise InputError(f"{OPTIONS[name]} is {value:g}, expected between {least:g} and 1e+06")
+        return value
+
+    def _in_si(self, name: str, text: str) -> float:
+        stream, columns = _SIGMA_OF[name]
+        table = self.tables.get(stream)
+        column = next((one for one in columns if table and one in table.columns), columns[0])
+        units = UNITS[column.rpartition("_")[2]]
+        number, unit = split_unit(text)
+        if number is None or unit not in ("", *units):
+            raise InputError(
+                f"{OPTIONS[name]} is '{text}', expected a number, or one with a unit behind it: "
+                f"{', '.join(units)}"
+            )
+        if unit:
+            return number * units[unit]
+        factor = 1.0 if table is None else abs(table.factor.get(column, 1.0))
+        if factor != 1.0 and table is not None:
+            unit = next(one for one, value in units.items() if value == factor)
+            self.notes.append(
+                f"{OPTIONS[name]} {text} is {number * factor:.4g} {next(iter(units))}: {text} "
+                f"{unit}, the unit of '{table.origin[column]}'"
+            )
+        return number * factor
+
+    def check_units(self) -> None:
+        """Raise InputError where a unit is given for a column that no file has."""
+        known = {one for table in self.tables.values() for one in table.stated}
+        for given, unit in self.files.units.items():
+            if given.rpartition(":")[2] not in known:
+                raise InputError(f"--unit {given}={unit}: no file has such a column that is read")
 
     def _within(self, stream: str, table: PlainTable) -> PlainTable:
         """The records during the odometry; the others are left out, and counted aloud."""
@@ -284,11 +417,80 @@ class _Reading:
         values, largest = np.abs(table.columns.get(name, np.zeros(0))), _LARGEST.get(name, np.inf)
         if len(values) and values.max() > largest:
             row, header = int(values.argmax()), table.origin[name]
+            unit = "degps" if name.endswith("ps") else "deg"
             raise InputError(
                 f"{table.path}:{table.line[row]}: '{header}' is {table.columns[name][row]:g} in "
-                f"radians, expected {largest:.4g} at most; give --degrees, or name the column "
-                f"{NAMES[name][0]}_deg{'ps' if name.endswith('ps') else ''}, if these are degrees"
+                f"radians, expected {largest:.4g} at most; give --unit {header}={unit}, or name "
+                f"the column {NAMES[name][0]}_{unit}, if these are degrees"
             )
+
+
+def units_of(units: Mapping[str, str], stream: str) -> dict[str, str]:
+    """Return the units given for a file: of `COLUMN` for each, of `STREAM:COLUMN` for one."""
+    return {
+        column: unit
+        for given, unit in units.items()
+        for named, _, column in [given.rpartition(":")]
+        if named in ("", stream)
+    }
+
+
+def _laid(log: Log, plane: Positions) -> tuple[Log, str]:
+    """The log with fixes of a plane in the frame of its start, whose heading the first show."""
+    laid = lay_fixes(_reckoned(log), plane)
+    if laid is None:
+        raise InputError(
+            f"positions: {len(plane.time_s)} fixes do not show the heading at the start along the "
+            "odometry, expected more, or positions x, y in its frame"
+        )
+    pose = log.prior.pose
+    turn = np.array(
+        ((np.cos(pose[2]), -np.sin(pose[2]), 0.0), (np.sin(pose[2]), np.cos(pose[2]), 0.0),
+         (0.0, 0.0, 1.0))
+    )  # fmt: skip
+    covariance = log.prior.covariance + turn @ laid.covariance @ turn.T
+    positions = replace(
+        laid.positions,
+        position_m=laid.positions.position_m @ turn[:2, :2].T + pose[:2],
+        covariance=turn[:2, :2] @ laid.positions.covariance @ turn[:2, :2].T,
+    )
+    note = (
+        f"positions: WGS 84 about the first fix; the first {laid.spent + 1} of "
+        f"{len(plane.time_s)} show the heading at the start, and are spent on that"
+    )
+    log = replace(log, prior=Prior(log.prior.time_s, pose, covariance), positions=positions)
+    return log, note
+
+
+def _reckoned(log: Log) -> Reckoned:
+    """The odometry from the origin."""
+    moved = _samples(log.odometry)
+    pose = dead_reckoned(np.zeros(3), moved.displacement)
+    time_s = log.odometry.time_s
+    if isinstance(log.odometry, RelativePoses):
+        time_s = np.append(log.prior.time_s, time_s)
+    return Reckoned(time_s, pose, pose[:, 0] + 1j * pose[:, 1], moved.covariance)
+
+
+def _samples(odometry: Odometry) -> increments.Samples:
+    """The motion between each two samples of odometry."""
+    if isinstance(odometry, RelativePoses):
+        return increments.Samples(odometry.displacement, odometry.covariance)
+    noise = odometry.noise
+    sigma = (noise.sigma_speed_mps, noise.sigma_turn)
+    added = increments.Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
+    hold, speed = np.diff(odometry.time_s), odometry.speed_mps[:-1]
+    if isinstance(odometry, VelocityOdometry):
+        rate = odometry.yaw_rate_radps[:-1]
+        return increments.unicycle_samples(speed, rate, hold, sigma, added)
+    vehicle = increments.AckermannGeometry(**vars(odometry.vehicle))
+    angle = odometry.steering_rad[:-1]
+    return increments.ackermann_samples(speed, angle, hold, sigma, added, vehicle)
+
+
+def _called(name: str) -> str:
+    """A column as a user may call it."""
+    return " or ".join(NAMES[name][:2])
 
 
 def _need(table: PlainTable, names: tuple[str, ...]) -> None:
@@ -313,12 +515,12 @@ def _origins(table: PlainTable, *, limits: bool) -> str:
     for name, column in table.columns.items():
         header = table.origin.get(name, name)
         text = name if header == name else f"{name} from '{header}'"
+        text += f" in {table.unit[name]}" if name in table.unit else ""
         if limits and len(column) and column.dtype.kind == "f" and not np.isnan(column).all():
             digits = ".3f" if name == "time_s" else ".4g"
             text += f" ({np.nanmin(column):{digits}} to {np.nanmax(column):{digits}})"
         reported.append(text)
-    used = {table.origin.get(name) for name in table.columns}
-    unused = [header for header in table.headers if header and header not in used]
+    unused = [header for header in table.headers if header and header not in table.used]
     text = f"{table.path.name}, {len(table.line)} rows: {', '.join(reported)}"
     return text + (f"; not used: {', '.join(unused)}" if unused else "")
 

@@ -1,23 +1,28 @@
 """CSV files of a user: columns in any order under usual names, units by the header's suffix.
 
-A header is a name and, optionally, a unit: `range_m`, `range [m]`, `bearing_deg`, `t_ns`. Without
-one values are SI and radians. Separators are `,`, `;` or tabs, whichever the header holds most of.
+A header is a name and, optionally, a unit: `range_m`, `range [m]`, `bearing_deg`, `t_ns`, or the
+path of a ROS message's field. Without a unit, there or stated for the column, values are SI and
+radians; times say by their size what they are. Separators are `,`, `;` or tabs, whichever the
+header holds most of.
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from math import pi
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
+from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
 from comparisons.logs.table import number_or_fail, read_text, shorten
 
 SEE = "see docs/your-own-log.md"
@@ -31,7 +36,7 @@ UNITS: dict[str, dict[str, float]] = {
     "m2": {"m2": 1.0},
 }
 """By dimension, the units that a header may name, in SI; the first is the default."""
-_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+_PER_SECOND = {"s": 1, "sec": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _SECONDS_END = 1e10
 
 NAMES: dict[str, tuple[str, ...]] = {
@@ -57,19 +62,35 @@ NAMES: dict[str, tuple[str, ...]] = {
     "cov_xy_m2": ("cov_xy",),
     "var_y_m2": ("var_y",),
     "sigma_m": ("sigma",),
+    "latitude": ("latitude", "lat"),
+    "longitude": ("longitude", "lon", "lng"),
+    "altitude": ("altitude", "alt"),
+    **{name: (name,) for name in ("var_forward", "var_left", "var_turn")},
     **{f"cov_{i}{j}": (f"cov_{i}{j}",) for i in range(3) for j in range(i, 3)},
 }
 """What a header may be called, by column of a log folder."""
 _GAPS = ("diameter_m", "intensity")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _WORDS = ("landmark", "id")
+_SIGNED = (
+    "bearing_rad", "yaw_rate_radps", "steering_rad", "heading_rad", "dheading_rad", "x_m", "y_m",
+    "dx_m", "dy_m", "speed_mps",
+)  # fmt: skip
+"""Columns that may count the other way round, as `--unit bearing=-deg`."""
+_FOLLOWS = {"sigma_range_m": "range_m", "sigma_bearing_rad": "bearing_rad", "sigma_m": "x_m"}
+"""A column of sigmas, and the one whose unit it has where its header names none."""
+_ISO = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,12}))?(Z|[+-]\d\d:?\d\d)?")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlainTable:
     """columns: by name, numbers (N,) or words. line: (N,) of the file. origin: header of each.
 
-    headers: of the file, in its order. A column of numbers that is empty throughout is not there.
+    headers: of the file, in its order. unit: of each column that is not in SI, in words. factor: of
+    each column, to SI. used: headers that are read. stated: the names under which units were given
+    that a column has. A column of
+    numbers that is empty throughout is not there.
     """
 
     path: Path
@@ -77,6 +98,10 @@ class PlainTable:
     line: list[int]
     origin: dict[str, str]
     headers: list[str]
+    unit: dict[str, str] = field(default_factory=dict)
+    factor: dict[str, float] = field(default_factory=dict)
+    used: frozenset[str] = frozenset()
+    stated: frozenset[str] = frozenset()
 
     def rows(self, kept: NDArray[np.bool_]) -> PlainTable:
         """Those in some of the rows (N,), booleans."""
@@ -85,12 +110,85 @@ class PlainTable:
         return replace(self, columns=columns, line=line)
 
 
-def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) -> PlainTable:
+class _Lines(NamedTuple):
+    """A file as words: names of columns, and rows of as many with their line numbers."""
+
+    path: Path
+    names: list[str]
+    rows: list[list[str]]
+    line: list[int]
+    points: bool
+
+    def words(self, place: int, *, text: bool = False) -> list[str]:
+        """One column; points: whether a decimal comma may be none."""
+        words = [row[place].strip() for row in self.rows]
+        return words if self.points or text else _with_points(words)
+
+
+class _Source(NamedTuple):
+    """Where a column stands.
+
+    unit: None where its header names none. stated: the name that it has in what a user gave.
+    """
+
+    places: tuple[int, ...]
+    unit: str | None = None
+    stated: str = ""
+
+
+def read_plain(
+    path: Path, wanted: Sequence[str], *, units: Mapping[str, str] | None = None
+) -> PlainTable:
     """Read the columns of a CSV file that are among those wanted.
 
-    degrees: angles whose header names no unit are degrees. Raises InputError naming file, line,
-    column and expectation.
+    Args:
+        path: The file.
+        wanted: Columns of a log folder.
+        units: By a header or a column's usual name, the unit of its values.
+
+    Returns:
+        What of them the file has, in SI.
+
+    Raises:
+        InputError: Naming file, line, column and expectation.
     """
+    lines = _lines(path, wanted)
+    sources = _sources(lines, wanted, units or {})
+    for name in _empty(sources, lines.rows):
+        for place in sources.pop(name).places:
+            lines.names[place] += " (empty)"
+    columns: dict[str, Any] = {}
+    unit: dict[str, str] = {}
+    factor: dict[str, float] = {}
+    for name, source in sources.items():
+        header = "', '".join(lines.names[place] for place in source.places)
+        if name in _WORDS:
+            columns[name] = np.array(lines.words(source.places[0], text=True), dtype=str)
+        elif name == "time_s":
+            columns[name], unit[name] = _times(lines, source, header)
+        elif len(source.places) > 1:
+            columns[name] = _heading(lines, source)
+        else:
+            found = source.unit or _followed(name, sources)
+            factor[name] = _factor(name, found or "")
+            words = lines.words(source.places[0])
+            columns[name] = factor[name] * _numbers(path, words, lines.line, name, header)
+            unit[name] = _unit_words(name, found, source)
+    return PlainTable(
+        path=path,
+        columns=columns,
+        line=lines.line,
+        origin={n: "', '".join(lines.names[p] for p in s.places) for n, s in sources.items()},
+        headers=lines.names,
+        unit={name: words for name, words in unit.items() if words},
+        factor=factor,
+        used=frozenset(lines.names[p] for s in sources.values() for p in s.places),
+        stated=frozenset(source.stated for source in sources.values() if source.stated),
+    )
+
+
+def _lines(path: Path, wanted: Sequence[str]) -> _Lines:
+    """Split a file into a header and rows of as many words."""
     lines = [
         (number, line)
         for number, line in enumerate(read_text(path).splitlines(), start=1)
@@ -105,17 +203,13 @@ def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) ->
     if _numeric(header, delimiter):  # a header behind #, as numpy writes it
         header, begin = (comments[-1] if comments else ""), 0
     names = [name.strip() for name in _split(path, [(first, header)], delimiter)[0]]
-    origin, factor = _match(path, names, wanted, degrees)
-    if not origin:
-        found = "" if _numeric(header, delimiter) else f" in '{shorten(header, 100)}'"
-        raise InputError(
-            f"{path}:{first}: no header{found}, expected a line of names such as "
-            f"{','.join(wanted[:3])}, with commas, semicolons or tabs between them"
-            + (f"; name its columns so, {SEE}" if found else "")
-        )
-    body = records[begin:]
-    rows = _split(path, body, delimiter)
-    number = [one for one, _ in body]
+    message = message_of(_split(path, records[:1], delimiter)[0])
+    if message is not None and not (begin == 0 and header):
+        names, begin = list(MESSAGES[message]), 0
+    if not _sources(_Lines(path, names, [], [], True), wanted, {}):
+        raise InputError(f"{path}:{first}: {_no_columns(header, names, delimiter, wanted)}")
+    rows = _split(path, records[begin:], delimiter)
+    number = [one for one, _ in records[begin:]]
     for row, line in zip(rows, number, strict=True):
         while len(row) > len(names) and not row[-1].strip():
             row.pop()
@@ -123,29 +217,32 @@ def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) ->
             raise InputError(
                 f"{path}:{line}: {len(row)} values, expected {len(names)} as in the header"
             )
-    place = {name: names.index(header) for name, header in origin.items()}
-    for name in _empty(place, rows):
-        names[place.pop(name)] += " (empty)"
-        del origin[name]
-    columns: dict[str, Any] = {}
-    for name, index in place.items():
-        words = [row[index].strip() for row in rows]
-        if delimiter != "," and name not in _WORDS:
-            words = _with_points(words)
-        if name in _WORDS:
-            columns[name] = np.array(words, dtype=str)
-        elif name == "time_s":
-            columns[name] = _times(path, words, number, origin[name], factor[name])
-        else:
-            columns[name] = factor[name] * _numbers(path, words, number, name, origin[name])
-    return PlainTable(path=path, columns=columns, line=number, origin=origin, headers=names)
+    return _Lines(path, names, rows, number, delimiter == ",")
 
 
-def _empty(place: dict[str, int], rows: list[list[str]]) -> list[str]:
-    """Columns of numbers without any, where that is no value of their own. place: of each."""
-    some = {index for row in rows for index, word in enumerate(row) if word.strip()}
+def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[str]) -> str:
+    """What is said of a file that has none of the columns wanted."""
+    choices = ", ".join(f"{name} ({', '.join(NAMES[name])})" for name in wanted[:6])
+    if not header or _numeric(header, delimiter):
+        return (
+            "no header, expected a line of names with commas, semicolons or tabs between them, "
+            f"among them {choices}; {SEE}"
+        )
+    return (
+        f"none of the columns wanted; found {shorten(', '.join(names), 200)}; wanted are "
+        f"{choices}; name its columns so, {SEE}"
+    )
+
+
+def _empty(sources: Mapping[str, _Source], rows: list[list[str]]) -> list[str]:
+    """Columns of numbers without any, where that is no value of their own."""
+    some = {place for row in rows for place, word in enumerate(row) if word.strip()}
     own = (*_WORDS, *_GAPS)
-    return [name for name, at in place.items() if rows and at not in some and name not in own]
+    return [
+        name
+        for name, source in sources.items()
+        if rows and name not in own and some.isdisjoint(source.places)
+    ]
 
 
 def _with_points(words: list[str]) -> list[str]:
@@ -155,44 +252,101 @@ def _with_points(words: list[str]) -> list[str]:
     return [word.replace(",", ".") if _DECIMAL_COMMA.fullmatch(word) else word for word in words]
 
 
-def _match(
-    path: Path, headers: list[str], wanted: tuple[str, ...], degrees: bool
-) -> tuple[dict[str, str], dict[str, float]]:
-    """The header of each column found, and the factor of its unit."""
-    origin: dict[str, str] = {}
-    factors: dict[str, float] = {}
-    for header in headers:
-        name, unit = _parted(header)
-        for column in wanted:
-            dimension = _dimension(column)
-            units = UNITS.get(dimension, {})
-            if name in NAMES[column] and (unit is None or unit in units):
-                found = unit
-            elif (parts := name.rpartition("_"))[0] in NAMES[column] and parts[2] in units:
-                found = parts[2]
-            elif name in NAMES[column]:
-                known = ", ".join(units) or "none"
-                raise InputError(
-                    f"{path}: unit '{shorten(str(unit))}' of column '{shorten(header)}' is "
-                    f"unknown, expected {known}"
-                )
-            else:
-                continue
-            if column in origin:
-                raise InputError(
-                    f"{path}: columns '{shorten(origin[column])}' and '{shorten(header)}' both "
-                    f"mean {column}, expected one"
-                )
-            in_degrees = degrees and found is None and dimension in ("rad", "radps")
-            origin[column] = header
-            factors[column] = _DEGREE if in_degrees else units.get(found or "", 1.0)
-            break
-    return origin, factors
+def split_unit(text: str) -> tuple[float | None, str]:
+    """Return the number that a text begins with, and what is behind it; None for no number."""
+    matched = _NUMBER.match(text.strip())
+    if matched is None:
+        return None, text
+    return float(matched[0]), text.strip()[matched.end() :].strip()
+
+
+def _sources(lines: _Lines, wanted: Sequence[str], units: Mapping[str, str]) -> dict[str, _Source]:
+    """Where the file has each column: under a usual name, else as a field of a message.
+
+    A message's stamp goes before the time at which it was recorded.
+    """
+    found: dict[str, _Source] = {}
+    for place, header in enumerate(lines.names):
+        column, unit = _column(lines.path, header, wanted)
+        if column is None:
+            continue
+        if column in found:
+            other = lines.names[found[column].places[0]]
+            raise InputError(
+                f"{lines.path}: columns '{shorten(other)}' and '{shorten(header)}' both "
+                f"mean {column}, expected one"
+            )
+        found[column] = _Source((place,), unit)
+    message = MessageFields(lines.path, lines.names)
+    for column in wanted:
+        places = () if column in found and column != "time_s" else message.places(column)
+        if places:
+            found[column] = _Source(places)
+    return {name: _stated(lines, name, source, units) for name, source in found.items()}
+
+
+def _stated(lines: _Lines, name: str, source: _Source, units: Mapping[str, str]) -> _Source:
+    """The same with the unit that a user gave for it."""
+    header = lines.names[source.places[0]]
+    called = {header.lower(), _parted(header)[0], name, *NAMES[name]}
+    given = next((one for one in units if one.lower() in called), None)
+    if given is None:
+        return source
+    known = UNITS.get(_dimension(name), {})
+    unit = units[given].removeprefix("-")
+    if unit not in known or (unit != units[given] and name not in _SIGNED):
+        raise InputError(
+            f"--unit {given}={units[given]}: the unit is unknown, expected "
+            f"{', '.join(known) or 'none'}"
+        )
+    if source.unit is not None and known[source.unit] != known[unit]:
+        raise InputError(
+            f"--unit {given}={units[given]}: '{shorten(header)}' of {lines.path} says "
+            f"{source.unit}, expected the same"
+        )
+    return source._replace(unit=units[given], stated=given)
+
+
+def _column(path: Path, header: str, wanted: Sequence[str]) -> tuple[str | None, str | None]:
+    """The column that a header under a usual name means, if it is wanted, and its unit."""
+    name, unit = _parted(header)
+    for column in wanted:
+        units = UNITS.get(_dimension(column), {})
+        if name in NAMES[column] and (unit is None or unit in units):
+            return column, unit
+        if (parts := name.rpartition("_"))[0] in NAMES[column] and parts[2] in units:
+            return column, parts[2]
+        if name in NAMES[column]:
+            known = ", ".join(units) or "none"
+            raise InputError(
+                f"{path}: unit '{shorten(str(unit))}' of column '{shorten(header)}' is "
+                f"unknown, expected {known}"
+            )
+    return None, None
+
+
+def _factor(name: str, unit: str) -> float:
+    """What makes SI of a column's values; a unit behind `-` counts the other way round."""
+    factor = UNITS.get(_dimension(name), {}).get(unit.removeprefix("-"), 1.0)
+    return -factor if unit.startswith("-") else factor
+
+
+def _followed(name: str, sources: Mapping[str, _Source]) -> str | None:
+    """The unit of the column whose sigmas another holds."""
+    followed = sources.get(_FOLLOWS.get(name, ""))
+    return None if followed is None or not followed.unit else followed.unit.removeprefix("-")
+
+
+def _unit_words(name: str, unit: str | None, source: _Source) -> str:
+    if source.stated:
+        return f"{unit} by --unit"
+    dimension = _dimension(name)
+    return "" if unit is None or UNITS[dimension][unit] == 1.0 else unit
 
 
 def _parted(header: str) -> tuple[str, str | None]:
     """A header's name and the unit in brackets behind it."""
-    text = header.strip().lower()
+    text = header.strip().lower().lstrip("%_ ")
     at = min(len(text.partition(bracket)[0]) for bracket in "[(")
     if at < len(text) and text[-1] in "])":
         name = text[:at].replace("_", " ").rstrip()
@@ -244,20 +398,60 @@ def _numbers(path: Path, words: list[str], lines: list[int], name: str, header: 
     return np.array(found)
 
 
-def _times(path: Path, words: list[str], lines: list[int], header: str, factor: float) -> Array:
-    """Seconds; whole numbers of a smaller unit are divided once, so that none is rounded twice."""
-    per_second = round(1 / factor)
-    values = _numbers(path, words, lines, "time_s", header)
-    if per_second > 1 and all(word.lstrip("+-").isdigit() for word in words):
-        return np.array([int(word) / per_second for word in words])
-    if len(values) and np.abs(values).max() / per_second > _SECONDS_END:
-        unit = next(
-            (u for u, n in _PER_SECOND.items() if np.abs(values).max() / n <= _SECONDS_END), "ns"
-        )
+def _heading(lines: _Lines, source: _Source) -> Array:
+    parts = [
+        _numbers(lines.path, lines.words(place), lines.line, "heading_rad", lines.names[place])
+        for place in source.places
+    ]
+    return heading_of(np.column_stack(parts), lines.path, lines.line)
+
+
+def _times(lines: _Lines, source: _Source, header: str) -> tuple[Array, str]:
+    """Seconds, and what their unit was taken for.
+
+    Whole numbers of a smaller unit are divided once, so that none is rounded twice.
+    """
+    if len(source.places) > 1:
+        parts = [lines.words(place) for place in source.places]
+        if all(word.isdigit() for words in parts for word in words):
+            whole = zip(*([int(word) for word in words] for words in parts), strict=True)
+            return np.array([(s * 10**9 + ns) / 10**9 for s, ns in whole]), "s and ns"
+    words = lines.words(source.places[0])
+    if words and all(_ISO.fullmatch(word) for word in words):
+        return np.array([_iso_s(lines, row, word) for row, word in enumerate(words)]), "ISO 8601"
+    values = _numbers(lines.path, words, lines.line, "time_s", header)
+    unit, how = source.unit, "" if not source.stated else " by --unit"
+    most = float(np.abs(values).max(initial=0.0))
+    if unit is None:
+        unit = next((u for u, n in _PER_SECOND.items() if most / n <= _SECONDS_END), "ns")
+        how = ", by their size" if unit != "s" else ""
+    elif most / _PER_SECOND[unit] > _SECONDS_END:
         raise InputError(
-            f"{path}:{lines[int(np.abs(values).argmax())]}: '{shorten(header)}' is "
-            f"{np.abs(values).max():.0f}, expected a time in seconds; name the column "
-            f"time_{unit} if "
-            f"these are {unit}"
+            f"{lines.path}:{lines.line[int(np.abs(values).argmax())]}: '{shorten(header)}' is "
+            f"{most:.0f} {unit}, expected at most {_SECONDS_END:g} s"
         )
-    return values / per_second
+    per_second = _PER_SECOND[unit]
+    if per_second > 1 and all(word.lstrip("+-").isdigit() for word in words):
+        values = np.array([int(word) / per_second for word in words])
+    else:
+        values = values / per_second
+    return values, "" if unit == "s" and not how else f"{unit}{how}"
+
+
+def _iso_s(lines: _Lines, row: int, word: str) -> float:
+    """Seconds since 1970 of a date and a time of day, in UTC where it names no zone."""
+    matched = _ISO.fullmatch(word)
+    if matched is None:
+        raise InputError(f"{lines.path}:{lines.line[row]}: '{shorten(word)}' is no ISO 8601 time")
+    date, fraction, zone = matched.groups()
+    try:
+        moment = datetime.fromisoformat(date + (zone or ""))
+    except ValueError:
+        raise InputError(
+            f"{lines.path}:{lines.line[row]}: '{shorten(word)}' is no date, expected one as "
+            "2024-05-31T12:00:00.5Z"
+        ) from None
+    moment = moment if zone else moment.replace(tzinfo=UTC)
+    digits = fraction or "0"
+    scale: int = 10 ** len(digits)
+    return (round(moment.timestamp()) * scale + int(digits)) / scale

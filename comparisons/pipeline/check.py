@@ -190,7 +190,7 @@ def check(
     solver: in the place of `solve`, as one that keeps what it has solved.
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
-    first = job.started(given)
+    first = job.started(given.numbered_as(log.labels))
     unsound = given.trace is not None and given.trace.unsound
     if first.exact or unsound or len(first.inside.time_s) < FEWEST:
         return first

@@ -200,8 +200,9 @@ def compute_gaps(
             result = run_smoother(problem, run, options, lambda stage: progress(stage, 0, 0))
         with clock.stage("marginals"):
             progress("marginals", 0, 0)
-            ids = run.estimate.landmark_id
-            return result, smoothed_estimate(result, own.epoch_time_s, ids, "the EKF's")
+            ids, names = run.estimate.landmark_id, run.estimate.labels
+            found = smoothed_estimate(result, own.epoch_time_s, ids, "the EKF's", names)
+            return result, found
 
     with _start_frozen(problem, run, clock, progress) as work:
         frozen = None if work.elsewhere else _finished(work, clock)

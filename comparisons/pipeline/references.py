@@ -121,6 +121,7 @@ def smoother(solution: Solution, time_s: Array) -> Reference:
         joint_s=float(estimate.time_s[-1]),
         span_s=_span(solution.prepared.timeline),
         smoothed=True,
+        labels=estimate.labels,
     )
 
 

@@ -182,8 +182,8 @@ def solve(
         result = smooth_problem(problem, guesses, lambda stage: progress(stage, 0, 0), options)
     with clock.stage("marginals"):
         progress("marginals", 0, 0)
-        name = "known" if known else "own"
-        estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name)
+        name, labels = ("known", log.labels) if known else ("own", {})
+        estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name, labels)
     with clock.stage("edges"):
         optimality = result.optimality
         misread = misread_edges(result.problem, optimality.chi_square, verified=optimality.verified)

@@ -189,7 +189,12 @@ def _landmark_table(
     )
     shown_ids = set(optimum.landmark_id[shown].tolist())
     rows = [
-        LandmarkRow(str(row.id), _both_names(row.id, int(given.landmark_id[i])), row, errors[i])
+        LandmarkRow(
+            str(row.id),
+            optimum.labels.get(row.id) or _both_names(row.id, int(given.landmark_id[i])),
+            row,
+            errors[i],
+        )
         for row, i in zip(result.landmarks, ours.tolist(), strict=True)
         if row.id in shown_ids
     ]
@@ -216,10 +221,14 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
     ratio[theirs] = [block.ratios[0] if block.ratios else np.nan for block in blocks]
     marked = farthest(distance)
     ids = smoothed.landmark_id[marked]
-    labels = {i: f"landmark {i}: not in the estimate" for i in ids.tolist()}
+    names = smoothed.names
+    labels = {
+        int(smoothed.landmark_id[row]): f"landmark {names[row]}: not in the estimate"
+        for row in marked.tolist()
+    }
     for row, block in zip(theirs.tolist(), blocks, strict=True):
         labels[int(smoothed.landmark_id[row])] = (
-            f"landmark {smoothed.landmark_id[row]}: {block.difference_m:.3f} m apart, "
+            f"landmark {names[row]}: {block.difference_m:.3f} m apart, "
             f"{block.distance_sigma:.2g} sigma"
         )
     beneath = [

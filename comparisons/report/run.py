@@ -98,7 +98,8 @@ def run_page(
     marked = farthest(np.array([block.distance_sigma for block in c.agreement.landmarks]))
     labelled = c.prepared.labelled
     errors = landmark_errors(ekf.landmark_id, ekf.landmark, c.log, labelled=labelled)
-    rows = [LandmarkRow(str(a[i].id), str(a[i].id), a[i], errors[i]) for i in marked.tolist()]
+    names = ekf.names
+    rows = [LandmarkRow(str(a[i].id), names[i], a[i], errors[i]) for i in marked.tolist()]
     scan = [row for one in found for row in one.landmarks()]
     rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
     inconsistent = "; ".join(result.inconsistent or ())
@@ -185,8 +186,8 @@ def run_map(c: Comparison, marked: Index) -> MapContent:
         ],
         keys=ids.tolist(),
         labels=[
-            f"landmark {i}: {b.difference_m:.3f} m apart, {b.distance_sigma:.2g} sigma"
-            for i, b in zip(ids.tolist(), blocks, strict=True)
+            f"landmark {ekf.names[i]}: {b.difference_m:.3f} m apart, {b.distance_sigma:.2g} sigma"
+            for i, b in zip(marked.tolist(), blocks, strict=True)
         ],
         ratio=np.array([b.variance_ratio_least for b in blocks]),
         view=[

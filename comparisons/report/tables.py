@@ -13,6 +13,7 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.agreement import BlockAgreement, LandmarkAgreement
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.config import JobConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -93,10 +94,13 @@ def estimate_tables(e: Estimate) -> Tables:
         covariance = e.landmark_covariances()
         known = len(covariance) == len(e.landmark)  # not of an external estimate without any
         found = landmark_columns(e.landmark_id, e.landmark, covariance if known else None)
+        if e.labels:
+            found |= {"label": np.array(e.names, dtype=object)}
         if not len(e.pose_landmarks):
             return found
         own = e.pose_landmark_covariances()[:, :2, :2]
         more = landmark_columns(e.pose_landmark_id, e.pose_landmarks[:, :2], own)
+        more |= {"label": np.full(len(own), "", dtype=object)} if e.labels else {}
         both = {name: np.concatenate((found[name], more[name])) for name in found}
         heading = np.full(len(e.landmark), np.nan)
         return {**both, "heading_rad": np.concatenate((heading, e.pose_landmarks[:, 2]))}
@@ -104,6 +108,22 @@ def estimate_tables(e: Estimate) -> Tables:
     return {
         "poses": lambda: pose_columns(e.time_s, e.pose, e.pose_covariance),
         "landmarks": landmarks,
+    }
+
+
+@tables.register
+def pair_tables(pair: EstimateComparison) -> Tables:
+    """Return what `EstimateComparison.to_pandas` offers."""
+
+    def columns(first: dict[str, Any], difference: Array, nees: Array) -> Columns:
+        names = ("dx_m", "dy_m", "dheading_rad")
+        return {**first, **dict(zip(names, difference.T, strict=False)), "nees": nees}
+
+    return {
+        "poses": lambda: columns({"time_s": pair.time_s}, pair.difference, pair.nees),
+        "landmarks": lambda: columns(
+            {"label": list(pair.landmark)}, pair.landmark_difference, pair.landmark_nees
+        ),
     }
 
 

@@ -54,6 +54,8 @@ RAW = b"slamcheck events"
 """Begins a file of batches without SQLite."""
 _RAW_HEAD = struct.Struct("<2q")
 _RAW_BATCH = struct.Struct("<6q")
+_OTHERS = {b"PK": " but an archive as numpy's (.npz)", b"\x89HDF": " but HDF5", b"#": " but text"}
+"""What may be taken for a trace, by its first bytes."""
 _MAGIC = b"SQLite format 3\0"
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 """At the end of a journal that is one of several files' journals, which a recorder's never is."""
@@ -213,7 +215,11 @@ class Trace:
         with path.open("rb") as start:
             header = start.read(20)
         if header[:16] != _MAGIC:
-            raise InputError(f"{self.path}: is not an SQLite file, expected a filter's trace")
+            known = next((what for begin, what in _OTHERS.items() if header.startswith(begin)), "")
+            raise InputError(
+                f"{self.path}: is not an SQLite file{known}, expected a filter's trace, as "
+                "slamcheck.Recorder writes it"
+            )
         if _WAL in header[18:20]:
             raise InputError(
                 f"{self.path}: has a write-ahead log, which a trace has not; "

@@ -421,8 +421,8 @@ def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Est
         (lambda p: (p / "estimate.toml").write_text("version = 2\n"), "estimate.toml"),
         (lambda p: (p / "landmarks.csv").write_text("id,x\n"), "expected the header"),
         (
-            lambda p: (p / "landmarks.csv").write_text("id,x_m,y_m\ntree_0,1,2\n"),
-            r"landmarks.csv:2: id is 'tree_0', .* by which the log's measurements.csv names",
+            lambda p: (p / "landmarks.csv").write_text("id,x_m,y_m\n0.5,1,2\n"),
+            r"landmarks.csv:2: id is 0.5, .* by which the log's measurements.csv names",
         ),
     ],
 )

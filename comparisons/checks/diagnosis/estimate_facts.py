@@ -223,7 +223,7 @@ def _apart(
         parts.append(
             f"{landmarks.sum()} of {len(landmarks)} landmarks differ by more than {limit}, "
             "landmark "
-            f"{reference.landmark_id[found.theirs[worst]]} most, by "
+            f"{reference.landmark_name(int(found.theirs[worst]))} most, by "
             f"{np.linalg.norm(place[0] - place[1]):.3f} m ({sigma[worst]:.2g} sigma)"
         )
     return Cause(

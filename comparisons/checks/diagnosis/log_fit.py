@@ -101,10 +101,35 @@ def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
         run: With the association.
         result: The smoother's, whose chi-square is too high.
     """
-    test = result.optimality.chi_square
+    poses = Poses(run.timeline.epoch_time_s, result.poses)
+
+    def chi2_of(changed: Log, afresh: bool) -> float:
+        timeline = build_timeline(changed, run.positions)
+        problem = build_problem(changed, replace(run, timeline=timeline))
+        graph = build_graph(problem)
+        if afresh:
+            values = relaxed_values(problem)
+        else:
+            seen = problem.seen_landmarks, problem.pose_landmarks
+            values = to_values(poses.at(timeline.epoch_time_s), result.landmarks, *seen)
+        return 2.0 * float(graph.error(levenberg_marquardt(graph, values, _TOLERANCE)[0]))
+
+    return fitted_numbers(log, chi2_of, result.optimality.chi_square)
+
+
+def fitted_numbers(
+    log: Log, chi2_of: Callable[[Log, bool], float], test: ChiSquareTest
+) -> list[LogFit]:
+    """Return the numbers that make a log fit, the best first.
+
+    Args:
+        log: Whose chi-square is too high.
+        chi2_of: The smoother's chi-square of a changed log; afresh where it may lie elsewhere.
+        test: Of the log as it is.
+    """
     rough = []
     for one in _numbers(log):
-        fit = _Fit(log, run, result, one)
+        fit = _Fit(log, chi2_of, test.chi2, one)
         rough.append((fit.round(), fit))
     rough.sort(key=lambda pair: pair[0])
     found = []
@@ -137,12 +162,12 @@ def explains(test: ChiSquareTest, chi2: float, numbers: int) -> bool:
 class _Fit:
     """Newton's method on chi-square by one number."""
 
-    def __init__(self, log: Log, run: EkfRun, result: SmootherResult, number: _Number) -> None:
-        self._log, self._run, self._number = log, run, number
-        self._poses = Poses(run.timeline.epoch_time_s, result.poses)
-        self._landmarks = result.landmarks
+    def __init__(
+        self, log: Log, chi2_of: Callable[[Log, bool], float], chi2: float, number: _Number
+    ) -> None:
+        self._log, self._chi2_of, self._number = log, chi2_of, number
         self._at, self._step = number.neutral, number.step
-        self._chi2, self._afresh = 2.0 * result.error, True
+        self._chi2, self._afresh = chi2, True
         opposite = self._of(-number.neutral) if number.neutral else np.inf
         if opposite < self._chi2:
             self._at, self._chi2 = -number.neutral, opposite
@@ -183,15 +208,6 @@ class _Fit:
     def _of(self, number: float) -> float:
         """Chi-square of the smoother with the number; infinite where the log cannot have it."""
         try:
-            log = self._number.change(self._log, number)
-            timeline = build_timeline(log, self._run.positions)
-            problem = build_problem(log, replace(self._run, timeline=timeline))
-            graph = build_graph(problem)
-            if self._afresh:
-                values = relaxed_values(problem)
-            else:
-                seen = problem.seen_landmarks, problem.pose_landmarks
-                values = to_values(self._poses.at(timeline.epoch_time_s), self._landmarks, *seen)
-            return 2.0 * float(graph.error(levenberg_marquardt(graph, values, _TOLERANCE)[0]))
+            return self._chi2_of(self._number.change(self._log, number), self._afresh)
         except (InputError, RuntimeError):
             return np.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,10 @@ from graphslam.increments import AckermannGeometry, Stabilisation, ackermann_sam
 _LEAST_MOTION_M = 0.5
 _STEPS = 5
 """Of Gauss-Newton, from the path laid rigidly."""
+ALIGNED_RAD, LARGEST_RAD = float(np.deg2rad(1.0)), float(np.deg2rad(15.0))
+"""Fixes are laid onto as much of the odometry as shows the start's heading so well, or at worst."""
+_ALL = 1.2
+"""Where all fixes do not show it, this times their variance is enough: the rest adds little."""
 _EQUATOR_M, _FLATTENING = 6378137.0, 1.0 / 298.257223563
 
 
@@ -94,6 +99,63 @@ def lay_reckoned(moved: Reckoned, positions: Positions, until_s: float) -> Start
         information, vector = _shown(moved, fixes, pose)
         pose = pose + np.linalg.solve(information, vector)
     return Start(pose, np.asarray(np.linalg.inv(information), dtype=np.float64))
+
+
+class Laid(NamedTuple):
+    """Fixes in the frame of the start pose, those behind the ones spent on finding it.
+
+    covariance: (3, 3) of the start in that frame. spent: the last fix spent.
+    """
+
+    positions: Positions
+    covariance: Array
+    spent: int
+
+
+def lay_fixes(moved: Reckoned, plane: Positions) -> Laid | None:
+    """Lay fixes onto the odometry, and spend on that as many of the first as show the heading.
+
+    What they know, less the odometry's noise on the way, is the covariance of the start.
+
+    Args:
+        moved: The odometry from the origin.
+        plane: The fixes, in a plane of any origin and direction.
+
+    Returns:
+        None where no fix would be left.
+    """
+    spent, start = _spent(moved, plane)
+    if start is None:
+        return None
+    x, y, heading = start.pose
+    laid = (plane.position_m - (x, y)) @ np.array([1.0, 1j]) * np.exp(-1j * heading)
+    turn = np.eye(3)
+    turn[:2, :2] = (np.cos(heading), np.sin(heading)), (-np.sin(heading), np.cos(heading))
+    covariance = turn[:2, :2] @ plane.covariance @ turn[:2, :2].T
+    symmetric = (covariance + covariance.transpose(0, 2, 1)) / 2
+    placed = np.column_stack((laid.real, laid.imag))
+    positions = Positions(plane.time_s, placed, symmetric, plane.antenna_m)
+    behind = positions.chosen(np.arange(spent + 1, len(plane.time_s)))
+    return Laid(behind, turn @ start.covariance @ turn.T, spent)
+
+
+def _spent(moved: Reckoned, plane: Positions) -> tuple[int, Start | None]:
+    """The last fix to spend on the start, and what it then is; None where no fix would be left."""
+    found: dict[int, Start | None] = {}
+
+    def variance(last: int) -> float:
+        try:
+            found[last] = start = lay_reckoned(moved, plane, float(plane.time_s[last]))
+        except InputError:
+            return np.inf
+        return float(start.covariance[2, 2])
+
+    whole = len(plane.time_s) - 1
+    enough = max(ALIGNED_RAD**2, _ALL * variance(whole))
+    spent = bisect_left(range(whole), True, key=lambda last: variance(last) <= enough)
+    if enough > LARGEST_RAD**2 or spent == whole:
+        return whole, None
+    return spent, found[spent]
 
 
 def _shown(moved: Reckoned, fixes: Positions, start: Array) -> tuple[Array, Array]:

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
+from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers.ros_messages import frame, planar_pose, stamp_ns
+from comparisons.logs.readers.scan_odometry import NOISE_TEXT, displacements, poses_at
 from comparisons.logs.validation import LARGEST
 
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.1, float(np.deg2rad(1.0))
@@ -21,6 +23,8 @@ LARGEST_VARIANCE = 1e3
 """Drivers write larger ones for what they do not measure."""
 _LEAST_VARIANCE = 1e-6
 """A fix is not better than 1 mm: drivers write less, and zero, for what they do not know."""
+_LEAST_SIGMA = 1e-3
+"""[m] and [rad] that each motion of odometry's own noise has besides."""
 _ADD, _SOLID = 0, (1, 2, 3)
 _PLANAR = [0, 1, 5]
 
@@ -153,6 +157,31 @@ def moved(message: Any, place: str) -> Array:
     twist = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6).diagonal()[_PLANAR]
     pose = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
     return np.concatenate((planar_pose(message, place), twist, pose.ravel()))
+
+
+def reckoned_motion(instants_s: Array, sample_s: Array, rows: Array) -> tuple[RelativePoses, str]:
+    """Return the motions between instants by messages of odometry, and where their noise is from.
+
+    Args:
+        instants_s: (N,) within the samples' time.
+        sample_s: (M,).
+        rows: (M, 15) of `moved`.
+    """
+    motion = displacements(instants_s, poses_at(instants_s, sample_s, rows[:, :3]))
+    added, words = odometry_noise(sample_s, rows)
+    if added is None:
+        return motion, f"{NOISE_TEXT}, for {words}"
+    covariance = added_between(instants_s, sample_s, added) + _LEAST_SIGMA**2 * np.eye(3)
+    words += f", and {_LEAST_SIGMA:g} m and rad a motion"
+    return RelativePoses(motion.time_s, motion.displacement, covariance), words
+
+
+def added_between(instants_s: Array, sample_s: Array, added: Array) -> Array:
+    """Return the covariances (N - 1, 3, 3) between instants (N,), of those between samples (M,)."""
+    total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
+    reported = np.column_stack([np.interp(instants_s, sample_s, one) for one in total.T])
+    found: Array = np.diff(reported, axis=0).reshape(-1, 3, 3)
+    return found
 
 
 def odometry_noise(time_s: Array, rows: Array) -> tuple[Array | None, str]:

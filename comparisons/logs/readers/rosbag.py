@@ -13,7 +13,6 @@ not stated there, a scanner is taken to be at the pose, and points are refused.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -29,7 +28,7 @@ from comparisons.logs.from_arrays import LandmarkNumbers
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import ros_points
-from comparisons.logs.readers.gps_start import Reckoned, Start, east_north, lay_reckoned
+from comparisons.logs.readers.gps_start import LARGEST_RAD, Reckoned, east_north, lay_fixes
 from comparisons.logs.readers.ros_bag import (
     BOXES,
     CLOUD,
@@ -53,25 +52,18 @@ from comparisons.logs.readers.ros_messages import (
     sweep,
 )
 from comparisons.logs.readers.scan_odometry import (
-    NOISE_TEXT,
     PRIOR_SIGMA,
-    displacements,
     instants_of,
     no_measurements,
     poses_at,
 )
 from comparisons.logs.scans import Clouds, Mount, Scans
-from graphslam.scan.planar import rotation
 
 _BASES = ("base_link", "base_footprint")
 _MOST_POINTS = 50_000_000
 _ANGLE_TOLERANCE_RAD = 1e-3
 _LEVEL = np.cos(np.deg2rad(5.0))
 _LEAST_SIGMA = 1e-3
-_ALIGNED_RAD, _LARGEST_RAD = float(np.deg2rad(1.0)), float(np.deg2rad(15.0))
-"""Fixes are laid onto as much of the odometry as shows the start's heading so well, or at worst."""
-_ALL = 1.2
-"""Where all fixes do not show it, this times their variance is enough: the rest adds little."""
 
 Times = NDArray[np.int64]
 _T = TypeVar("_T")
@@ -224,16 +216,8 @@ class _Drive:
         if self.moved is None:
             none = RelativePoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
             return none, "no odometry"
-        stated = displacements(self.time_s, self.poses(start))
         sample_s = (self.moved.time_ns - start) / 1e9
-        added, words = ros_points.odometry_noise(sample_s, np.array(self.moved.items))
-        if added is None:
-            return stated, f"{NOISE_TEXT}, for {words}"
-        total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
-        reported = np.column_stack([np.interp(self.time_s, sample_s, one) for one in total.T])
-        covariance = np.diff(reported, axis=0).reshape(-1, 3, 3) + _LEAST_SIGMA**2 * np.eye(3)
-        words += f", and {_LEAST_SIGMA:g} m and rad a motion"
-        return RelativePoses(stated.time_s, stated.displacement, covariance), words
+        return ros_points.reckoned_motion(self.time_s, sample_s, np.array(self.moved.items))
 
 
 def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> Log:
@@ -308,8 +292,9 @@ def _positions(
     covariance = rows[:, 3:].reshape(-1, 2, 2).copy()
     stated = np.isnan(covariance[:, 0, 0])
     covariance[stated] = ros_points.SIGMA_FIX_M**2 * np.eye(2)
-    plane = Positions(time_s, east_north(rows[:, 0], rows[:, 1], altitude), covariance)
     antenna = where.place(stream, "antenna")[:2, 3]
+    at = (float(antenna[0]), float(antenna[1]))
+    plane = Positions(time_s, east_north(rows[:, 0], rows[:, 1], altitude), covariance, at)
     pose = drive.poses(where.start)
     turned = np.exp(-1j * pose[0, 2])
     pose -= pose[0]  # its heading, too: from the origin
@@ -317,46 +302,19 @@ def _positions(
     pose[:, :2] = np.column_stack((path.real, path.imag))
     path = path + complex(*antenna) * np.exp(1j * pose[:, 2])
     moved = Reckoned(drive.time_s, pose, path, drive.motion(where.start)[0].covariance)
-    spent, start = _spent(moved, plane)
-    if start is None:
+    laid = lay_fixes(moved, plane)
+    if laid is None:
         where.provenance["positions"] = (
             f"left out: {len(time_s)} fixes along the odometry, expected more than show the "
-            f"heading to {np.degrees(_LARGEST_RAD):.0f} degrees"
+            f"heading to {np.degrees(LARGEST_RAD):.0f} degrees"
         )
         return prior, None
-    x, y, heading = start.pose
-    laid = (plane.position_m - (x, y)) @ np.array([1.0, 1j]) * np.exp(-1j * heading)
-    turn = rotation(-heading)  # east and north to the log's
-    covariance = turn[:2, :2] @ covariance @ turn[:2, :2].T
     where.provenance["positions"] = (
-        f"WGS 84 about the first fix; {spent + 1} fixes up to {time_s[spent]:g} s laid onto the "
-        f"odometry, used for the prior; {int(stated.sum())} of {len(rows)} without "
+        f"WGS 84 about the first fix; {laid.spent + 1} fixes up to {time_s[laid.spent]:g} s laid "
+        f"onto the odometry, used for the prior; {int(stated.sum())} of {len(rows)} without "
         f"covariance, stated {ros_points.SIGMA_FIX_M:g} m"
     )
-    prior = Prior(0.0, prior.pose, prior.covariance + turn @ start.covariance @ turn.T)
-    placed = np.column_stack((laid.real, laid.imag))
-    symmetric = (covariance + covariance.transpose(0, 2, 1)) / 2
-    positions = Positions(time_s, placed, symmetric, (float(antenna[0]), float(antenna[1])))
-    return prior, positions.chosen(np.arange(spent + 1, len(time_s)))
-
-
-def _spent(moved: Reckoned, plane: Positions) -> tuple[int, Start | None]:
-    """The last fix to spend on the start, and what it then is; None where no fix would be left."""
-    found: dict[int, Start | None] = {}
-
-    def variance(last: int) -> float:
-        try:
-            found[last] = start = lay_reckoned(moved, plane, float(plane.time_s[last]))
-        except InputError:
-            return np.inf
-        return float(start.covariance[2, 2])
-
-    whole = len(plane.time_s) - 1
-    enough = max(_ALIGNED_RAD**2, _ALL * variance(whole))
-    spent = bisect_left(range(whole), True, key=lambda last: variance(last) <= enough)
-    if enough > _LARGEST_RAD**2 or spent == whole:
-        return whole, None
-    return spent, found[spent]
+    return Prior(0.0, prior.pose, prior.covariance + laid.covariance), laid.positions
 
 
 def _stream(

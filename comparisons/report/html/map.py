@@ -109,7 +109,7 @@ def estimate_map(
         log=log,
         tracks=[estimate_track(name, colour, estimate, ids), *others],
         keys=ids.tolist(),
-        labels=[f"landmark {i}" for i in ids.tolist()],
+        labels=[f"landmark {estimate.names[i]}" for i in marked.tolist()],
         view=view,
         beneath=beneath,
     )

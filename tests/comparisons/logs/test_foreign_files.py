@@ -204,7 +204,7 @@ FILES: dict[str, tuple[Callable[[Path], Log], str]] = {
     "CSV, poses, tabs": (lambda folder: own(folder, POSES, posts("\t"), {}), "agree"),
     "CSV without a header": (
         lambda folder: own(folder, WHEEL.partition("\n")[2], posts()),
-        "odo.csv:1: no header, expected a line of names such as time_s,speed_mps,yaw_rate_radps",
+        "odo.csv:1: no header, expected a line of names with commas, semicolons or tabs between",
     ),
     "g2o, planar with landmarks": (landmarks, "verified"),
     "g2o, poses alone": (graph(CLOSED_ELSEWHERE), "solved"),

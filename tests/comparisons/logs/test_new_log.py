@@ -135,14 +135,74 @@ def test_units_by_header(delimiter: str, tmp_path: Path) -> None:
     assert "labels" not in log.provenance
 
 
-def test_degrees_by_option(tmp_path: Path) -> None:
+def test_units_by_option_are_of_one_column_and_its_sigma(tmp_path: Path) -> None:
+    """A yaw rate in rad/s stays one, beside bearings in degrees."""
     trees = "id,bearing,range,t\n3,45,2,0.5\n"
-    with pytest.raises(InputError, match=r"trees.csv:2: 'bearing' is 45 in radians, .* --degrees"):
+    with pytest.raises(InputError, match=r"'bearing' is 45 in radians, .* give --unit bearing=deg"):
         build(files(tmp_path, trees=trees))
-    log = build(files(tmp_path, trees=trees, degrees=True)).log
+    stated = SIGMAS | WHEELS | {"sigma_bearing_rad": "1", "sigma_range_m": "5cm"}
+    log, _, notes = build(files(tmp_path, trees=trees, units={"bearing": "deg"}, stated=stated))
     assert np.allclose(log.measurements.bearing_rad, np.pi / 4)
+    assert np.allclose(log.measurements.sigma_bearing_rad, np.deg2rad(1.0))
+    assert np.allclose(log.measurements.sigma_range_m, 0.05)
+    assert "bearing_rad from 'bearing' in deg by --unit (0.7854 to 0.7854)" in " ".join(notes)
+    assert "--sigma-bearing 1 is 0.01745 rad: 1 deg, the unit of 'bearing'" in notes
     assert isinstance(log.odometry, VelocityOdometry)
-    assert np.allclose(log.odometry.yaw_rate_radps, np.deg2rad(0.1))
+    assert np.allclose(log.odometry.yaw_rate_radps, 0.1)
+    sigmas = "id,bearing_deg,sigma_bearing,range,t\n3,45,2,2,0.5\n"
+    followed = build(files(tmp_path, trees=sigmas, stated=WHEELS | {"sigma_range_m": 0.1})).log
+    assert np.allclose(followed.measurements.sigma_bearing_rad, np.deg2rad(2.0))
+
+
+@pytest.mark.parametrize(
+    ("units", "stated", "message"),
+    [
+        ({"bearings": "deg"}, {}, "--unit bearings=deg: no file has such a column that is read"),
+        (
+            {"bearing": "degree"},
+            {},
+            "--unit bearing=degree: the unit is unknown, expected rad, deg",
+        ),
+        ({"range_m": "mm"}, {}, "--unit range_m=mm: 'range_m' of .* says m, expected the same"),
+        ({"odometry:bearing": "deg"}, {}, "no file has such a column"),
+        ({}, {"sigma_turn": "1deg"}, "--sigma-turn is '1deg', expected a number, .* radps, rad/s"),
+        ({}, {"sigma_range_m": "x"}, "--sigma-range is 'x', expected a number, or one with a unit"),
+    ],
+)
+def test_units_refused(
+    units: dict[str, str], stated: dict[str, str], message: str, tmp_path: Path
+) -> None:
+    trees = "id,bearing,range_m,t\n3,1,2,0.5\n"
+    with pytest.raises(InputError, match=message):
+        build(files(tmp_path, trees=trees, units=units, stated=SIGMAS | WHEELS | stated))
+
+
+EPOCH = 1_700_000_000
+
+
+@pytest.mark.parametrize(
+    ("times", "unit"),
+    [
+        ([f"{EPOCH + k}.25" for k in range(3)], ""),
+        ([f"{EPOCH + k}250" for k in range(3)], " in ms, by their size"),
+        ([f"{EPOCH + k}250000" for k in range(3)], " in us, by their size"),
+        ([f"{EPOCH + k}250000000" for k in range(3)], " in ns, by their size"),
+        ([f"2023-11-14T22:13:{20 + k}.25Z" for k in range(3)], " in ISO 8601"),
+        ([f"2023-11-14 23:13:{20 + k}.250000000+01:00" for k in range(3)], " in ISO 8601"),
+        ([f"2023-11-14 22:13:{20 + k},25" for k in range(3)], " in ISO 8601"),
+    ],
+)
+def test_times_say_by_their_form_what_they_are(times: list[str], unit: str, tmp_path: Path) -> None:
+    odometry = "t;v;w\n" + "".join(f"{one};1;0.1\n" for one in times)
+    log, _, notes = build(files(tmp_path, odometry, f"id;range;bearing;t\n1;5;0;{times[1]}\n"))
+    assert log.odometry.time_s.tolist() == [EPOCH + k + 0.25 for k in range(3)]
+    assert f"time_s from 't'{unit} (" in notes[0]
+
+
+def test_times_are_refused_that_are_no_dates(tmp_path: Path) -> None:
+    odometry = "t,v,w\n2023-11-14T22:13:20Z,1,0\n2023-13-14T22:13:20Z,1,0\n"
+    with pytest.raises(InputError, match=r"odo.csv:3: '2023-13-14T22:13:20Z' is no date, expected"):
+        build(files(tmp_path, odometry))
 
 
 def test_steering_needs_a_wheelbase(tmp_path: Path) -> None:
@@ -222,16 +282,17 @@ def test_truth_gives_the_prior_and_positions_their_sigma(tmp_path: Path) -> None
 
 
 BAD: dict[str, tuple[str, str, str]] = {
-    "ros": (
-        "field.header.stamp,field.twist.twist.linear.x\n0,1\n", TREES,
-        r"odo.csv:1: no header in 'field.header.stamp,.*'.*; name its columns so, see docs/",
+    "foreign": (
+        "zeit,weg\n0,1\n", TREES,
+        r"odo.csv:1: none of the columns wanted; found zeit, weg; wanted are time_s \(time, t, "
+        r".*, speed_mps \(speed, v, .*; name its columns so, see docs/",
     ),
     "hashes": (
         VELOCITY, "id,range,bearing,t\n#1,5,0,0.1\n", r"trees.csv: holds no records, .* with # is",
     ),
     "headerless": (
         "0,1,0.1\n1,1,0.1\n", TREES,
-        r"odo.csv:1: no header, expected a line of names such as time_s,speed_mps",
+        r"odo.csv:1: no header, expected a line of names .*, among them time_s \(time, t, ",
     ),
     "twice": ("t,v,speed,w\n0,1,1,0\n", TREES, r"'v' and 'speed' both mean speed_mps"),
     "no time": ("v,w\n1,0\n", TREES, r"no column for time_s, expected one named time or t or"),
@@ -247,16 +308,19 @@ BAD: dict[str, tuple[str, str, str]] = {
         VELOCITY, "id,range,bearing,t\n1,5,0,0.1\n1,5,,0.2\n",
         r"trees.csv:3: 'bearing' is '', expected a finite number",
     ),
-    "two kinds": ("t,v,w,x,y,yaw\n0,1,0,0,0,0\n", TREES, r"holds velocity and poses.*--kind"),
+    "two kinds": (
+        "t,dx,dy,dyaw,x,y,yaw\n0,1,0,0,0,0,0\n", TREES, r"holds poses and relative-poses.*--kind"
+    ),
     "no kind": (
         "t,a\n0,1\n",
         TREES,
-        r"odo.csv: odometry: columns are .*speed_mps, yaw_rate_radps.*; found t, a; see",
+        r"odo.csv: odometry: columns of no kind, found t, a; wanted are time and one of velocity: "
+        r"speed or v, yaw_rate or yawrate; steering: .*; see docs/",
     ),
     "unit": ("t [h],v,w\n0,1,0\n", TREES, r"unit 'h' of column 't \[h\]' is unknown, expected s,"),
     "ns": (
-        "t,v,w\n1700000000000000000,1,0\n", TREES,
-        r"'t' is 1700000000000000000, expected a time in seconds; name the column time_ns",
+        "t_s,v,w\n1700000000000000000,1,0\n", TREES,
+        r"odo.csv:2: 't_s' is 1700000000000000000 s, expected at most 1e\+10 s",
     ),
     "word": ("t,v,w\n0,1,0\n1,x,0\n", TREES, r"odo.csv:3: 'v' is 'x', expected a finite number"),
     "short": ("t,v,w\n0,1,0\n1,0\n", TREES, r"odo.csv:3: 2 values, expected 3 as in the header"),

@@ -1,0 +1,94 @@
+"""Landmarks that a log names by text keep their names: estimates, tables, map, causes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import slamcheck
+from benchmarks.log_doctor import drive
+from comparisons.errors import InputError
+from comparisons.estimates.folder import read_estimate, read_landmarks
+from comparisons.logs.log import Log
+from comparisons.pipeline.check import check
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.folder import write_job_folder
+from comparisons.report.result import build_result
+from comparisons.report.run import run_folder
+from tests.helpers import compared
+
+NAMES = ["oak, old", "<b>elm</b>", *(f"post {k}" for k in range(40))]
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    """A short drive; its landmarks are numbered by first measurement."""
+    found = drive(5, "velocity", 120)
+    order = found.measurements.labels_in_order.tolist()
+    number = np.array([order.index(one) for one in found.measurements.landmark.tolist()])
+    labels = {NAMES[k]: k for k in range(len(order))}
+    return replace(
+        found,
+        measurements=replace(found.measurements, landmark=number),
+        provenance={"labels": json.dumps(labels)},
+    )
+
+
+@pytest.fixture(scope="module")
+def run(log: Log) -> Comparison:
+    return compared(log)
+
+
+def test_a_report_has_the_names(run: Comparison, tmp_path: Path) -> None:
+    write_job_folder(run_folder(run, build_result(run)), tmp_path / "out")
+    for name in ("ekf", "smoother"):
+        lines = (tmp_path / "out" / name / "landmarks.csv").read_text().splitlines()
+        assert lines[1].startswith('"oak, old",')
+        assert lines[2].startswith("<b>elm</b>,")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "landmark oak, old: " in page
+    assert "<td>&lt;b&gt;elm&lt;/b&gt;</td>" in page
+    assert "<b>elm" not in page
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert json.loads(result["log"]["provenance"]["labels"])["post 0"] == 2
+    assert run.ekf.estimate.to_pandas("landmarks")["label"].tolist()[:2] == NAMES[:2]
+
+
+def test_an_estimate_is_checked_by_names(log: Log, run: Comparison, tmp_path: Path) -> None:
+    """In any order; wrong names put it elsewhere."""
+    estimate = run.ekf.estimate
+    slamcheck.write_estimate(estimate, tmp_path / "mine")
+    assert read_estimate(tmp_path / "mine").names == estimate.names
+    path = tmp_path / "mine" / "landmarks.csv"
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *rows]) + "\n")
+    (tmp_path / "mine" / "covariances.npz").unlink()
+    path.write_text("\n".join([header, *reversed(rows)]) + "\n")
+    given = slamcheck.read_estimate(tmp_path / "mine")
+    found = check(log, given)
+    assert found.grade.value == "equal"
+    assert not found.agreement.unmatched
+    moved = given.landmark + np.eye(len(rows))[:, :1] * 3.0
+    wrong = check(log, replace(given, landmark=moved))
+    assert any(f"landmark {estimate.names[-1]}" in one.evidence for one in wrong.causes)
+    with pytest.raises(InputError, match=r"names landmarks by text .*, the log by numbers"):
+        check(replace(log, provenance={}), given)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("id,x_m,y_m\noak,1,2\noak,1,2\n", "landmarks.csv:3: id is 'oak' a second time"),
+        ("id,x_m,y_m\noak,1,2\n,1,2\n", "landmarks.csv:3: id is empty"),
+        ("id,x_m,y_m\noak,1,x\n", "landmarks.csv:2: 'y_m' is 'x', expected a finite number"),
+        ("id,x_m,y_m\noak,1,1e300\n", "landmarks.csv:2: expected at most"),
+    ],
+)
+def test_names_refused(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "landmarks.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_landmarks(tmp_path / "landmarks.csv")
