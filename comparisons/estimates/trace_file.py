@@ -66,7 +66,7 @@ _MAY_BE_NOTHING = ("prior_covariance", "step_q")
 _WHOLE = ("step", "measurement", "landmark", "number")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TraceFile:
     """A filter's trace with the time (N,) at which each step ends, and where it was read.
 
@@ -153,9 +153,9 @@ def _checked(
     landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
     none_of_poses = stack_records([], POSE.width, POSE)
     return TraceFile(
-        path,
-        found["step_time_s"],
-        TraceArrays(
+        path=path,
+        step_time_s=found["step_time_s"],
+        trace=TraceArrays(
             prior_pose=found["prior_pose"],
             prior_covariance=found["prior_covariance"],
             departed=found["step_departed"],
@@ -176,9 +176,9 @@ def _checked(
             merges=none_of_poses,
             removals=removal_records([]),
         ),
-        remarks,
-        unsound,
-        rounding,
+        remarks=remarks,
+        unsound=unsound,
+        rounding=rounding,
     )
 
 
