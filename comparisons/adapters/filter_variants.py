@@ -445,9 +445,10 @@ def unscented(
     y = function(np.vstack((mean, mean + root.T, mean - root.T)))
     off = subtract(y[1:], y[0])
     odd, even = 0.5 * (off[:n] - off[n:]), 0.5 * (off[:n] + off[n:])
-    shift = even.sum(axis=0) / squared
+    shift: Array = even.sum(axis=0) / squared
     rest = even.T @ even / squared + points.central * np.outer(shift, shift)
-    return Transformed(y[0] + shift, np.linalg.solve(root.T, odd).T, rest)
+    cross = np.asarray(np.linalg.solve(root.T, odd).T, dtype=np.float64)
+    return Transformed(y[0] + shift, cross, rest)
 
 
 def block_diagonal_of(first: Array, second: Array) -> Array:

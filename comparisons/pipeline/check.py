@@ -311,7 +311,7 @@ def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> 
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
     """Say where it first leaves what a sound filter of its kind does."""
     prepared, inside = found.solution.prepared, found.inside
-    left = found.trace and found.trace.departure
+    left = None if found.trace is None else found.trace.departure
     if left is None:
         sound = [one for one in (*found.peers, *found.variants) if not one.smoothed]
         if sound and not found.variants:

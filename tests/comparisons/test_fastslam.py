@@ -92,7 +92,7 @@ def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
 
 def test_the_joint_covariance_has_the_clouds_own_blocks(comparison: Comparison) -> None:
     extension = FastSlamExtension(FastSlamConfig(particles=12))
-    cloud = extension.cloud(comparison.prepared)
+    cloud = extension.cloud(comparison.prepared, len(comparison.ekf.estimate.time_s))
     estimate = cloud_estimate(cloud, comparison.ekf.estimate.time_s)
     np.testing.assert_allclose(
         estimate.joint_covariance[:3, :3], estimate.pose_covariance[-1], atol=1e-12
@@ -130,7 +130,9 @@ def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
 
 
 def test_draws_of_a_cloud_have_its_means_and_covariances(comparison: Comparison) -> None:
-    cloud = FastSlamExtension(FastSlamConfig(particles=30)).cloud(comparison.prepared)
+    cloud = FastSlamExtension(FastSlamConfig(particles=30)).cloud(
+        comparison.prepared, len(comparison.ekf.estimate.time_s)
+    )
     slam = cloud.slam
     columns = slam.maps.columns_of(slam.mixture_map().number)[:3]
     draws = np.array([draw_particle(slam, columns) for _ in range(4000)])

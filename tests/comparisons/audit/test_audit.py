@@ -472,7 +472,8 @@ def test_sound_filters_are_rarely_called_faulty(tmp_path: Path) -> None:
 
 def unset(r: Array) -> Array:
     """An entry beside the diagonal that was never set."""
-    return r + np.array([[0.0, 0.7], [0.0, 0.0]])
+    wrong: Array = r + np.array([[0.0, 0.7], [0.0, 0.0]])
+    return wrong
 
 
 UNSOUND: dict[str, tuple[Callable[[Array], Array], list[str]]] = {

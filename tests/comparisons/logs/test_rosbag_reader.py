@@ -76,7 +76,8 @@ def test_an_upside_down_laser_turns_its_beams(tmp_path: Path) -> None:
 
 
 def test_headers_without_times_leave_those_of_the_recording(tmp_path: Path) -> None:
-    scans = [(*T.laser(0.0)[:2], EPOCH + t, T.laser(0.0)[3]) for t in (0.0, 0.5)]
+    topic, kind, _, message = T.laser(0.0)
+    scans: list[Message] = [(topic, kind, EPOCH + t, message) for t in (0.0, 0.5)]
     log = read_log(T.write(tmp_path / "bag", scans))
     assert log.scans is not None
     assert log.scans.time_s.tolist() == [0.0, 0.5]
