@@ -99,7 +99,8 @@ def _means(given: ExternalEstimate, found: Likeness, clues: Clues) -> Diagnosis:
         causes.append(known)
     elif far_poses.any():
         causes, evidence = diagnose(paths_beside(given, found.reference, clues.smoothed[0]))
-    swapped, partly = _swapped(given, found), []
+    partly: list[Cause] = []
+    swapped = _swapped(given, found)
     if swapped is not None and not causes:  # another frame exchanges landmarks, too
         (partly if far_poses.any() else causes).append(swapped)
     if not causes or far.any():
