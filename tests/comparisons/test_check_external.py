@@ -222,7 +222,8 @@ def test_a_motion_that_leaves_some_of_a_difference_is_evidence_and_no_cause(
     assert (found.causes[0].gap == "frame") is named
     assert ("frame" in [one.gap for one in found.causes]) is named
     if not named:
-        assert "in part, the trajectory is shifted by" in found.causes[0].evidence
+        assert "in part, the trajectory is rotated by" in found.causes[0].evidence
+        assert "this explains 88 %" in found.causes[0].evidence
 
 
 def test_a_shift_is_no_turn(solution: Solution) -> None:

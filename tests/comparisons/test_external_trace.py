@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -364,6 +365,32 @@ def test_damage_is_one_line(
     with pytest.raises(InputError, match=reported) as caught:
         checked(tmp_path, log, choices)
     assert str(tmp_path / FORMER) in str(caught.value)
+
+
+@pytest.mark.parametrize("steps", [False, True])
+def test_each_kind_of_record_that_differs_is_named(
+    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], steps: bool
+) -> None:
+    """A wrong F is not lost beside three differences of landmark initialisation, nor invented."""
+    log, choices, run = plain
+    begun, f = run.trace.initialisations[POINT], run.trace.f.copy()
+    f[:, 0, 2] += 1e-4 if steps else 0.0
+    begun = replace(
+        begun,
+        jacobian_pose=1.1 * begun.jacobian_pose,
+        jacobian_other=2.0 * begun.jacobian_other,
+        noise=9.0 * begun.noise,
+    )
+    kinds = {**run.trace.initialisations, POINT: begun}
+    hand_in(replace(run, trace=replace(run.trace, initialisations=kinds, f=f)), tmp_path)
+    found = checked(tmp_path, log, choices)
+    causes = present(found.trace).verdict.causes  # the estimate itself is right
+    (said,) = [one.evidence for one in causes if one.gap == "model"]
+    assert re.search(r"Jacobian with respect to \w+ differs [^;]* landmark initialisations", said)
+    assert re.search(r"the noise covariance differs [^;]* landmark initialisations", said)
+    wrong = re.search(r"the Jacobian with respect to heading differs [^;]* predictions", said)
+    assert (wrong is not None) is steps
+    assert "measurement updates" not in said
 
 
 @pytest.mark.parametrize("former", [False, True])
