@@ -108,15 +108,17 @@ peers: $(VENV)/installed-dev
 bench: $(VENV)/installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.bench $(BASE)
 
-# Hours: every test; 20,000 damaged files, odd settings, kills and full disks, drawn anew each time,
-# with how many of each kind were tried; the quick tests as on each processor, on each Python, and
-# with the newest and the oldest libraries that pyproject.toml admits.
+# Hours: every test; 30,000 damaged files, odd settings, kills, full disks and strange things in an
+# output's place, drawn anew each time, with how many of each kind were tried; the quick tests as on
+# each processor, on each Python, and with the newest and the oldest libraries that pyproject.toml
+# admits; and mutants of the code, of which 95 % must be rejected.
 nightly: lint
 	$(PYTEST)
 	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
 		--dist worksteal tests/fuzz
 	$(BIN)/python -m benchmarks.flavours env $(PYTEST) $(QUICK)
 	$(MAKE) test-pythons test-newest test-lowest
+	$(BIN)/python -m benchmarks.mutants
 
 # Source distribution and wheels, built, looked into, and used in fresh environments on Python 3.11,
 # 3.12 and 3.13: those on PATH or PYTHONS="/path/to/python3.11 ...". ALLOW_MISSING=1: those there are.

@@ -37,6 +37,7 @@ from comparisons.pipeline.prepare import (
     no_progress,
     prepare,
 )
+from comparisons.pipeline.size import announce_time
 from comparisons.shown import Shown, render
 from ekf_reference.core.ekf import Ekf
 from graphslam.smoother import SmootherOptions, SmootherResult
@@ -189,6 +190,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     """Do the same with a log that is prepared. Raises as `compare` does."""
     log, clock, progress = prepared.log, prepared.clock, prepared.progress
     check_memory(prepared)
+    announce_time(prepared)
     options = SmootherOptions(**prepared.config.smoother.model_dump())
     with clock.stage("ekf"):
         run, setup = run_filter(prepared)

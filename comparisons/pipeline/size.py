@@ -1,7 +1,8 @@
-"""Is a log too large for this machine? Asked before the work, of logs that are large.
+"""Is a log too large for this machine, or for a user who waits? Asked before the work.
 
-The estimate is of the peak of a run, fitted to what benchmarks/scale.py measures (docs/scale.md);
-a run is refused only where it needs more than the machine could give it.
+The estimates are of a run's peak of memory and its time, fitted to what benchmarks/scale.py
+measures (docs/scale.md); a run is refused only where it needs more memory than the machine could
+give it, and announced where it takes long.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, note
 from comparisons.pipeline.prepare import Prepared
 
 GIB = 2.0**30
@@ -25,6 +26,12 @@ MATRICES = 10.0
 """Covariances of the last pose and all landmarks that a run has at once, with their copies."""
 MATRICES_FULL = 11.0
 """Of a full filter, whose update makes one more."""
+PER_POSE_S, PER_CUBE_S = 2e-3, 5e-10
+"""Seconds of one core: of a pose with nine measurements, and of the states of the map, cubed."""
+PER_ENTRY_S = {"full": 9e-9, "compressed": 3.3e-10}
+"""Of a pose and an entry of the map's covariance, by filter: the others update it as the first."""
+LONG_S = 60.0
+"""A job that takes longer is announced."""
 _CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -33,9 +40,8 @@ def check_size(prepared: Prepared[Any], available: float | None = None) -> None:
 
     available: bytes, by default what the machine has free; where unknown, nothing is refused.
     """
-    log, timeline = prepared.log, prepared.timeline
-    poses, measurements = len(timeline.epoch_time_s), len(timeline.measurement_epoch)
-    landmarks = len(np.unique(log.measurements.landmark)) if prepared.labelled else 0
+    log = prepared.log
+    poses, measurements, landmarks = _counts(prepared)
     need = needed(poses, measurements, landmarks, full=prepared.ekf.filter == "full")
     room = available_bytes() if available is None else available
     if room is not None and need > room:
@@ -44,6 +50,45 @@ def check_size(prepared: Prepared[Any], available: float | None = None) -> None:
             f"landmarks need about {need / GIB:.1f} GiB of memory, and {room / GIB:.1f} GiB are "
             "free; use a part of the log, or a larger machine (docs/scale.md)"
         )
+
+
+def announce_time(prepared: Prepared[Any]) -> None:
+    """Tell on standard error how long a run takes, and what takes less, where that is long."""
+    poses, measurements, landmarks = _counts(prepared)
+    used = "compressed" if prepared.ekf.filter.startswith("compressed") else "full"
+    takes = seconds(poses, measurements, landmarks, used)
+    if takes < LONG_S:
+        return
+    shorter = seconds(poses, measurements, landmarks, "compressed")
+    less = f"; --filter compressed takes about {_minutes(shorter)}" if takes > 2 * shorter else ""
+    note(
+        f"{prepared.log.name}: {poses:,} poses, {measurements:,} measurements and {landmarks:,} "
+        f"landmarks take about {_minutes(takes)}{less}"
+    )
+
+
+def seconds(poses: int, measurements: int, landmarks: int, used: str) -> float:
+    """Return about how long a run takes on one core. used: `full` or `compressed`."""
+    states = 3.0 + 2.0 * landmarks
+    linear = PER_POSE_S * max(poses, measurements / 9.0)
+    return linear + PER_ENTRY_S[used] * poses * states**2 + PER_CUBE_S * states**3
+
+
+def _minutes(time_s: float) -> str:
+    if time_s < LONG_S:
+        return f"{time_s:.0f} s"
+    return f"{time_s / 60.0:,.0f} min" if time_s < 7200.0 else f"{time_s / 3600.0:,.0f} h"
+
+
+def _counts(prepared: Prepared[Any]) -> tuple[int, int, int]:
+    """Return poses, measurements, and landmarks: without labels, as many as a scan has at most."""
+    timeline = prepared.timeline
+    epoch = timeline.measurement_epoch
+    if prepared.labelled:
+        landmarks = len(np.unique(prepared.log.measurements.landmark))
+    else:
+        landmarks = int(np.bincount(epoch).max(initial=0))
+    return len(timeline.epoch_time_s), len(epoch), landmarks
 
 
 def needed(poses: int, measurements: int, landmarks: int, *, full: bool = False) -> float:

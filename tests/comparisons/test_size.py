@@ -16,7 +16,7 @@ from comparisons.pipeline import prepare as prepare_module
 from comparisons.pipeline import size
 from comparisons.pipeline.compare import REQUIRED, compare_prepared, run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
-from comparisons.pipeline.size import GIB, check_size, needed
+from comparisons.pipeline.size import GIB, announce_time, check_size, needed, seconds
 from comparisons.pipeline.solve import solve
 from tests.helpers import present, simulated
 
@@ -81,6 +81,45 @@ def test_the_need_is_linear_in_poses_and_square_in_landmarks() -> None:
     few, many = (needed(0, 0, n) - base for n in (2_000, 4_000))
     assert many == pytest.approx(4.0 * few, rel=0.01)
     assert needed(10, 90, 2_000, full=True) > needed(10, 90, 2_000)
+
+
+@pytest.mark.parametrize(
+    ("poses", "landmarks", "used", "measured_s"),
+    [(99_747, 2_000, "compressed", 784.0), (10_000, 200, "compressed", 20.0),
+     (1_000, 2_000, "full", 185.0)],
+)  # fmt: skip
+def test_the_time_is_about_what_was_measured(
+    poses: int, landmarks: int, used: str, measured_s: float
+) -> None:
+    """As docs/scale.md has it."""
+    assert seconds(poses, 9 * poses, landmarks, used) == pytest.approx(measured_s, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["full", "compressed", "compressed-suboptimal"])
+def test_long_work_is_announced(
+    kind: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = prepared(kind)
+    announce_time(one)
+    assert not capsys.readouterr().err
+    monkeypatch.setattr(size, "PER_ENTRY_S", {"full": 3.0, "compressed": 1.0})
+    announce_time(one)
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert " landmarks take about " in said
+    assert ("; --filter compressed takes about" in said) == (kind == "full")
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_landmarks_without_labels_are_counted_by_scans(labelled: bool) -> None:
+    log = simulated(loop_s=20.0)
+    if not labelled:
+        log = replace(log, measurements=replace(log.measurements, landmark=np.full_like(
+            log.measurements.landmark, -1)))  # fmt: skip
+    one = prepare(log, RunConfig(), required=REQUIRED)
+    _, _, found = size._counts(one)
+    most = np.bincount(one.timeline.measurement_epoch).max()
+    assert found == (len(np.unique(log.measurements.landmark)) if labelled else most)
 
 
 @pytest.mark.parametrize("pairs", [False, True])

@@ -65,11 +65,11 @@ class FastSlamExtension(Extension):
             check = check_clouds(stretches.run(self._settings.clouds, progress))
         return FastSlamFinding(known, self._settings, cloud, check)
 
-    def cloud(self, prepared: Prepared[Any], epochs: int) -> Cloud:
-        """Run one cloud through the log, up to where the filter came."""
-        log = prepared.log
+    def cloud(self, prepared: Prepared[Any], epochs: int | None = None) -> Cloud:
+        """Run one cloud through the whole log, or through its first epochs."""
+        log, timeline = prepared.log, prepared.timeline
         slam = build_fastslam(log, self.sampling, known=prepared.labelled)
-        return run_fastslam(slam, log, prepared.timeline.prefix(epochs))
+        return run_fastslam(slam, log, timeline if epochs is None else timeline.prefix(epochs))
 
 
 class FastSlamFinding(Finding):
