@@ -72,6 +72,7 @@ def test_an_estimate_is_checked_by_names(log: Log, run: Comparison, tmp_path: Pa
     found = check(log, given)
     assert found.grade.value == "equal"
     assert not found.agreement.unmatched
+    assert given.landmark is not None
     moved = given.landmark + np.eye(len(rows))[:, :1] * 3.0
     wrong = check(log, replace(given, landmark=moved))
     assert any(f"landmark {estimate.names[-1]}" in one.evidence for one in wrong.causes)
