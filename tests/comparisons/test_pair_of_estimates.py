@@ -17,10 +17,9 @@ COUNT, LANDMARKS = 4000, 500
 
 def estimate(rng: np.random.Generator, scale: float = 1.0) -> ExternalEstimate:
     """Of a vehicle and landmarks at the origin, with errors as stated times a scale."""
-    time_s = 0.1 * np.arange(COUNT, dtype=np.float64)
     pose, place = np.diag((0.1, 0.2, 0.05)) ** 2, np.diag((0.3, 0.1)) ** 2
     return ExternalEstimate(
-        time_s=time_s,
+        time_s=np.linspace(0.0, 400.0, COUNT),
         pose=scale * rng.multivariate_normal(np.zeros(3), pose, COUNT),
         pose_covariance=np.tile(pose, (COUNT, 1, 1)),
         landmark_id=np.arange(LANDMARKS),

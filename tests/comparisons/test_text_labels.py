@@ -19,7 +19,7 @@ from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
-from tests.helpers import compared, present
+from tests.helpers import compared
 
 NAMES = ["oak, old", "<b>elm</b>", *(f"post {k}" for k in range(40))]
 
@@ -72,7 +72,8 @@ def test_an_estimate_is_checked_by_names(log: Log, run: Comparison, tmp_path: Pa
     found = check(log, given)
     assert found.grade.value == "equal"
     assert not found.agreement.unmatched
-    moved = present(given.landmark) + np.eye(len(rows))[:, :1] * 3.0
+    assert given.landmark is not None
+    moved = given.landmark + np.eye(len(rows))[:, :1] * 3.0
     wrong = check(log, replace(given, landmark=moved))
     assert any(f"landmark {estimate.names[-1]}" in one.evidence for one in wrong.causes)
     with pytest.raises(InputError, match=r"names landmarks by text .*, the log by numbers"):
