@@ -33,7 +33,7 @@ class RunOptions(TypedDict, total=False):
     optimiser: Literal['levenberg-marquardt', 'gauss-newton', 'dogleg']
     robust: Literal['none', 'huber', 'cauchy', 'gnc']
     accept_misfit: bool
-    preset: Literal['recommended', 'as-published']
+    preset: Literal['recommended', 'guivant-2002', 'misono-2007', 'nieto-2005']
     fail_on: str
     figures: Sequence[Literal['png', 'pdf']]
     trace: bool
@@ -44,7 +44,7 @@ class CheckOptions(TypedDict, total=False):
 
     robust: Literal['none', 'huber', 'cauchy', 'gnc']
     accept_misfit: bool
-    preset: Literal['recommended', 'as-published']
+    preset: Literal['recommended', 'guivant-2002', 'misono-2007', 'nieto-2005']
     association: Literal['known', 'own']
     gps: Literal['off', 'on', 'half']
     times: str
@@ -61,7 +61,7 @@ class SolveOptions(TypedDict, total=False):
     optimiser: Literal['levenberg-marquardt', 'gauss-newton', 'dogleg']
     robust: Literal['none', 'huber', 'cauchy', 'gnc']
     accept_misfit: bool
-    preset: Literal['recommended', 'as-published']
+    preset: Literal['recommended', 'guivant-2002', 'misono-2007', 'nieto-2005']
     association: Literal['known', 'own']
     gps: Literal['off', 'on', 'half']
 
@@ -69,7 +69,7 @@ class SolveOptions(TypedDict, total=False):
 class OdometryOptions(TypedDict, total=False):
     """Options of `slamcheck odometry`."""
 
-    preset: Literal['recommended', 'as-published']
+    preset: Literal['recommended', 'guivant-2002', 'misono-2007', 'nieto-2005']
     cloud: Literal['pcd', 'ply']
     guess: Literal['wheels', 'none']
     loop_closure: bool
@@ -88,5 +88,5 @@ class MapOptions(TypedDict, total=False):
     resolution: float
     dynamic: bool
     layer: Sequence[Literal['points', 'occupancy', 'particles', 'sog']]
-    preset: Literal['recommended', 'as-published']
+    preset: Literal['recommended', 'guivant-2002', 'misono-2007', 'nieto-2005']
     cloud: Literal['pcd', 'ply']
