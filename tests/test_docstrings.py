@@ -248,7 +248,7 @@ def test_a_field_without_a_word_is_found() -> None:
         second: int
 
     assert undescribed_fields(Small) == {"second"}
-    assert len(CLASSES) == 10
+    assert len(CLASSES) == 11
 
 
 def test_the_list_of_what_is_public_is_whole() -> None:
