@@ -68,6 +68,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
         "config.toml",
         "files.sha256",
         "odometry.json",
+        "report.html",
         "map.png",
         "graph.g2o",
         "odometry.tum",
