@@ -61,6 +61,7 @@ SIDES: Mapping[str, Judged] = {
     "newton_decrement": Judged("less", "distance that is left to the optimum"),
     "chance_missed": Judged("less", "chance of a better minimum that was not found"),
     "hops": Judged("left out", "the way to the optimum; its risk is in `chance_missed`"),
+    "departure.time_s": Judged("left out", "where a difference begins, not how large it is"),
     "random_starts": Judged("left out", "as hops"),
     "*_limit_sigma": Judged("left out", "follows from the log's prior"),
     "*_gap_sigma": Judged("less", "a difference that should not be there"),

@@ -20,21 +20,17 @@ if TYPE_CHECKING:
 _Text = str | None
 _File = Path | None
 _OPTIONS: dict[str, tuple[Any, str, str]] = {
-    "odometry": (Path, "FILE", "Velocities, poses, or relative poses."),
-    "measurements": (Path, "FILE", "Ranges and bearings, with labels if known."),
-    "positions": (_File, "FILE", "GPS positions, in the frame of the start pose."),
+    "odometry": (Path, "FILE", "Speeds, or poses."),
+    "measurements": (Path, "FILE", "Ranges, bearings, labels."),
+    "positions": (_File, "FILE", "GPS, in the frame of the start pose."),
     "truth": (_File, "FILE", "True poses, CSV or TUM."),
     "truth_landmarks": (_File, "FILE", "True landmarks: id, x, y."),
-    "sigma_range": (_Text, "M", "Sigma of ranges, where the file has no such column."),
-    "sigma_bearing": (_Text, "RAD", "Sigma of bearings, where the file has no such column."),
+    "sigma_range": (_Text, "M", "Sigma of ranges, if no column has it."),
+    "sigma_bearing": (_Text, "RAD", "Sigma of bearings, if no column has it."),
     "sigma_speed": (_Text, "M/S", "Sigma of speeds."),
-    "sigma_turn": (
-        _Text,
-        "RAD",
-        "Sigma of turn rates (rad/s), steering angles or relative turns (rad).",
-    ),
-    "sigma_move": (_Text, "M", "Sigma of relative positions. [grows with distance]"),
-    "sigma_position": (_Text, "M", "Sigma of GPS positions, where the file has no such column."),
+    "sigma_turn": (_Text, "RAD", "Sigma of turn rates, steering or turns."),
+    "sigma_move": (_Text, "M", "Sigma of moves. [grows with distance]"),
+    "sigma_position": (_Text, "M", "Sigma of positions, if no column has it."),
     "wheelbase": (_Text, "M", "Wheelbase, for steering angles."),
     "prior_pose": (_Text, "X,Y,RAD", "Start pose. [truth, else 0,0,0]"),
     "kind": (
@@ -45,10 +41,9 @@ _OPTIONS: dict[str, tuple[Any, str, str]] = {
     "unit": (
         list[str],
         "COLUMN=UNIT",
-        "Unit of a column whose header names none, as bearing=deg; repeatable. Of one file: "
-        "truth:yaw=deg. [s, m, rad; times by their size]",
+        "Unit where a header names none, as bearing=deg or truth:yaw=deg; repeatable.",
     ),
-    "imu": (_File, "FILE", "Yaw rates of an IMU, in place of the odometry's."),
+    "imu": (_File, "FILE", "Yaw rates, in place of the odometry's."),
     "degrees": (bool, "", ""),
 }
 

@@ -37,7 +37,7 @@ from comparisons.atomic import OWN, fresh_folder, write_whole
 
 _stop_on_signals()
 kind, target, wait = sys.argv[1], Path(sys.argv[2]), float(sys.argv[3])
-names = [f"{i}.txt" for i in range(20)]
+names = [f"{i}.csv" for i in range(20)]
 
 def fill(place, text):
     for name in names:
@@ -48,7 +48,7 @@ print("begins", flush=True)
 while True:
     for text in ("a" * 1000, "b" * 1000):
         if kind == "folder":
-            with fresh_folder(target, "0.txt") as work:
+            with fresh_folder(target, "0.csv") as work:
                 fill(work, text)
         else:
             write_whole(target, lambda part: (part.write_text(text), time.sleep(wait)), OWN)
@@ -92,7 +92,7 @@ def workplace(folder: Path) -> Path:
     deadline = time.monotonic() + 30.0
     while time.monotonic() < deadline:
         for place in unfinished(folder):
-            if (place / "new" / "0.txt").exists():
+            if (place / "new" / "0.csv").exists():
                 return place
         time.sleep(0.01)
     raise AssertionError("nothing was written")
@@ -100,7 +100,7 @@ def workplace(folder: Path) -> Path:
 
 def assert_whole(kind: str, target: Path) -> None:
     """Of one text throughout, or not there."""
-    files = [target] if kind == "file" else [target / f"{i}.txt" for i in range(20)]
+    files = [target] if kind == "file" else [target / f"{i}.csv" for i in range(20)]
     if target.exists():
         texts = {path.read_text() for path in files}
         assert len(texts) == 1
@@ -183,8 +183,8 @@ def test_an_exit_after_any_call_ends_the_writing(kind: str, tmp_path: Path) -> N
         if kind == "file":
             write_whole(target, lambda part: part.write_text("a"), atomic.OWN)
         else:
-            with fresh_folder(target, "0.txt") as work:
-                (work / "0.txt").write_text("a")
+            with fresh_folder(target, "0.csv") as work:
+                (work / "0.csv").write_text("a")
 
     write()
     calls = 0
