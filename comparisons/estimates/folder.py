@@ -15,7 +15,6 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault
-from comparisons.logs.plain_csv import read_plain
 from comparisons.logs.table import Table, is_record, read_text, read_toml, shorten
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from ekf_reference.core.layout import Layout
@@ -186,6 +185,8 @@ def read_landmarks(path: Path) -> NamedLandmarks:
     words = [line.partition(",")[0] for line in lines if is_record(line)]
     if header.strip().split(",") != list(_LANDMARKS) or all(map(_is_number, words)):
         return NamedLandmarks(*_read_ids(path), {})
+    from comparisons.logs.plain_csv import read_plain
+
     table = read_plain(path, _LANDMARKS)
     words = table.columns["id"].tolist()
     place = np.column_stack((table.columns["x_m"], table.columns["y_m"]))
