@@ -11,6 +11,8 @@ from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
 
 POSE_KEY, LANDMARK_KEY, POSE_LANDMARK_KEY = gtsam.symbol("x", 0), POINT.key, POSE_LANDMARK.key
 KERNELS = ("none", "huber", "cauchy")
+COMPONENTS = ("odometry", "bearing", "range", "position", "pose landmark", "loop closure")
+"""Kinds of measurements, each with noise of its own."""
 
 
 def gaussian(covariance: Array) -> gtsam.noiseModel.Gaussian:
@@ -234,6 +236,31 @@ def last_poses(problem: SlamProblem) -> Index:
             problem.pose_landmarks.pose,
             problem.loop_closures.last,
             problem.pose_landmarks.merges.pose,
+        )
+    )
+
+
+def row_components(problem: SlamProblem) -> Index:
+    """Return whose noise each scalar row of `build_graph` has, once it is linearised.
+
+    Args:
+        problem: The graph's.
+
+    Returns:
+        (m,) rows of COMPONENTS, -1 for what is known beforehand (priors) or inferred (merges).
+    """
+    odometry, bearing, range_, position, template, closure = range(len(COMPONENTS))
+    seen = problem.pose_landmarks
+    return np.concatenate(
+        (
+            np.full(3, -1),
+            np.full(3 * len(problem.steps), odometry),
+            np.tile((bearing, range_), len(problem.z)),
+            np.full(2 * len(problem.position), position),
+            np.full(2 * len(problem.surveyed), -1),
+            np.full(3 * len(seen.measured), template),
+            np.full(3 * len(problem.loop_closures.motion), closure),
+            np.full(3 * len(seen.merges.measured), -1),
         )
     )
 

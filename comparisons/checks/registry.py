@@ -9,10 +9,12 @@ from comparisons.checks.consistency.finding import CheckConsistency
 from comparisons.checks.position_gate import CheckPositions
 from comparisons.checks.qualifiers import CheckTruthGap
 from comparisons.checks.spurious import CheckSpurious
+from comparisons.checks.stated_noise import CheckStatedNoise
 
 CHECKS: tuple[Check, ...] = (
     CheckSpurious(),
     CheckConsistency(),
+    CheckStatedNoise(),
     CheckAccuracy(),
     CheckAssociation(),
     CheckPositions(),

@@ -18,9 +18,9 @@ from tests.comparisons.test_startup import loaded
 from tests.comparisons.toy_extension.extension import DockingFinding
 from tests.helpers import simulated, written
 
-MOST_MODULES = 169
+MOST_MODULES = 171
 """Nine of them are the documents' constants, which say how the run differs from these; six go over
-the run's events; eight are the checks that every run is asked."""
+the run's events; nine are the checks that every run is asked."""
 
 
 @pytest.fixture

@@ -1,0 +1,122 @@
+"""What a run can tell of each sensor's stated noise: the noise that its residuals have.
+
+The smoother's residuals are divided among the sensors (graphslam.variance_components). Where they
+leave a sensor's sigma open, a wrong one would not show in this run, in no figure of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from comparisons.checks.check import Absent, Check, Of
+from comparisons.figures import Figure, finite
+from comparisons.statistics import WORDS
+from comparisons.words import Row
+
+if TYPE_CHECKING:
+    from comparisons.pipeline.gaps import Known
+    from graphslam.variance_components import Component
+
+_TESTABLE = 1.5
+"""Least upper end over lower end of an interval that leaves a sigma open: a sigma that is wrong by
+20 % is seen as wrong about as often as not."""
+_WORTH = 1.2
+"""Times the stated sigma, or its inverse, from which a note is due."""
+_NAMES = {"position": "positions", "pose landmark": "pose landmarks", "loop closure": "closures"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedNoise:
+    """A sensor's noise over its stated one.
+
+    Attributes:
+        sensor: odometry, range, bearing, positions, pose landmarks or closures.
+        factor: standard deviation that the residuals have, over the stated one.
+        low: lower end of its 95 % interval.
+        high: upper end of it; absent where there is none.
+        testable: whether the run tells this sigma to 20 %.
+        settled: whether the factor was found; else it is farther from 1 than said.
+    """
+
+    sensor: str
+    factor: Figure
+    low: Figure
+    high: Figure
+    testable: bool
+    settled: bool
+
+    @property
+    def said(self) -> str:
+        """The factor, and what is known of it."""
+        if not self.settled:
+            return f"{'over' if self.factor > 1.0 else 'under'} {self.factor:.2g}"
+        if finite(self.high) is None:
+            return "not testable here"
+        interval = f"{_digits(self.low)} to {_digits(self.high)}"
+        if not self.testable:
+            return f"not testable here ({interval})"
+        return f"{_digits(self.factor)} ({interval})"
+
+
+class StatedNoiseFinding(Of[tuple[StatedNoise, ...]]):
+    """The noise of every sensor."""
+
+    def __init__(self, components: Sequence[Component]) -> None:
+        """components: of the smoother's residuals."""
+        self.value = tuple(_noise(one) for one in components)
+        self.entries = {"stated_noise": self.value}
+        self.remarks = [remark for one in components for remark in _remark(one)]
+
+    def rows(self) -> Sequence[Row]:
+        """Return a row for every sensor."""
+        group = "Noise by residuals over the stated sigma (95 % interval)"
+        return [Row(group, one.sensor, one.said) for one in self.value]
+
+
+class CheckStatedNoise(Check):
+    """Which stated sigmas can this run tell, and do its residuals have them?"""
+
+    name = "stated_noise"
+    needs = "the batch smoother, without a robust kernel"
+    errs = "a note on 1 of 1,000 sound runs"
+    figures = StatedNoise
+
+    def find(self, known: Known) -> StatedNoiseFinding | Absent:
+        """Return the factor of each sensor's sigma, with its interval."""
+        from graphslam.variance_components import variance_components
+
+        result = known.gaps.result
+        if result.options.robust != "none" or result.lagged is not None:
+            return Absent("the smoother does not weight every measurement by its sigma")
+        return StatedNoiseFinding(variance_components(result))
+
+
+def _digits(factor: float) -> str:
+    return f"{factor:.2f}" if 0.1 < factor < 10.0 else f"{factor:.2g}"
+
+
+def _noise(one: Component) -> StatedNoise:
+    low, high = one.interval()
+    return StatedNoise(
+        sensor=_NAMES.get(one.name, one.name),
+        factor=one.factor,
+        low=low,
+        high=high,
+        testable=high <= _TESTABLE * low,
+        settled=one.settled,
+    )
+
+
+def _remark(one: Component) -> list[str]:
+    """Of odometry alone: the innovations of all others have bands of their own."""
+    low, high = one.interval(WORDS)
+    if one.name != "odometry" or not one.settled or low <= 1.0 <= high:
+        return []
+    if 1.0 / _WORTH < one.factor < _WORTH:
+        return []
+    return [
+        f"the noise of the odometry is {one.factor:.2g} times the stated ({low:.2g} to {high:.2g} "
+        "in 99.9 %), by the smoother's residuals"
+    ]
