@@ -13,7 +13,7 @@ from pydantic import Field
 
 from comparisons.atomic import LIST, fresh_folder
 from comparisons.audit.algebra import Finding
-from comparisons.audit.audit import Audit, Verdict
+from comparisons.audit.audit import AlgebraGap, Audit, Verdict
 from comparisons.audit.spurious import Learnt
 from comparisons.figures import Model, finite, json_text, package_versions
 from comparisons.innovations import InnovationFigures, SensorInnovations
@@ -44,42 +44,6 @@ _LACKING = (
 _EVENT = "event"
 _LEAST = 1e-17
 """What a gap of nothing is drawn as."""
-
-
-class FindingResult(Model):
-    """One finding.
-
-    Attributes:
-        check: algebra, covariance, correction, gain, innovations, smoother, nees or spurious.
-        fault: whether it makes the trace faulty; what is only named does not.
-        text: the finding as a sentence.
-        event: number of the event where it is first seen.
-        sensor: the sensor it is of.
-        blocks: the blocks it is of.
-    """
-
-    check: str
-    fault: bool
-    text: str
-    event: int | None
-    sensor: str | None
-    blocks: list[str]
-
-
-class GapResult(Model):
-    """A snapshot against least squares over all events before it.
-
-    Attributes:
-        event: number of the snapshot.
-        time_s: its time, if recorded.
-        sigma: largest difference of the estimate, in standard deviations.
-        covariance: largest relative difference along any direction, or the largest asymmetry.
-    """
-
-    event: int
-    time_s: float | None
-    sigma: float | None
-    covariance: float | None
 
 
 class AveragedResult(Model):
@@ -167,10 +131,10 @@ class AuditResult(Model):
     blocks: dict[str, int]
     tolerance: float
     verdict: Verdict
-    findings: list[FindingResult]
-    largest_gap: GapResult | None
-    first_open: GapResult | None
-    gaps: list[GapResult]
+    findings: tuple[Finding, ...]
+    largest_gap: AlgebraGap | None
+    first_open: AlgebraGap | None
+    gaps: tuple[AlgebraGap, ...]
     oracle_agreement: float
     gains_compared: int
     sensors: list[SensorResult]
@@ -183,7 +147,6 @@ class AuditResult(Model):
 
 def build_audit_result(audit: Audit) -> AuditResult:
     """Return the findings as they are stored."""
-    gaps = [_gap(*gap) for gap in audit.gaps]
     return AuditResult(
         trace=audit.trace.name,
         events=audit.counts.events,
@@ -193,10 +156,10 @@ def build_audit_result(audit: Audit) -> AuditResult:
         blocks=dict(list(audit.blocks.items())[:200]),
         tolerance=audit.tolerance,
         verdict=audit.verdict,
-        findings=[_finding(one) for one in audit.findings],
-        largest_gap=None if audit.largest is None else _gap(*audit.largest),
-        first_open=None if audit.first_open is None else _gap(*audit.first_open),
-        gaps=gaps,
+        findings=audit.findings,
+        largest_gap=audit.largest,
+        first_open=audit.first_open,
+        gaps=audit.gaps,
         oracle_agreement=audit.agreement,
         gains_compared=audit.gains,
         sensors=[_sensor(one) for one in audit.sensors],
@@ -205,14 +168,6 @@ def build_audit_result(audit: Audit) -> AuditResult:
         spurious=None if audit.spurious is None else _directions(audit.spurious),
         versions=package_versions(),
     )
-
-
-def _finding(one: Finding) -> FindingResult:
-    return FindingResult(**{**one._asdict(), "blocks": list(one.blocks)})
-
-
-def _gap(event: int, time_s: float | None, sigma: float, covariance: float) -> GapResult:
-    return GapResult(event=event, time_s=time_s, sigma=finite(sigma), covariance=finite(covariance))
 
 
 def _directions(found: Learnt) -> list[DirectionResult]:
@@ -305,7 +260,7 @@ def _algebra_line(audit: Audit) -> str:
         return f"not checked: the trace has no snapshot{until}"
     gap = audit.first_open
     if gap is None or audit.sound:  # what only least squares sees is small, and no finding
-        worst = max(audit.largest.sigma, audit.largest.covariance)
+        worst = audit.largest.worst
         return f"equal to least squares at every snapshot{until}, to {worst:.1g}"
     return (
         f"gap opens at event {gap.event:,}: {gap.sigma:.2g} sigma, {gap.covariance:.2g} in "
@@ -389,7 +344,7 @@ def audit_panels(audit: Audit) -> list[Panel]:
         event = np.array([gap.event for gap in audit.gaps], dtype=float)
         sigma, covariance = (
             np.log10(np.maximum(np.array(values, dtype=float), _LEAST))
-            for values in zip(*(gap[2:] for gap in audit.gaps), strict=True)
+            for values in zip(*((gap.sigma, gap.covariance) for gap in audit.gaps), strict=True)
         )
         curves = (
             Curve("estimate [sigma]", EKF_COLOUR, event, sigma),
