@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -87,15 +87,18 @@ def table(header: str, *columns: np.ndarray, delimiter: str = ",") -> str:
     return "\n".join([header, *rows]).replace(",", delimiter)
 
 
-def own(folder: Path, odometry: str, seen: str, stated: dict[str, float] | None = None) -> Log:
-    (folder / "odo.csv").write_text(odometry)
+def own(
+    folder: Path, odometry: str, seen: str, stated: dict[str, Any] | None = None, **more: Any
+) -> Log:
+    (folder / "odometry.csv").write_text(odometry)
     (folder / "posts.csv").write_text(seen)
     return build(
         UserFiles(
             name="own",
-            odometry=folder / "odo.csv",
+            odometry=folder / "odometry.csv",
             measurements=folder / "posts.csv",
             stated=SIGMAS | (WHEELS if stated is None else stated),
+            **more,
         )
     ).log
 
@@ -204,7 +207,7 @@ FILES: dict[str, tuple[Callable[[Path], Log], str]] = {
     "CSV, poses, tabs": (lambda folder: own(folder, POSES, posts("\t"), {}), "agree"),
     "CSV without a header": (
         lambda folder: own(folder, WHEEL.partition("\n")[2], posts()),
-        "odo.csv:1: no header, expected a line of names with commas, semicolons or tabs between",
+        "odometry.csv:1: no header, expected a line of names with commas, semicolons or tabs",
     ),
     "g2o, planar with landmarks": (landmarks, "verified"),
     "g2o, poses alone": (graph(CLOSED_ELSEWHERE), "solved"),
