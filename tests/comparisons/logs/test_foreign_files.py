@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from benchmarks.log_doctor import travelled
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.new_log import UserFiles, build
@@ -54,13 +55,7 @@ def circle(count: int = 320) -> Circle:
     reported = controls + rng.normal(
         0.0, (WHEELS["sigma_speed_mps"], WHEELS["sigma_turn"]), (count, 2)
     )
-    paths = []
-    for speed, turn in (controls.T, reported.T):
-        heading = np.concatenate(([0.0], np.cumsum(turn * STEP_S)))
-        middle = (heading[:-1] + heading[1:]) / 2
-        place = np.concatenate(([0.0], np.cumsum(speed * STEP_S * np.exp(1j * middle))))
-        paths.append(np.column_stack((place.real, place.imag, heading)))
-    truth, reckoned = paths
+    truth, reckoned = (travelled(*(STEP_S * of).T, 0.5) for of in (controls, reported))
     around = 9.0 * np.exp(2j * np.pi * np.arange(12) / 12) + 5j
     seen = []
     for k in range(5, count, 5):
