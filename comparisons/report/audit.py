@@ -14,7 +14,7 @@ from pydantic import Field
 from comparisons.atomic import LIST, fresh_folder
 from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import AlgebraGap, Audit, Verdict
-from comparisons.audit.spurious import Learnt
+from comparisons.audit.spurious import Learnt, LearntDirection
 from comparisons.figures import Model, finite, json_text, package_versions
 from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.report.html.page import PageContent, facts_of, write_page
@@ -77,26 +77,6 @@ class SensorResult(InnovationFigures):
     nominal_rejected: float | None
 
 
-class DirectionResult(Model):
-    """A direction that sensors cannot tell, and what the filter has learnt of it.
-
-    Attributes:
-        name: of the direction.
-        unit: of sigma, by the name; empty where that says nothing.
-        information: about it; zero where all is rounding.
-        sigma: with which it seems to be known; absent without information.
-        by_sensor: shares of the information.
-        event: the update with the largest share.
-    """
-
-    name: str
-    unit: str
-    information: float
-    sigma: float | None
-    by_sensor: dict[str, float]
-    event: int | None
-
-
 class AuditResult(Model):
     """Everything that the audit says of a trace.
 
@@ -140,7 +120,7 @@ class AuditResult(Model):
     sensors: list[SensorResult]
     smoother: AveragedResult | None
     nees: AveragedResult | None
-    spurious: list[DirectionResult] | None
+    spurious: tuple[LearntDirection, ...] | None
     versions: dict[str, str]
     files: list[str] = Field(default_factory=list)
 
@@ -165,23 +145,9 @@ def build_audit_result(audit: Audit) -> AuditResult:
         sensors=[_sensor(one) for one in audit.sensors],
         smoother=_averaged(audit.smoother),
         nees=_averaged(audit.nees),
-        spurious=None if audit.spurious is None else _directions(audit.spurious),
+        spurious=None if audit.spurious is None else audit.spurious.directions,
         versions=package_versions(),
     )
-
-
-def _directions(found: Learnt) -> list[DirectionResult]:
-    return [
-        DirectionResult(
-            name=one.name,
-            unit=one.unit,
-            information=one.information,
-            sigma=finite(one.sigma),
-            by_sensor=one.by_sensor,
-            event=None if one.largest is None else one.largest.event,
-        )
-        for one in found.directions
-    ]
 
 
 def _averaged(one: Averaged | None) -> AveragedResult | None:
