@@ -141,13 +141,13 @@ def _of_whiteness(w: Whiteness) -> Iterator[tuple[str, Figure]]:
 
 
 def _of_poses(f: FilterAgainstSmoother) -> Iterator[tuple[str, Figure]]:
-    if f.mean_per_dof is None or f.inside is None:
+    if f.squared_per_dof is None or f.inside is None:
         return
     clear = np.flatnonzero(f.dof > 0)
     k = int(clear[len(clear) // 2])
     yield "halfway", _band(mean_band(1, int(f.dof[k])).holds(float(f.squared[k])))
     yield "share inside", _average(0.95, f.inside)
-    yield "mean per dof", _average(1.0, f.mean_per_dof)
+    yield "mean per dof", _average(1.0, f.squared_per_dof)
     yield "share not overconfident", _average(1.0, 1.0 - len(f.overconfident) / len(f.time_s))
 
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.checks.diagnosis.log_doctor import examine, other_frame
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import VelocityOdometry
@@ -29,11 +30,7 @@ def drive(seed: int, kind: str, count: int = 400) -> Log:
     sway = rng.uniform(0.1, 0.4) * np.sin(2 * np.pi * time_s / rng.uniform(8.0, 25.0))
     turn = rng.uniform(0.1, 0.25) + sway
     wheelbase = 2.0
-    pose = np.zeros((count + 1, 3))
-    for k in range(count):
-        middle = pose[k, 2] + (0.0 if kind == "steering" else 0.5 * turn[k] * _STEP_S)
-        step = speed[k] * _STEP_S
-        pose[k + 1] = pose[k] + (step * np.cos(middle), step * np.sin(middle), turn[k] * _STEP_S)
+    pose = travelled(speed * _STEP_S, turn * _STEP_S, 0.0 if kind == "steering" else 0.5)
     low, high = pose[:, :2].min(axis=0) - 6.0, pose[:, :2].max(axis=0) + 6.0
     posts = rng.uniform(low, high, (40, 2))
     sigma_range, sigma_bearing = 0.05, 0.01
@@ -55,23 +52,24 @@ def drive(seed: int, kind: str, count: int = 400) -> Log:
     sigma_speed, sigma_turn = 0.05, 0.02
     v = speed + rng.normal(0.0, sigma_speed, count)
     w = turn + rng.normal(0.0, sigma_turn, count)
+    sigmas = {"sigma_speed_mps": sigma_speed, "sigma_turn": sigma_turn}
+    moved: dict[str, Array | float] = {"speed_mps": v, "yaw_rate_radps": w}
     if kind == "steering":
-        sigmas = {"sigma_speed_mps": sigma_speed, "sigma_turn": 0.03}
         angle = np.arctan(turn * wheelbase / speed) + rng.normal(0.0, 0.03, count)
         moved = {"speed_mps": v, "steering_rad": angle, "wheelbase_m": wheelbase}
-        return Log.from_arrays({"time_s": time_s, **moved, **sigmas}, seen, name=f"{kind} {seed}")
-    if kind == "velocity":
-        moved = {"speed_mps": v, "yaw_rate_radps": w}
-        sigmas = {"sigma_speed_mps": sigma_speed, "sigma_turn": sigma_turn}
-        return Log.from_arrays({"time_s": time_s, **moved, **sigmas}, seen, name=f"{kind} {seed}")
-    path = np.zeros((count, 3))
-    for k in range(count - 1):
-        middle = path[k, 2] + 0.5 * w[k] * _STEP_S
-        step = v[k] * _STEP_S
-        path[k + 1] = path[k] + (step * np.cos(middle), step * np.sin(middle), w[k] * _STEP_S)
-    poses = dict(zip(("x_m", "y_m", "heading_rad"), path.T, strict=True))
-    sigmas = {"sigma_move_m": 0.006, "sigma_turn": 0.003}
-    return Log.from_arrays({"time_s": time_s, **poses, **sigmas}, seen, name=f"{kind} {seed}")
+        sigmas["sigma_turn"] = 0.03
+    elif kind == "poses":
+        path = travelled(v[:-1] * _STEP_S, w[:-1] * _STEP_S, 0.5)
+        moved = dict(zip(("x_m", "y_m", "heading_rad"), path.T, strict=True))
+        sigmas = {"sigma_move_m": 0.006, "sigma_turn": 0.003}
+    return Log.from_arrays({"time_s": time_s, **moved, **sigmas}, seen, name=f"{kind} {seed}")
+
+
+def travelled(step: Array, turned: Array, share: float) -> Array:
+    """Poses (N + 1, 3) of steps and turns (N,), along the heading after a share of a turn."""
+    along = np.append(0.0, np.cumsum(turned)[:-1]) + share * turned
+    moves = np.column_stack((step * np.cos(along), step * np.sin(along), turned))
+    return np.vstack((np.zeros(3), np.cumsum(moves, axis=0)))
 
 
 def squared(name: str) -> Change:

@@ -22,7 +22,6 @@ from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.finding import (
     ConsistencyResult,
     ExternalConsistencyResult,
-    NeesResult,
 )
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig, merge
@@ -34,7 +33,7 @@ from comparisons.report.check import CheckResult
 from comparisons.report.models import Result
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
-from comparisons.statistics import Nis
+from comparisons.statistics import Nis, NormalisedFigures
 
 Found = Result | CheckResult
 """What `slamcheck run` or `slamcheck check` found."""
@@ -476,7 +475,7 @@ def _of_consistency(
 
 def _averages(
     found: ConsistencyResult | ExternalConsistencyResult,
-) -> Iterator[tuple[str, Nis | NeesResult]]:
+) -> Iterator[tuple[str, Nis | NormalisedFigures]]:
     """Return what has a mean and the degrees of freedom that this should be, by name."""
     if isinstance(found, ConsistencyResult):
         name, truth = "ekf", found.ekf

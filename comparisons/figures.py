@@ -106,16 +106,24 @@ def kept_fields(kind: type) -> Mapping[str, Any]:
         }
     if not dataclasses.is_dataclass(kind):
         return {}
-    plain, marked = get_type_hints(kind), get_type_hints(kind, include_extras=True)
-    found = {
+    computed = {
+        name: value.wrapped.fget
+        for name, value in vars(kind).items()
+        if hasattr(value, "decorator_info")
+    }
+    plain, marked = (
+        get_type_hints(kind, include_extras=extras)
+        | {
+            name: get_type_hints(get, include_extras=extras)["return"]
+            for name, get in computed.items()
+        }
+        for extras in (False, True)
+    )
+    return {
         name: float | None if hint == Figure else plain[name]
         for name, hint in marked.items()
         if not any(getattr(one, "exclude", None) for one in getattr(hint, "__metadata__", ()))
     }
-    for name, value in vars(kind).items():
-        if hasattr(value, "decorator_info"):  # a computed field
-            found[name] = get_type_hints(value.wrapped.fget)["return"]
-    return found
 
 
 def meanings(kind: type) -> dict[str, str]:

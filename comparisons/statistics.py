@@ -89,35 +89,39 @@ def mean_band(count: float, dof: float, outside: float = _OUTSIDE) -> Band:
     return Band(float(low), float(high))
 
 
-@dataclass(frozen=True)
-class Normalised:
-    """e^T P^-1 e of errors with `dof` components each.
+@dataclass(frozen=True, kw_only=True)
+class NormalisedFigures:
+    """Normalised errors squared, each with `dof` degrees of freedom.
 
-    row: (n,) which of the errors given these are; squared: (n,) finite numbers. faults: why others
-    have none, with how many: `not finite`, `asymmetric`, `not positive definite`.
+    Over time, and over landmarks of one run, the values are correlated: no band holds for their
+    average.
+
+    Attributes:
+        dof: degrees of freedom of a value.
+        count: number of values.
+        mean: average; `dof` is right.
+        last: the last value.
+        single_band: interval of 95 % of single values.
+        inside: share of the values in it.
+        unusable: errors without a value, by reason: `not finite`, `asymmetric`, `not positive
+            definite`.
     """
 
     dof: int
+    count: int
+    mean: float | None
+    last: float | None
+    single_band: Band
+    inside: float | None
+    unusable: Mapping[str, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Normalised(NormalisedFigures):
+    """e^T P^-1 e of errors. row: (n,) which of the errors given; squared: (n,) finite numbers."""
+
     row: Index
     squared: Array
-    faults: Mapping[str, int]
-
-    @property
-    def mean(self) -> float | None:
-        """Average of all; `dof` is right. None of none."""
-        return float(self.squared.mean()) if len(self.squared) else None
-
-    @property
-    def single_band(self) -> Band:
-        """Of one value."""
-        return mean_band(1, self.dof)
-
-    @property
-    def inside(self) -> float | None:
-        """Share of the values in the band of one value; 0.95 is right. None of none."""
-        low, high = self.single_band
-        within = (self.squared >= low) & (self.squared <= high)
-        return float(within.mean()) if len(within) else None
 
 
 def normalise(error: Array, covariance: Array) -> Normalised:
@@ -132,7 +136,19 @@ def normalise(error: Array, covariance: Array) -> Normalised:
     sigma = np.sqrt(np.einsum("nii->ni", p))
     e, p = e / sigma, p / (sigma[:, :, None] * sigma[:, None])
     squared = np.einsum("ni,ni->n", e, np.linalg.solve(p, e[:, :, None])[:, :, 0])
-    return Normalised(error.shape[1], row, squared, counted(fault))
+    low, high = single = mean_band(1, error.shape[1])
+    within, some = (squared >= low) & (squared <= high), len(row) > 0
+    return Normalised(
+        dof=error.shape[1],
+        count=len(row),
+        mean=float(squared.mean()) if some else None,
+        last=float(squared[-1]) if some else None,
+        single_band=single,
+        inside=float(within.mean()) if some else None,
+        unusable=counted(fault),
+        row=row,
+        squared=squared,
+    )
 
 
 def faults(covariance: Array) -> NDArray[np.str_]:

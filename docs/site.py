@@ -16,7 +16,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from latex2mathml.converter import convert
 from markdown.extensions.toc import slugify
@@ -140,6 +140,8 @@ def _type(kind: Any, names: dict[type, str]) -> str:
         return f"list of {_type(parts[0], names)}"
     if origin is tuple:
         return f"{len(parts)} of {_type(parts[0], names)}"
+    if fields := getattr(kind, "_fields", ()):
+        return f"{len(fields)} of {_type(get_type_hints(kind)[fields[0]], names)}"
     if origin in (dict, Mapping):
         return "object" if parts[1] is Any else f"object of {_type(parts[1], names)}"
     return " or ".join(_type(one, names) for one in parts) or _JSON.get(kind, "any")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -72,12 +73,18 @@ _OF_EVENTS = ("noise", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
 
 
-class Finding(NamedTuple):
+@dataclass(frozen=True)
+class Finding:
     """What the audit found.
 
-    check: noise, algebra, covariance, correction, gain, innovations, smoother, nees or spurious.
-    fault: false for what is named, not condemned. text: a sentence. event: where it is first seen,
-    or None; sensor and blocks: which it is of.
+    Attributes:
+        check: noise, algebra, covariance, correction, gain, innovations, smoother, nees or
+            spurious.
+        fault: whether it makes the trace faulty; what is only named does not.
+        text: the finding as a sentence.
+        event: number of the event where it is first seen.
+        sensor: the sensor it is of.
+        blocks: the blocks it is of.
     """
 
     check: str
@@ -223,7 +230,7 @@ class AlgebraCheck:
             event = never if first.event is None else first.event
             of_one_event = first.check in _OF_EVENTS
             order = not first.fault, not of_one_event, -weight, event, first.check != "covariance"
-            found.append((order, first._replace(text=first.text + at + more)))
+            found.append((order, replace(first, text=first.text + at + more)))
         return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
     def faults(self) -> tuple[str, ...]:
@@ -315,7 +322,7 @@ class AlgebraCheck:
         cause = cause or Finding("covariance", True, "", number, None, ())
         for what in self._invalidity(snapshot.covariance):
             text = f"the covariance at event {number} {what}"
-            self.add(cause._replace(check="covariance", text=text), what[:12])
+            self.add(replace(cause, check="covariance", text=text), what[:12])
 
     def _invalidity(self, p: Array) -> list[str]:
         """Symmetry and definiteness; a covariance may be singular, as of a clone."""
@@ -412,10 +419,10 @@ class AlgebraCheck:
             self._explain(cause)
             invalid = " and ".join(self._invalidity(snapshot.covariance))
             if invalid:
-                finding = finding._replace(text=f"{finding.text}; the covariance {invalid}")
+                finding = replace(finding, text=f"{finding.text}; the covariance {invalid}")
         elif cause.event is None and self._pending:
             first, _ = self._pending[0]
-            finding = finding._replace(event=first.event, sensor=first.sensor)
+            finding = replace(finding, event=first.event, sensor=first.sensor)
         self._confirm(finding.event)
         self._add_cause(finding, cause.kind)
         if not cause.kind:
@@ -435,7 +442,7 @@ class AlgebraCheck:
         key = f"{finding.check}|{finding.sensor}|{twin}"
         if twin != kind and key in self._found and self._found[key][2] == 1:
             old, seen_s, count, weight = self._found.pop(key)
-            old = old._replace(text=old.text.replace(twin, kind))
+            old = replace(old, text=old.text.replace(twin, kind))
             self._found[f"{finding.check}|{finding.sensor}|{kind}"] = old, seen_s, count, weight
         self.add(finding, kind or "unknown")
 

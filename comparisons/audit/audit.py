@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from comparisons.audit.consistency import Anchors, EventInnovations, departures,
 from comparisons.audit.replay import Fused, apart
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.errors import InputError
+from comparisons.figures import Figure
 from comparisons.innovations import SensorInnovations
 from comparisons.statistics import ROUNDING, Averaged, averaged, covariance_gap, faults, units
 from comparisons.trace.events import (
@@ -52,17 +53,26 @@ Progress = Callable[[str, int, int], None]
 Verdict = Literal["sound", "faulty", "nothing checked"]
 
 
-class AlgebraGap(NamedTuple):
+@dataclass(frozen=True)
+class AlgebraGap:
     """A snapshot against least squares over all events before it.
 
-    sigma: largest difference of the estimate. covariance: largest |lambda - 1| of the pair, or the
-    largest asymmetry.
+    Attributes:
+        event: number of the snapshot.
+        time_s: its time, if recorded.
+        sigma: largest difference of the estimate, in standard deviations.
+        covariance: largest relative difference along any direction, or the largest asymmetry.
     """
 
     event: int
     time_s: float | None
-    sigma: float
-    covariance: float
+    sigma: Figure
+    covariance: Figure
+
+    @property
+    def worst(self) -> float:
+        """The larger of both."""
+        return max(self.sigma, self.covariance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,9 +307,9 @@ class _Pass:
         gap = AlgebraGap(snapshot.number, snapshot.time_s, off, spread)
         if self.snapshots % self.each_gap == 0:
             self.gaps.append(gap)
-        if self.largest is None or max(off, spread) > max(self.largest[2:]):
+        if self.largest is None or gap.worst > self.largest.worst:
             self.largest = gap
-        if self.first_open is None and not max(off, spread) <= self.tolerance:
+        if self.first_open is None and not gap.worst <= self.tolerance:
             self.first_open = gap
 
     def _error(self, snapshot: Snapshot, error: Array) -> None:

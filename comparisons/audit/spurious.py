@@ -14,14 +14,17 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import ConfigDict, computed_field, with_config
 from scipy.linalg.blas import dgemm
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Layout, Replay
+from comparisons.figures import Aside, Figure
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -72,22 +75,37 @@ class LargestShare(NamedTuple):
         return " and ".join(name for name in self.blocks if name != VEHICLE)
 
 
-class LearntDirection(NamedTuple):
-    """One direction. information: of it alone, the others unknown; zero where all is rounding.
+@with_config(ConfigDict(extra="ignore"))  # what follows from others is computed anew
+@dataclass(frozen=True)
+class LearntDirection:
+    """A direction that sensors cannot tell, and what the filter has learnt of it.
 
-    by_sensor: shares in the information with the others known. largest: None where there is none.
-    unit: of sigma, by the direction's name; empty where that says nothing.
+    Attributes:
+        name: of the direction.
+        unit: of sigma, by the name; empty where that says nothing.
+        information: about it, the others unknown; zero where all is rounding.
+        by_sensor: shares of the information, the others known.
+        largest: the update with the largest share; no part of a result file.
+        sigma: with which it seems to be known, in its unit; absent without information.
+        event: the update with the largest share.
     """
 
     name: str
     unit: str
     information: float
     by_sensor: dict[str, float]
-    largest: LargestShare | None
+    largest: Aside[LargestShare | None] = None
 
+    @computed_field
     @property
-    def sigma(self) -> float:
-        """With which the direction seems to be known, in its unit; infinite without information."""
+    def event(self) -> int | None:
+        """Number of the update with the largest share."""
+        return None if self.largest is None else self.largest.event
+
+    @computed_field
+    @property
+    def sigma(self) -> Figure:
+        """Infinite without information."""
         if self.information <= 0.0:
             return float("inf")
         return float((180.0 / np.pi if self.unit == "deg" else 1.0) / np.sqrt(self.information))

@@ -15,7 +15,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault
-from comparisons.logs.table import Table, is_record, read_text, read_toml, shorten
+from comparisons.logs.table import Table, is_number, is_record, read_text, read_toml, shorten
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from ekf_reference.core.layout import Layout
 
@@ -183,7 +183,8 @@ def read_landmarks(path: Path) -> NamedLandmarks:
     """
     header, *lines = read_text(path).splitlines() or [""]
     words = [line.partition(",")[0] for line in lines if is_record(line)]
-    if header.strip().split(",") != list(_LANDMARKS) or all(map(_is_number, words)):
+    numbers = all(is_number(word) for word in words if word.strip())
+    if numbers or header.strip().split(",") != list(_LANDMARKS):
         return NamedLandmarks(*_read_ids(path), {})
     from comparisons.logs.plain_csv import read_plain
 
@@ -210,14 +211,6 @@ def _read_ids(path: Path) -> tuple[NDArray[np.int64], Array]:
             raise
         reported = "by which the log's measurements.csv names the landmark (labels: in log.toml)"
         raise InputError(f"{error} {reported}") from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return not word.strip()
-    return True
 
 
 def _quoted(name: str) -> str:

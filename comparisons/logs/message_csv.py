@@ -15,7 +15,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.table import shorten
+from comparisons.logs.table import is_number, shorten
 
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _BETWEEN = re.compile(r"[^a-z0-9]+")
@@ -97,7 +97,7 @@ def message_of(words: Sequence[str]) -> str | None:
     """Return the message whose fields a line without names holds, by their number and kinds."""
     for name, fields in MESSAGES.items():
         if len(fields) == len(words) and all(
-            field.endswith("frame_id") or _is_number(word)
+            field.endswith("frame_id") or is_number(word)
             for field, word in zip(fields, words, strict=True)
         ):
             return name
@@ -168,11 +168,3 @@ def _meaning(path: str) -> str | None:
         return f"{covariance[1]}_{int(covariance[2])}" if covariance else None
     endings = ("_".join(words[-count:]) for count in (3, 2, 1))
     return next((ENDINGS[ending] for ending in endings if ending in ENDINGS), None)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
-from comparisons.logs.table import number_or_fail, read_text, shorten
+from comparisons.logs.table import is_number, number_or_fail, read_text, shorten
 
 SEE = "see docs/your-own-log.md"
 _DEGREE = pi / 180
@@ -361,11 +361,7 @@ def _dimension(column: str) -> str:
 
 def _numeric(line: str, delimiter: str) -> bool:
     """Every word is a number, so that the line is no header."""
-    try:
-        [float(word) for word in line.split(delimiter) if word.strip()]
-    except ValueError:
-        return False
-    return True
+    return all(is_number(word) for word in line.split(delimiter) if word.strip())
 
 
 def _split(path: Path, records: list[tuple[int, str]], delimiter: str) -> list[list[str]]:

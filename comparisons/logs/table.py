@@ -126,6 +126,15 @@ def locate_rows(path: Path, line_of: Callable[[int], int]) -> Iterator[None]:
         raise InputError(f"{place}: {error.fault}") from error
 
 
+def is_number(word: str) -> bool:
+    """Whether a word is a number; a blank is none."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def number_or_fail(word: str, path: Path, line: int, name: str) -> float:
     """The finite number a word spells, or an InputError naming where it stands."""
     try:

@@ -13,8 +13,8 @@ from pydantic import Field
 
 from comparisons.atomic import LIST, fresh_folder
 from comparisons.audit.algebra import Finding
-from comparisons.audit.audit import Audit, Verdict
-from comparisons.audit.spurious import Learnt
+from comparisons.audit.audit import AlgebraGap, Audit, Verdict
+from comparisons.audit.spurious import Learnt, LearntDirection
 from comparisons.figures import Model, finite, json_text, package_versions
 from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.report.html.page import PageContent, facts_of, write_page
@@ -46,42 +46,6 @@ _LEAST = 1e-17
 """What a gap of nothing is drawn as."""
 
 
-class FindingResult(Model):
-    """One finding.
-
-    Attributes:
-        check: algebra, covariance, correction, gain, innovations, smoother, nees or spurious.
-        fault: whether it makes the trace faulty; what is only named does not.
-        text: the finding as a sentence.
-        event: number of the event where it is first seen.
-        sensor: the sensor it is of.
-        blocks: the blocks it is of.
-    """
-
-    check: str
-    fault: bool
-    text: str
-    event: int | None
-    sensor: str | None
-    blocks: list[str]
-
-
-class GapResult(Model):
-    """A snapshot against least squares over all events before it.
-
-    Attributes:
-        event: number of the snapshot.
-        time_s: its time, if recorded.
-        sigma: largest difference of the estimate, in standard deviations.
-        covariance: largest relative difference along any direction, or the largest asymmetry.
-    """
-
-    event: int
-    time_s: float | None
-    sigma: float | None
-    covariance: float | None
-
-
 class AveragedResult(Model):
     """Squared errors per degree of freedom over snapshots.
 
@@ -111,26 +75,6 @@ class SensorResult(InnovationFigures):
     measured: int
     rejected: int
     nominal_rejected: float | None
-
-
-class DirectionResult(Model):
-    """A direction that sensors cannot tell, and what the filter has learnt of it.
-
-    Attributes:
-        name: of the direction.
-        unit: of sigma, by the name; empty where that says nothing.
-        information: about it; zero where all is rounding.
-        sigma: with which it seems to be known; absent without information.
-        by_sensor: shares of the information.
-        event: the update with the largest share.
-    """
-
-    name: str
-    unit: str
-    information: float
-    sigma: float | None
-    by_sensor: dict[str, float]
-    event: int | None
 
 
 class AuditResult(Model):
@@ -167,23 +111,22 @@ class AuditResult(Model):
     blocks: dict[str, int]
     tolerance: float
     verdict: Verdict
-    findings: list[FindingResult]
-    largest_gap: GapResult | None
-    first_open: GapResult | None
-    gaps: list[GapResult]
+    findings: tuple[Finding, ...]
+    largest_gap: AlgebraGap | None
+    first_open: AlgebraGap | None
+    gaps: tuple[AlgebraGap, ...]
     oracle_agreement: float
     gains_compared: int
     sensors: list[SensorResult]
     smoother: AveragedResult | None
     nees: AveragedResult | None
-    spurious: list[DirectionResult] | None
+    spurious: tuple[LearntDirection, ...] | None
     versions: dict[str, str]
     files: list[str] = Field(default_factory=list)
 
 
 def build_audit_result(audit: Audit) -> AuditResult:
     """Return the findings as they are stored."""
-    gaps = [_gap(*gap) for gap in audit.gaps]
     return AuditResult(
         trace=audit.trace.name,
         events=audit.counts.events,
@@ -193,40 +136,18 @@ def build_audit_result(audit: Audit) -> AuditResult:
         blocks=dict(list(audit.blocks.items())[:200]),
         tolerance=audit.tolerance,
         verdict=audit.verdict,
-        findings=[_finding(one) for one in audit.findings],
-        largest_gap=None if audit.largest is None else _gap(*audit.largest),
-        first_open=None if audit.first_open is None else _gap(*audit.first_open),
-        gaps=gaps,
+        findings=audit.findings,
+        largest_gap=audit.largest,
+        first_open=audit.first_open,
+        gaps=audit.gaps,
         oracle_agreement=audit.agreement,
         gains_compared=audit.gains,
         sensors=[_sensor(one) for one in audit.sensors],
         smoother=_averaged(audit.smoother),
         nees=_averaged(audit.nees),
-        spurious=None if audit.spurious is None else _directions(audit.spurious),
+        spurious=None if audit.spurious is None else audit.spurious.directions,
         versions=package_versions(),
     )
-
-
-def _finding(one: Finding) -> FindingResult:
-    return FindingResult(**{**one._asdict(), "blocks": list(one.blocks)})
-
-
-def _gap(event: int, time_s: float | None, sigma: float, covariance: float) -> GapResult:
-    return GapResult(event=event, time_s=time_s, sigma=finite(sigma), covariance=finite(covariance))
-
-
-def _directions(found: Learnt) -> list[DirectionResult]:
-    return [
-        DirectionResult(
-            name=one.name,
-            unit=one.unit,
-            information=one.information,
-            sigma=finite(one.sigma),
-            by_sensor=one.by_sensor,
-            event=None if one.largest is None else one.largest.event,
-        )
-        for one in found.directions
-    ]
 
 
 def _averaged(one: Averaged | None) -> AveragedResult | None:
@@ -305,7 +226,7 @@ def _algebra_line(audit: Audit) -> str:
         return f"not checked: the trace has no snapshot{until}"
     gap = audit.first_open
     if gap is None or audit.sound:  # what only least squares sees is small, and no finding
-        worst = max(audit.largest.sigma, audit.largest.covariance)
+        worst = audit.largest.worst
         return f"equal to least squares at every snapshot{until}, to {worst:.1g}"
     return (
         f"gap opens at event {gap.event:,}: {gap.sigma:.2g} sigma, {gap.covariance:.2g} in "
@@ -389,7 +310,7 @@ def audit_panels(audit: Audit) -> list[Panel]:
         event = np.array([gap.event for gap in audit.gaps], dtype=float)
         sigma, covariance = (
             np.log10(np.maximum(np.array(values, dtype=float), _LEAST))
-            for values in zip(*(gap[2:] for gap in audit.gaps), strict=True)
+            for values in zip(*((gap.sigma, gap.covariance) for gap in audit.gaps), strict=True)
         )
         curves = (
             Curve("estimate [sigma]", EKF_COLOUR, event, sigma),

@@ -52,8 +52,8 @@ class JobResult(Model):
         files: files of the folder.
     """
 
-    config: dict[str, Any]
-    settings: SettingsResult
+    config: dict[str, Any] = Field(default_factory=dict)
+    settings: SettingsResult = SettingsResult(preset="", differing=[])
     log: LogResult
     remarks: list[str]
     seconds: dict[str, float]
@@ -205,16 +205,13 @@ SCHEMA = 4
 """Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
 
 
-class Result(Model):
+class Result(JobResult):
     """`result.json`: a whole run.
 
     Each extension that ran adds an entry of its name.
 
     Attributes:
         schema_version: version of the file, `schema`; raised when a field changes its meaning.
-        config: all settings of the run.
-        settings: settings that differ from the documents'.
-        log: the log.
         ekf: the filter.
         smoother: the smoother.
         agreement: the gaps.
@@ -232,19 +229,11 @@ class Result(Model):
         failed_on: findings that `--fail-on` names and that were made.
         not_checked: checks without an answer, and what the log lacks for it.
         causes: reasons for the verdict, the first one first.
-        remarks: sentences that change no verdict.
-        seconds: wall time, by stage.
-        cpu_s: processor time, by stage.
-        versions: versions of the packages.
-        files: files of the folder.
     """
 
     model_config = ConfigDict(extra="allow", serialize_by_alias=True, populate_by_name=True)
 
     schema_version: int = Field(alias="schema", default=1)
-    config: dict[str, Any] = Field(default_factory=dict)
-    settings: SettingsResult | None = None
-    log: LogResult
     ekf: EkfResult
     smoother: SmootherResult
     agreement: Agreement
@@ -260,11 +249,6 @@ class Result(Model):
     failed_on: list[str] = Field(default_factory=list)
     not_checked: dict[str, str] = Field(default_factory=dict)
     causes: list[Cause]
-    remarks: list[str]
-    seconds: dict[str, float]
-    cpu_s: dict[str, float] | None = None
-    versions: dict[str, str]
-    files: tuple[str, ...] = ()
 
     @property
     def headline(self) -> str:

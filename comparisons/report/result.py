@@ -63,7 +63,7 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
     gaps = result.agreement
     return [
         *log_rows(result.log),
-        *(settings_rows(result.settings) if result.settings else ()),
+        *settings_rows(result.settings),
         *ekf_rows(result.ekf),
         *smoother_rows(result.smoother),
         *gap_rows(ladder(result)),

@@ -123,7 +123,7 @@ def test_what_is_no_covariance_is_counted_and_gives_no_number() -> None:
     found = normalise(error, covariance)
     assert found.row.tolist() == [0]
     assert found.squared.tolist() == [3.0]
-    assert found.faults == {"asymmetric": 1, "not positive definite": 2, "not finite": 2}
+    assert found.unusable == {"asymmetric": 1, "not positive definite": 2, "not finite": 2}
     nothing = normalise(error[1:2], covariance[1:2])
     assert nothing.mean is None
     assert nothing.inside is None
@@ -314,7 +314,7 @@ def test_an_asymmetric_covariance_gives_no_figure() -> None:
     runs.covariance[-1, 0, 2] += 0.01
     assert outside(runs) == {"pose", "whole"}
     f = against_smoother(runs, 0)
-    assert f.faults == {"asymmetric": 1}
+    assert f.unusable == {"asymmetric": 1}
 
 
 @pytest.mark.parametrize("turns", [0, 1])
@@ -336,7 +336,9 @@ def test_the_mean_against_the_smoother_stays_in_its_band(factor: float, holds: b
     """Of a sound filter in most runs; not of one five times too sure."""
     runs = simulate(RUNS)
     found = [against_smoother(runs, run) for run in range(RUNS)]
-    inside = [f.band.holds(f.mean_per_dof / factor) for f in found if f.band and f.mean_per_dof]
+    inside = [
+        f.band.holds(f.squared_per_dof / factor) for f in found if f.band and f.squared_per_dof
+    ]
     assert len(inside) == RUNS
     assert bool(np.mean(inside) >= 0.9) is holds
 
@@ -378,6 +380,6 @@ def test_a_filter_surer_than_the_smoother_is_told_with_its_begin() -> None:
         runs.smoothed[:, 0, :3],
         runs.smoothed_covariance[:, :3, :3],
     )
-    assert broken.faults == {"not positive definite": 1, "not finite": 1}
+    assert broken.unusable == {"not positive definite": 1, "not finite": 1}
     assert len(broken.time_s) == STEPS - 2
     assert np.isfinite(broken.squared).all()

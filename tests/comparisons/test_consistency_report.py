@@ -16,7 +16,6 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.consistency.consistency import check_innovations
 from comparisons.checks.consistency.finding import (
-    NeesResult,
     TruthConsistencyResult,
     consistency_line,
     nees_rows,
@@ -30,6 +29,7 @@ from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.result import build_result, run_rows, run_summary
+from comparisons.statistics import Band, NormalisedFigures
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import Correction, KalmanState
@@ -173,12 +173,12 @@ def test_without_truth_the_smoother_is_the_measure(short: Log, tmp_path: Path) -
 @pytest.mark.parametrize("mean", [2.0, 10.0])
 @pytest.mark.parametrize("unusable", [{}, {"not positive definite": 4}])
 def test_a_nees_has_its_band_and_what_has_none(unusable: dict[str, int], mean: float) -> None:
-    pose = NeesResult(
+    pose = NormalisedFigures(
         dof=3,
         count=23,
         mean=mean,
         last=2.0,
-        single_band=(0.22, 9.35),
+        single_band=Band(0.22, 9.35),
         inside=0.5,
         unusable=unusable,
     )

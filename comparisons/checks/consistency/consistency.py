@@ -264,7 +264,7 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
 
 
 def _against_smoother(smoothed: FilterAgainstSmoother) -> list[str]:
-    found, mean, band = [], smoothed.mean_per_dof, smoothed.band
+    found, mean, band = [], smoothed.squared_per_dof, smoothed.band
     if mean is not None and band is not None and not band.holds(mean):
         found.append(
             f"filter-smoother difference {rounded(mean)} per degree of freedom, "

@@ -30,14 +30,43 @@ the sound filter on Nieto's loop the least ratio of a drive is 0.92 to 0.99."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterAgainstSmoother:
-    """Per epoch; those whose covariances cannot be used are left out and counted in faults.
+class FilterAgainstSmootherFigures:
+    """Filtered poses compared with smoothed ones.
+
+    Attributes:
+        epochs: poses that were compared.
+        squared_per_dof: squared difference over its degrees of freedom, by P_filter - P_smoother; 1
+            is right; None where no direction is clear.
+        band: 95 % band of it, by the effective number of independent epochs.
+        inside: share of the epochs in their single 95 % band.
+        least_ratio: least variance of the filter over the smoother's, of all directions and epochs.
+        least_ratio_s: time of that epoch.
+        overconfident_epochs: epochs with a ratio clearly below 1: there the filter is
+            overconfident.
+        overconfident_since_s: time of the first one.
+        unusable: epochs that could not be compared, by reason.
+    """
+
+    epochs: int
+    squared_per_dof: float | None
+    band: Band | None = None
+    inside: float | None
+    least_ratio: float | None
+    least_ratio_s: float | None
+    overconfident_epochs: int
+    overconfident_since_s: float | None
+    unusable: Mapping[str, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterAgainstSmoother(FilterAgainstSmootherFigures):
+    """Per epoch; those whose covariances cannot be used are left out.
 
     time_s: (n,). error: (n, 3) e. sigma: (n, 3) of the diagonal of P_E - P_S, zero where that is
     negative. squared: (n,) e^T (P_E - P_S)^-1 e over the dof (n,) directions in which the
     difference is clearly positive, e = x_E - x_S, additive, heading wrapped. ratio: (n,) least
-    P_E over P_S of all directions; below 1 the filter is overconfident. Epochs share
-    their future: averages have no plain band.
+    P_E over P_S of all directions; below 1 the filter is overconfident. overconfident: the epochs
+    at which it clearly is. Epochs share their future: averages have no plain band.
     """
 
     time_s: Array
@@ -46,32 +75,7 @@ class FilterAgainstSmoother:
     squared: Array
     dof: Index
     ratio: Array
-    faults: Mapping[str, int]
-
-    @property
-    def mean_per_dof(self) -> float | None:
-        """1 is right. None where no direction is clear."""
-        return float(self.squared.sum() / self.dof.sum()) if self.dof.any() else None
-
-    @property
-    def band(self) -> Band | None:
-        """95 % of mean_per_dof, by the effective number of independent epochs."""
-        found = averaged(self.squared, self.dof, np.arange(len(self.dof)))
-        return None if found is None else found.band
-
-    @property
-    def inside(self) -> float | None:
-        """Share of the epochs with clear directions in their single 95 % band."""
-        squared, dof = self.squared[self.dof > 0], self.dof[self.dof > 0]
-        if not len(dof):
-            return None
-        low, high = chi2_quantile(0.025, dof), chi2_quantile(0.975, dof)
-        return float(np.mean((squared >= low) & (squared <= high)))
-
-    @property
-    def overconfident(self) -> Index:
-        """Epochs at which the filter is clearly more certain than the smoother."""
-        return np.flatnonzero(self.ratio < LEAST_RATIO)
+    overconfident: Index
 
 
 def filter_against_smoother(
@@ -92,12 +96,26 @@ def filter_against_smoother(
     squared, dof, ratio = normalised_difference(
         e, filtered_covariance[row], smoothed_covariance[row]
     )
+    clear, found = dof > 0, averaged(squared, dof, np.arange(len(dof)))
+    low, high = (chi2_quantile(q, dof[clear]) for q in (0.025, 0.975))
+    within = (squared[clear] >= low) & (squared[clear] <= high)
+    overconfident = np.flatnonzero(ratio < LEAST_RATIO)
+    worst = int(np.argmin(ratio)) if len(ratio) else None
     return FilterAgainstSmoother(
+        epochs=len(row),
+        squared_per_dof=float(squared.sum() / dof.sum()) if clear.any() else None,
+        band=None if found is None else found.band,
+        inside=float(np.mean(within)) if clear.any() else None,
+        least_ratio=None if worst is None else float(ratio[worst]),
+        least_ratio_s=None if worst is None else float(time_s[row[worst]]),
+        overconfident_epochs=len(overconfident),
+        overconfident_since_s=float(time_s[row[overconfident[0]]]) if len(overconfident) else None,
+        unusable=counted(fault),
         time_s=time_s[row],
         error=e,
         sigma=np.sqrt(np.maximum(np.einsum("nii->ni", gap), 0.0)),
         squared=squared,
         dof=dof,
         ratio=ratio,
-        faults=counted(fault),
+        overconfident=overconfident,
     )

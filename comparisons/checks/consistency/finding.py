@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from comparisons.checks.check import Check, Of
 from comparisons.checks.consistency.consistency import (
     Consistency,
@@ -15,11 +13,11 @@ from comparisons.checks.consistency.consistency import (
     check_consistency,
     inconsistencies,
 )
-from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
+from comparisons.checks.consistency.filter_smoother import FilterAgainstSmootherFigures
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.figures import Model, band
 from comparisons.innovations import InnovationFigures
-from comparisons.statistics import Normalised
+from comparisons.statistics import Normalised, NormalisedFigures
 from comparisons.words import Row
 
 if TYPE_CHECKING:
@@ -28,33 +26,6 @@ if TYPE_CHECKING:
 _NEES_BANDS = "95 % bands; the verdict: pose and landmarks at 99.9 %"
 _NIS_BANDS = "95 % bands; the verdict: NIS alone, at 99.9 %"
 """A consistent filter leaves one of twenty bands of 95 %; see checks.qualifiers.inconsistencies."""
-
-
-class NeesResult(Model):
-    """Normalised errors squared, each with `dof` degrees of freedom.
-
-    See comparisons.statistics.
-
-    Over time, and over landmarks of one run, the values are correlated: no band holds for their
-    average.
-
-    Attributes:
-        dof: degrees of freedom of a value.
-        count: number of values.
-        mean: average; `dof` is right.
-        last: the last value.
-        single_band: interval of 95 % of single values.
-        inside: share of the values in it.
-        unusable: errors without a value, by reason.
-    """
-
-    dof: int
-    count: int
-    mean: float | None
-    last: float | None
-    single_band: tuple[float, float]
-    inside: float | None
-    unusable: dict[str, int]
 
 
 class TruthConsistencyResult(Model):
@@ -73,45 +44,15 @@ class TruthConsistencyResult(Model):
         too_short: lengths that were left out since they are too short.
     """
 
-    pose: NeesResult | None
-    position: NeesResult | None
-    heading: NeesResult | None
-    landmarks: NeesResult | None
-    map: NeesResult | None
-    whole: NeesResult | None
-    distance: NeesResult | None
-    distances: NeesResult | None
+    pose: NormalisedFigures | None
+    position: NormalisedFigures | None
+    heading: NormalisedFigures | None
+    landmarks: NormalisedFigures | None
+    map: NormalisedFigures | None
+    whole: NormalisedFigures | None
+    distance: NormalisedFigures | None
+    distances: NormalisedFigures | None
     too_short: int
-
-
-class FilterAgainstSmootherResult(Model):
-    """Filtered poses compared with smoothed ones.
-
-    See comparisons.checks.consistency.filter_smoother.
-
-    Attributes:
-        epochs: poses that were compared.
-        squared_per_dof: squared difference over its degrees of freedom, by P_filter - P_smoother; 1
-            is right.
-        band: 95 % band of it, for correlated epochs.
-        inside: share of the epochs in their single 95 % band.
-        least_ratio: least variance of the filter over the smoother's, of all directions and epochs.
-        least_ratio_s: time of that epoch.
-        overconfident_epochs: epochs with a ratio clearly below 1: there the filter is
-        overconfident.
-        overconfident_since_s: time of the first one.
-        unusable: epochs that could not be compared, by reason.
-    """
-
-    epochs: int
-    squared_per_dof: float | None
-    band: tuple[float, float] | None = None
-    inside: float | None
-    least_ratio: float | None
-    least_ratio_s: float | None
-    overconfident_epochs: int
-    overconfident_since_s: float | None
-    unusable: dict[str, int]
 
 
 class ConsistencyResult(Model):
@@ -127,7 +68,7 @@ class ConsistencyResult(Model):
     ekf: TruthConsistencyResult | None
     smoother: TruthConsistencyResult | None
     innovations: list[InnovationFigures]
-    filter_against_smoother: FilterAgainstSmootherResult | None
+    filter_against_smoother: FilterAgainstSmootherFigures | None
 
 
 class ExternalConsistencyResult(Model):
@@ -140,7 +81,7 @@ class ExternalConsistencyResult(Model):
     """
 
     truth: TruthConsistencyResult | None
-    filter_against_smoother: FilterAgainstSmootherResult | None
+    filter_against_smoother: FilterAgainstSmootherFigures | None
     unjudged: str
 
 
@@ -188,7 +129,7 @@ def consistency_result(c: Consistency) -> ConsistencyResult:
         ekf=_truth(c.ekf),
         smoother=_truth(c.smoother),
         innovations=list(c.sensors),
-        filter_against_smoother=_smoothed(c.smoothed),
+        filter_against_smoother=c.smoothed,
     )
 
 
@@ -209,18 +150,8 @@ def _truth(t: TruthConsistency | None) -> TruthConsistencyResult | None:
     )
 
 
-def _nees(n: Normalised) -> NeesResult | None:
-    if not n.dof:
-        return None
-    return NeesResult(
-        dof=n.dof,
-        count=len(n.squared),
-        mean=n.mean,
-        last=float(n.squared[-1]) if len(n.squared) else None,
-        single_band=n.single_band,
-        inside=n.inside,
-        unusable=dict(n.faults),
-    )
+def _nees(n: Normalised) -> Normalised | None:
+    return n if n.dof else None
 
 
 def external_consistency_result(c: ExternalConsistency) -> ExternalConsistencyResult:
@@ -231,25 +162,8 @@ def external_consistency_result(c: ExternalConsistency) -> ExternalConsistencyRe
     none = truth is None or (truth.poses is None and truth.map is None)
     return ExternalConsistencyResult(
         truth=None if none else _truth(truth),
-        filter_against_smoother=_smoothed(c.smoothed),
+        filter_against_smoother=c.smoothed,
         unjudged=c.unjudged,
-    )
-
-
-def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | None:
-    if f is None:
-        return None
-    worst = int(np.argmin(f.ratio)) if len(f.ratio) else None
-    return FilterAgainstSmootherResult(
-        epochs=len(f.time_s),
-        squared_per_dof=f.mean_per_dof,
-        band=f.band,
-        inside=f.inside,
-        least_ratio=None if worst is None else float(f.ratio[worst]),
-        least_ratio_s=None if worst is None else float(f.time_s[worst]),
-        overconfident_epochs=len(f.overconfident),
-        overconfident_since_s=float(f.time_s[f.overconfident[0]]) if len(f.overconfident) else None,
-        unusable=dict(f.faults),
     )
 
 
@@ -314,11 +228,11 @@ def nees_rows(name: str, t: TruthConsistencyResult | None, bands: str = "95 % ba
     return rows
 
 
-def _expected(group: str, what: str, n: NeesResult, limits: str, *, inside: bool) -> Row:
+def _expected(group: str, what: str, n: NormalisedFigures, limits: str, *, inside: bool) -> Row:
     return Row(group, f"{what} (expected {n.dof})", f"{n.mean:.3g}", limits, inside)
 
 
-def smoothed_rows(name: str, f: FilterAgainstSmootherResult | None) -> list[Row]:
+def smoothed_rows(name: str, f: FilterAgainstSmootherFigures | None) -> list[Row]:
     """Return a filter compared with the smoother, where that can be judged. name: of the filter."""
     if f is None or f.squared_per_dof is None or f.least_ratio is None:
         return []
@@ -345,7 +259,7 @@ def smoothed_rows(name: str, f: FilterAgainstSmootherResult | None) -> list[Row]
 def consistency_line(
     inconsistent: Sequence[str] | None,
     truth: TruthConsistencyResult | None,
-    smoothed: FilterAgainstSmootherResult | None,
+    smoothed: FilterAgainstSmootherFigures | None,
     innovations: Sequence[InnovationFigures] = (),
 ) -> list[tuple[str, str]]:
     """Return one line: what is outside its band, or else the figures per degree of freedom."""

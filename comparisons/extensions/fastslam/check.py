@@ -77,14 +77,20 @@ class ExactCheck:
 class CloudCheck:
     """Clouds against the smoother, all stretches together.
 
-    stretches: one by one. clouds: of all stretches. energy: as of one. p: probability of so much
-    energy where the posteriors are one. squared_shift, largest_shift: squared distance of the
-    draws' means from the smoother's, over what their scatter explains, and what that exceeds with a
-    probability of LEVEL. spread: variance of the draws over the smoother's, mean of all stretches
-    and directions. independent: least number, over all directions, of independent particles that
-    know the last pose as well as a cloud. agrees: None where the clouds are too small to tell.
-    exact: the same against the smoother's exact posterior, sought only where the clouds differ from
-    its Gaussian. shape: what of the clouds is not Gaussian.
+    Attributes:
+        stretches: stretches that were compared.
+        clouds: independent clouds of all stretches together, one draw each.
+        energy: energy distance of all stretches over its mean where both posteriors are one.
+        p: probability of so large an energy distance where both posteriors are one.
+        squared_shift: squared distance of the draws' means from the smoother's, over what their
+            scatter explains.
+        largest_shift: what `squared_shift` exceeds with probability `level`.
+        spread: variance of pose and map over the smoother's, mean of all directions.
+        independent: independent particles that know the last pose as well as one cloud, in the
+            direction in which they are fewest.
+        agrees: whether the clouds agree with the smoother; null where they are too small to tell.
+        exact: the smoother's exact posterior; null where the clouds agree with its Gaussian.
+        shape: what of the clouds is not Gaussian.
     """
 
     stretches: tuple[StretchCheck, ...]

@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
-from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, ExactCheck, StretchCheck
+from comparisons.extensions.fastslam.check import LEVEL, CloudCheck
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import Depletion
-from comparisons.figures import Model
 
 _AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
 
 
-class FastSlamResult(Model):
+@dataclass(frozen=True, kw_only=True)
+class FastSlamResult(CloudCheck):
     """Entry `fastslam`: clouds of particles compared with the smoother.
 
     See comparisons.extensions.fastslam.check.
 
     Attributes:
         particles: particles of each cloud.
-        clouds: independent clouds of all stretches together, one draw each.
-        stretches: stretches that were compared.
-        length_s: their mean length.
-        energy: energy distance of all stretches over its mean where both posteriors are one.
-        p: probability of so large an energy distance where both posteriors are one.
+        length_s: mean length of the stretches.
         level: largest p of a disagreement.
-        squared_shift: squared distance of the draws' means from the smoother's, over what their
-            scatter explains.
-        largest_shift: what `squared_shift` exceeds with probability `level`.
-        spread: variance of pose and map over the smoother's, mean of all directions.
-        independent: independent particles that know the last pose as well as one cloud.
-        agrees: whether the clouds agree with the smoother; null where they are too small to tell.
-        verdict: the same in words.
-        exact: the smoother's exact posterior; null where the clouds agree with its Gaussian.
-        shape: what of the clouds is not Gaussian.
+        verdict: whether the clouds agree, in words.
         path_m: whole log: distance of one cloud's mean positions from the smoother's (root mean
             square over the epochs).
         difference_m: whole log, last pose: distance of one cloud's mean from the smoother's.
@@ -47,20 +37,9 @@ class FastSlamResult(Model):
     """
 
     particles: int
-    clouds: int
-    stretches: tuple[StretchCheck, ...]
     length_s: float
-    energy: float
-    p: float
     level: float
-    squared_shift: float
-    largest_shift: float
-    spread: float
-    independent: float
-    agrees: bool | None
     verdict: str
-    exact: ExactCheck | None
-    shape: list[str]
     path_m: float
     difference_m: float
     difference_rad: float
@@ -79,26 +58,14 @@ def fastslam_result(
 ) -> FastSlamResult:
     """Return what was found. apart: (K, 3) poses of the whole log's cloud from the smoother's."""
     return FastSlamResult(
+        **vars(check),
         particles=settings.particles,
-        clouds=check.clouds,
-        stretches=check.stretches,
         length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
-        energy=check.energy,
-        p=check.p,
         level=LEVEL,
-        squared_shift=check.squared_shift,
-        largest_shift=check.largest_shift,
-        spread=check.spread,
-        independent=check.independent,
-        agrees=check.agrees,
         verdict=_AGREES[check.agrees],
-        exact=check.exact,
-        shape=list(check.shape),
         path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
         difference_m=float(np.hypot(*apart[-1, :2])),
         difference_rad=float(abs(apart[-1, 2])),
-        effective=depletion.effective,
-        first=depletion.first,
-        middle=depletion.middle,
+        **vars(depletion),
         accuracy=accuracy,
     )

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
 import pytest
 
+from benchmarks.log_doctor import travelled
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.new_log import UserFiles, build
@@ -54,13 +55,7 @@ def circle(count: int = 320) -> Circle:
     reported = controls + rng.normal(
         0.0, (WHEELS["sigma_speed_mps"], WHEELS["sigma_turn"]), (count, 2)
     )
-    paths = []
-    for speed, turn in (controls.T, reported.T):
-        heading = np.concatenate(([0.0], np.cumsum(turn * STEP_S)))
-        middle = (heading[:-1] + heading[1:]) / 2
-        place = np.concatenate(([0.0], np.cumsum(speed * STEP_S * np.exp(1j * middle))))
-        paths.append(np.column_stack((place.real, place.imag, heading)))
-    truth, reckoned = paths
+    truth, reckoned = (travelled(*(STEP_S * of).T, 0.5) for of in (controls, reported))
     around = 9.0 * np.exp(2j * np.pi * np.arange(12) / 12) + 5j
     seen = []
     for k in range(5, count, 5):
@@ -87,15 +82,18 @@ def table(header: str, *columns: np.ndarray, delimiter: str = ",") -> str:
     return "\n".join([header, *rows]).replace(",", delimiter)
 
 
-def own(folder: Path, odometry: str, seen: str, stated: dict[str, float] | None = None) -> Log:
-    (folder / "odo.csv").write_text(odometry)
+def own(
+    folder: Path, odometry: str, seen: str, stated: dict[str, Any] | None = None, **more: Any
+) -> Log:
+    (folder / "odometry.csv").write_text(odometry)
     (folder / "posts.csv").write_text(seen)
     return build(
         UserFiles(
             name="own",
-            odometry=folder / "odo.csv",
+            odometry=folder / "odometry.csv",
             measurements=folder / "posts.csv",
             stated=SIGMAS | (WHEELS if stated is None else stated),
+            **more,
         )
     ).log
 
@@ -204,7 +202,7 @@ FILES: dict[str, tuple[Callable[[Path], Log], str]] = {
     "CSV, poses, tabs": (lambda folder: own(folder, POSES, posts("\t"), {}), "agree"),
     "CSV without a header": (
         lambda folder: own(folder, WHEEL.partition("\n")[2], posts()),
-        "odo.csv:1: no header, expected a line of names with commas, semicolons or tabs between",
+        "odometry.csv:1: no header, expected a line of names with commas, semicolons or tabs",
     ),
     "g2o, planar with landmarks": (landmarks, "verified"),
     "g2o, poses alone": (graph(CLOSED_ELSEWHERE), "solved"),

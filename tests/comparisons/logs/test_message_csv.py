@@ -13,9 +13,8 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.message_csv import MESSAGES, message_of
-from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.odometry import RelativePoses, VelocityOdometry
-from tests.comparisons.logs.test_foreign_files import DRIVE, SIGMAS, STEP_S, WHEELS
+from tests.comparisons.logs.test_foreign_files import DRIVE, STEP_S, WHEELS, own
 
 EPOCH = 1_700_000_000
 COUNT = 60
@@ -100,17 +99,7 @@ Writer = Callable[[tuple[str, ...], list[list[Any]]], str]
 
 
 def read(folder: Path, drive: str, stated: dict[str, Any] | None = None, **more: Any) -> Log:
-    (folder / "odometry.csv").write_text(drive)
-    (folder / "posts.csv").write_text(MEASUREMENTS)
-    return build(
-        UserFiles(
-            name="mine",
-            odometry=folder / "odometry.csv",
-            measurements=folder / "posts.csv",
-            stated=SIGMAS | (stated or {}),
-            **more,
-        )
-    ).log
+    return own(folder, drive, MEASUREMENTS, stated or {}, **more)
 
 
 @pytest.mark.parametrize("tool", TOOLS, ids=lambda tool: tool.__name__)
