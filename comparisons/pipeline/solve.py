@@ -163,7 +163,8 @@ def solve(
     Raises InputError for what the log cannot serve, and graphslam.marginals.SingularProblemError
     when there is no solution.
     """
-    prepared = prepare_solve(log, config or SolveConfig(), progress)
+    config = config or SolveConfig()
+    prepared = prepare_solve(log, config, progress)
     known = prepared.labelled
     check_memory(prepared)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
