@@ -65,7 +65,8 @@ from comparisons.pipeline.references import (
     smoother,
     variants,
 )
-from comparisons.pipeline.solve import Solution, solve
+from comparisons.pipeline.size import announce_time
+from comparisons.pipeline.solve import Solution, prepare_solve, solve
 from comparisons.shown import Shown, render
 from comparisons.statistics import ROUNDING
 
@@ -190,6 +191,7 @@ def check(
     solver: in the place of `solve`, as one that keeps what it has solved.
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
+    announce_time(prepare_solve(log, job.config))
     first = job.started(given.numbered_as(log.labels))
     unsound = given.trace is not None and given.trace.unsound
     if first.exact or unsound or len(first.inside.time_s) < FEWEST:

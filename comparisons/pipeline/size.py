@@ -53,17 +53,24 @@ def check_size(prepared: Prepared[Any], available: float | None = None) -> None:
 
 
 def announce_time(prepared: Prepared[Any]) -> None:
-    """Tell on standard error how long a run takes, and what takes less, where that is long."""
+    """Tell on standard error how long a run or a check takes, where that is long.
+
+    And what takes less, or that what takes more may follow: a run may use another filter, a check
+    compares an estimate that is not as the reference EKF's with other filters.
+    """
     poses, measurements, landmarks = _counts(prepared)
     used = "compressed" if prepared.ekf.filter.startswith("compressed") else "full"
     takes = seconds(poses, measurements, landmarks, used)
     if takes < LONG_S:
         return
-    shorter = seconds(poses, measurements, landmarks, "compressed")
-    less = f"; --filter compressed takes about {_minutes(shorter)}" if takes > 2 * shorter else ""
+    shorter, beside = seconds(poses, measurements, landmarks, "compressed"), ""
+    if prepared.config.job == "check":
+        beside = ", longer where the estimate is not as the reference EKF's"
+    elif takes > 2 * shorter:
+        beside = f"; --filter compressed takes about {_minutes(shorter)}"
     note(
         f"{prepared.log.name}: {poses:,} poses, {measurements:,} measurements and {landmarks:,} "
-        f"landmarks take about {_minutes(takes)}{less}"
+        f"landmarks take about {_minutes(takes)}{beside}"
     )
 
 

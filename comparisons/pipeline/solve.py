@@ -137,15 +137,10 @@ class Solution(Shown):
         return "known" if self.prepared.labelled else "own"
 
 
-def solve(
-    log: Log, config: SolveConfig | None = None, progress: Progress = no_progress
-) -> Solution:
-    """Associate, solve and assess.
-
-    Raises InputError for what the log cannot serve, and graphslam.marginals.SingularProblemError
-    when there is no solution.
-    """
-    config = config or SolveConfig()
+def prepare_solve(
+    log: Log, config: SolveConfig, progress: Progress = no_progress
+) -> Prepared[SolveConfig]:
+    """Return a log as `solve` reads it. Raises InputError for what the log cannot serve."""
     known = (
         log.measurements.labelled if config.association is None else config.association == "known"
     )
@@ -157,7 +152,20 @@ def solve(
     ekf = EkfConfig(association="known" if known else "nn", gps=gps)
     other = "use slamcheck odometry for its scans"
     required = Required(None if log.loop_closures is not None else other, other, loop_closures=True)
-    prepared = prepare(log, config, ekf, progress, required)
+    return prepare(log, config, ekf, progress, required)
+
+
+def solve(
+    log: Log, config: SolveConfig | None = None, progress: Progress = no_progress
+) -> Solution:
+    """Associate, solve and assess.
+
+    Raises InputError for what the log cannot serve, and graphslam.marginals.SingularProblemError
+    when there is no solution.
+    """
+    config = config or SolveConfig()
+    prepared = prepare_solve(log, config, progress)
+    known = prepared.labelled
     check_memory(prepared)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
     guesses, own, associator = {}, None, None

@@ -10,14 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.config import EkfConfig, RunConfig
+from comparisons.config import CheckConfig, EkfConfig, RunConfig
 from comparisons.errors import InputError
+from comparisons.estimates.external import ExternalEstimate
+from comparisons.logs.log import Log
 from comparisons.pipeline import prepare as prepare_module
 from comparisons.pipeline import size
+from comparisons.pipeline.check import check
 from comparisons.pipeline.compare import REQUIRED, compare_prepared, run_filter
-from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.pipeline.prepare import Prepared, Progress, prepare
 from comparisons.pipeline.size import GIB, announce_time, check_size, needed, seconds
-from comparisons.pipeline.solve import solve
+from comparisons.pipeline.solve import Solution, solve
 from tests.helpers import present, simulated
 
 
@@ -108,6 +111,25 @@ def test_long_work_is_announced(
     assert said.count("\n") == 1
     assert " landmarks take about " in said
     assert ("; --filter compressed takes about" in said) == (kind == "full")
+
+
+def test_a_long_check_is_announced_before_its_work(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(log: Log, config: CheckConfig, progress: Progress) -> Solution:
+        raise InterruptedError
+
+    log, given = simulated(loop_s=20.0), ExternalEstimate(time_s=np.zeros(1), pose=np.zeros((1, 3)))
+    said = []
+    for seconds_of_an_entry in (9e-9, 3.0):
+        monkeypatch.setitem(size.PER_ENTRY_S, "full", seconds_of_an_entry)
+        with pytest.raises(InterruptedError):
+            check(log, given, solver=stop)
+        said.append(capsys.readouterr().err)
+    assert not said[0]
+    assert said[1].count("\n") == 1
+    assert said[1].endswith(", longer where the estimate is not as the reference EKF's\n")
+    assert "--filter" not in said[1]
 
 
 @pytest.mark.parametrize("labelled", [True, False])

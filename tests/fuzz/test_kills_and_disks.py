@@ -7,9 +7,11 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -25,6 +27,7 @@ from comparisons.cli.support import _start_log
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.experiments.montecarlo.chunk_files import check_folder
 from tests.fuzz.damage import cases, counted
+from tests.fuzz.subjects import SUBJECTS
 from tests.fuzz.test_hostile_files import assert_one_line, outcome, run_main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,6 +57,18 @@ while True:
             write_whole(target, lambda part: (part.write_text(text), time.sleep(wait)), OWN)
 """
 """Writes the same target for ever."""
+STUDY = """
+import signal
+import slamcheck.__main__ as program
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+print("begins", flush=True)
+program.main()
+"""
+"""Ends by SIGINT, too, from its second line on; before that Python itself has a traceback."""
+MARK = "SLAMCHECK_TEST_OF_KILLS"
+PATIENCE_S = 600.0
+"""However busy the machine is; a process that ends takes a moment."""
 
 
 @pytest.fixture(autouse=True)
@@ -144,6 +159,62 @@ def one_kill(kind: str, number: int, delay_s: float, folder: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_target_outlives_its_writer(kind: str, number: int, tmp_path: Path) -> None:
     one_kill(kind, number, 0.05, tmp_path)
+
+
+def marked(mark: str) -> list[int]:
+    """Processes with a mark in their environment that have not ended, whoever started them."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            state = place.joinpath("stat").read_text().rpartition(")")[2].split()[0]
+            if f"{MARK}={mark}".encode() in place.joinpath("environ").read_bytes() and state != "Z":
+                found.append(int(place.name))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are in /proc")
+@pytest.mark.slow
+@settings(max_examples=cases(2, 60), suppress_health_check=tuple(HealthCheck))
+@given(
+    number=st.sampled_from([signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT]),
+    delay_s=st.floats(0.0, 6.0),
+)
+def test_no_process_outlives_a_killed_study(number: signal.Signals, delay_s: float) -> None:
+    """Its workers and what starts them end with it, and the next run is clean."""
+    counted("kills of a study with workers")
+    mark = uuid.uuid4().hex
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), MARK: mark}
+    with tempfile.TemporaryDirectory() as place:
+        SUBJECTS["scenario"].write(Path(place))
+        words = [sys.executable, "-c", STUDY, "montecarlo", "small.toml", "--runs", "40"]
+        words += ["--filters", "ekf", "--workers", "2", "--out", "out"]
+        with Path(place, "said").open("w+") as said:
+            job = subprocess.Popen(
+                words, cwd=place, env=environment, stdout=subprocess.PIPE, stderr=said
+            )
+            assert job.stdout is not None
+            assert job.stdout.readline() == b"begins\n"
+            with suppress(subprocess.TimeoutExpired):
+                job.communicate(timeout=delay_s)
+            job.send_signal(number)
+            end_s = time.monotonic() + PATIENCE_S
+            while (left := marked(mark)) and time.monotonic() < end_s:
+                job.poll()
+                time.sleep(0.05)
+            for one in left:
+                os.kill(one, signal.SIGKILL)
+            job.communicate()
+        reported = Path(place, "said").read_text()
+        assert not left, (number, delay_s)
+        done = -number if number == signal.SIGKILL else 128 + number
+        assert job.returncode in (0, done), reported
+        assert "Traceback" not in reported
+        again = subprocess.run(
+            words, cwd=place, env=environment, capture_output=True, text=True, check=False
+        )
+        assert again.returncode == 0, again.stderr
+        assert Path(place, "out", "montecarlo.json").is_file()
+        assert not marked(mark)
 
 
 def exit_after(count: int, act: Callable[[], object]) -> bool:
