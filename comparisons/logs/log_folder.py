@@ -5,7 +5,7 @@ Numbers are written so that they read back to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -45,6 +45,7 @@ from comparisons.logs.odometry import (
     VelocityOdometry,
 )
 from comparisons.logs.scans import Clouds, Mount, Scans
+from comparisons.logs.stamps import origin, since_origin
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers
 
@@ -107,31 +108,40 @@ def _folder(path: Path) -> Path:
 def read_log_folder(folder: Path) -> Log:
     """Read a log folder. Raises InputError naming file, line, value and expectation."""
     meta = read_meta(folder / MARK)
+    start_s, provenance = origin(meta.prior.time_s), meta.provenance
     truth = Truth(
-        _read_poses(folder / "truth_poses.csv"),
+        _read_poses(folder / "truth_poses.csv", start_s),
         _read_landmarks(folder / "truth_landmarks.csv"),
         _read_surfaces(folder / "truth_surfaces.csv"),
     )
-    measurements = _read_measurements(_measurements_file(folder), meta.measurements)
+    measurements = _read_measurements(_measurements_file(folder), start_s, meta.measurements)
     if measurements is None:
         raise InputError(f"{folder / 'measurements.csv'}: no such file")
+    odometry = _read_odometry(folder / "odometry.csv", meta, start_s)
+
+    def rest(time_s: Array) -> Array:
+        """Count times, that no decimals tell of, from the log's start."""
+        instants_s = np.union1d(odometry.time_s, measurements.time_s)
+        return since_origin(time_s, start_s, instants_s) if start_s and len(instants_s) else time_s
+
+    if start_s:
+        provenance = {**provenance, "time_origin_s": str(start_s)}
+    prior_s = float(rest(np.array([meta.prior.time_s]))[0])
     try:
         return Log(
             name=meta.name,
             format="log-folder",
-            prior=Prior(
-                meta.prior.time_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)
-            ),
-            odometry=_read_odometry(folder / "odometry.csv", meta),
+            prior=Prior(prior_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)),
+            odometry=odometry,
             measurements=measurements,
-            positions=_read_positions(folder / "positions.csv", meta.positions.antenna_m),
-            loop_closures=_read_loop_closures(folder / "closures.csv"),
+            positions=_read_positions(folder / "positions.csv", start_s, meta.positions.antenna_m),
+            loop_closures=_read_loop_closures(folder / "closures.csv", start_s),
             known_landmarks=_read_landmarks(folder / "known_landmarks.csv"),
-            known_measurements=_read_measurements(_measurements_file(folder, "known_")),
-            scans=_read_scans(folder / "scans.npz", meta.scans),
-            clouds=_read_clouds(folder / "clouds.npz"),
+            known_measurements=_read_measurements(_measurements_file(folder, "known_"), start_s),
+            scans=_read_scans(folder / "scans.npz", rest, meta.scans),
+            clouds=_read_clouds(folder / "clouds.npz", rest),
             truth=truth,
-            provenance=meta.provenance,
+            provenance=provenance,
         )
     except RecordError as error:
         raise InputError(f"{folder}: {error}") from None
@@ -195,22 +205,22 @@ def write_log_folder(
         (work / MARK).write_text(meta_text(log, remarks), encoding="utf-8")
 
 
-def _read_odometry(path: Path, meta: LogModel) -> Odometry:
+def _read_odometry(path: Path, meta: LogModel, start_s: int) -> Odometry:
     settings = meta.odometry
     if isinstance(settings, RelativeModel):
-        table = Table(path, _RELATIVE, comma=True, header=True, gaps=_RELATIVE[4:])
+        table = Table(path, _RELATIVE, comma=True, header=True, gaps=_RELATIVE[4:], start_s=start_s)
         with table.locating():
             covariance = _spatial(table.data[:, 4:])
             return RelativePoses(table["time_s"], table.data[:, 1:4], covariance)
     noise = OdometryNoise(**settings.noise.model_dump())
     if isinstance(settings, SteeringModel):
-        table = Table(path, _STEERING, comma=True, header=True)
+        table = Table(path, _STEERING, comma=True, header=True, start_s=start_s)
         vehicle = Ackermann(**settings.vehicle.model_dump())
         with table.locating():
             return SteeringOdometry(
                 table["time_s"], table["speed_mps"], table["steering_rad"], vehicle, noise
             )
-    table = Table(path, _VELOCITY, comma=True, header=True)
+    table = Table(path, _VELOCITY, comma=True, header=True, start_s=start_s)
     with table.locating():
         return VelocityOdometry(table["time_s"], table["speed_mps"], table["yaw_rate_radps"], noise)
 
@@ -237,12 +247,20 @@ def _measurements_file(folder: Path, kind: str = "") -> Path:
 
 
 def _read_measurements(
-    path: Path, settings: MeasurementsModel | None = None
+    path: Path, start_s: int, settings: MeasurementsModel | None = None
 ) -> LandmarkMeasurements | None:
     if not path.exists():
         return None
     settings = settings or MeasurementsModel()
-    table = Table(path, _MEASUREMENTS, comma=True, header=True, gaps=_GAPS, optional=("intensity",))
+    table = Table(
+        path,
+        _MEASUREMENTS,
+        comma=True,
+        header=True,
+        gaps=_GAPS,
+        optional=("intensity",),
+        start_s=start_s,
+    )
     with table.locating():
         return LandmarkMeasurements(
             time_s=table["time_s"],
@@ -263,19 +281,19 @@ def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:
     _write_csv(path, names, *(getattr(s, name) for name in names))
 
 
-def _read_positions(path: Path, antenna_m: tuple[float, float]) -> Positions | None:
+def _read_positions(path: Path, start_s: int, antenna_m: tuple[float, float]) -> Positions | None:
     if not path.exists():
         return None
-    table = Table(path, _POSITIONS, comma=True, header=True)
+    table = Table(path, _POSITIONS, comma=True, header=True, start_s=start_s)
     with table.locating():
         covariance = _symmetric(table.data[:, 3:])
         return Positions(table["time_s"], table.data[:, 1:3], covariance, antenna_m)
 
 
-def _read_loop_closures(path: Path) -> LoopClosures | None:
+def _read_loop_closures(path: Path, start_s: int) -> LoopClosures | None:
     if not path.exists():
         return None
-    table = Table(path, _CLOSURES, comma=True, header=True)
+    table = Table(path, _CLOSURES, comma=True, header=True, start_s=start_s)
     with table.locating():
         covariance = _spatial(table.data[:, 5:])
         return LoopClosures(table["from_s"], table["to_s"], table.data[:, 2:5], covariance)
@@ -293,10 +311,10 @@ def _read_landmarks(path: Path) -> Landmarks | None:
         )
 
 
-def _read_poses(path: Path) -> Poses | None:
+def _read_poses(path: Path, start_s: int) -> Poses | None:
     if not path.exists():
         return None
-    table = Table(path, _POSES, comma=True, header=True)
+    table = Table(path, _POSES, comma=True, header=True, start_s=start_s)
     with table.locating():
         return Poses(table["time_s"], table.data[:, 1:])
 
@@ -307,14 +325,14 @@ def _read_surfaces(path: Path) -> Surfaces | None:
     return Surfaces(Table(path, _SURFACES, comma=True, header=True).data)
 
 
-def _read_scans(path: Path, settings: ScansModel) -> Scans | None:
+def _read_scans(path: Path, rest: Callable[[Array], Array], settings: ScansModel) -> Scans | None:
     if not path.exists():
         return None
     time_s, angle_rad, range_m, intensity = read_archive(path, _SCANS)
     mount = Mount(settings.forward_m, settings.left_m, settings.heading_rad)
     with _naming(path):
         return Scans(
-            time_s=time_s,
+            time_s=rest(time_s),
             angle_rad=angle_rad,
             range_m=range_m,
             intensity=intensity,
@@ -323,12 +341,12 @@ def _read_scans(path: Path, settings: ScansModel) -> Scans | None:
         )
 
 
-def _read_clouds(path: Path) -> Clouds | None:
+def _read_clouds(path: Path, rest: Callable[[Array], Array]) -> Clouds | None:
     if not path.exists():
         return None
     time_s, first, point_m, point_s = read_archive(path, _CLOUDS)
     with _naming(path):
-        return Clouds(time_s, whole_numbers("clouds", "first", first), point_m, point_s)
+        return Clouds(rest(time_s), whole_numbers("clouds", "first", first), point_m, point_s)
 
 
 @contextmanager

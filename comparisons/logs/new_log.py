@@ -16,6 +16,7 @@ from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import Odometry, RelativePoses, VelocityOdometry
 from comparisons.logs.plain_csv import NAMES, SEE, UNITS, PlainTable, read_plain, split_unit
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
+from comparisons.logs.stamps import origin, since
 from graphslam import increments
 from graphslam.increments import dead_reckoned
 
@@ -131,6 +132,9 @@ def build(files: UserFiles) -> Found:
         log, note = _laid(log, log.positions)
         reading.notes.append(note)
     origins = {f"{stream} file": _origins(t, limits=False) for stream, t in reading.tables.items()}
+    if reading.start_s:
+        origins["time_origin_s"] = str(reading.start_s)
+        reading.notes.append(f"times count from {reading.start_s} s of the files")
     log = replace(log, provenance={**log.provenance, **origins})
     reading.check_instants(log)
     reading.check_units()
@@ -145,13 +149,16 @@ class _Reading:
         self.files, self.stated = files, dict(files.stated)
         self.tables: dict[str, PlainTable] = {}
         self.notes: list[str] = []
-        self.kind, self.geodetic = "", False
+        self.kind, self.geodetic, self.start_s = "", False, 0
         self.span_s = (-np.inf, np.inf)
 
     def odometry(self) -> dict[str, Any]:
         """Columns of one kind, with what is stated of it."""
         wanted = ("time_s", *_MOTION, *COVARIANCE, *TWIST)
         table = self._read("odometry", self.files.odometry, wanted)
+        self.start_s = origin(float(np.min(table.columns.get("time_s", 0.0))))
+        if self.start_s:
+            table = self._read("odometry", self.files.odometry, wanted)
         if self.files.imu is not None:
             table = self._with_imu(table, self.files.imu)
         self.kind = self.files.kind or self._kind(table)
@@ -260,8 +267,10 @@ class _Reading:
         if self.files.truth is None:
             return None
         _need(self.files.truth, ("time_s", *KINDS["poses"]))
-        self.tables["truth"] = self.files.truth
-        return self.files.truth.columns
+        table = self.tables["truth"] = self.files.truth
+        if self.start_s:
+            return table.columns | {"time_s": since(table.columns["time_s"], self.start_s)}
+        return table.columns
 
     def truth_landmarks(self) -> dict[str, Any] | None:
         """Columns of the true map."""
@@ -301,7 +310,7 @@ class _Reading:
 
     def _read(self, stream: str, path: Path, wanted: tuple[str, ...]) -> PlainTable:
         units = units_of(self.files.units, stream)
-        table = self.tables[stream] = read_plain(path, wanted, units=units)
+        table = self.tables[stream] = read_plain(path, wanted, units=units, start_s=self.start_s)
         if table.columns and not table.line:
             raise InputError(
                 f"{path}: holds no records, expected rows below the header (a line that begins "

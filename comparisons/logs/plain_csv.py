@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from decimal import Decimal
 from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -137,7 +138,11 @@ class _Source(NamedTuple):
 
 
 def read_plain(
-    path: Path, wanted: Sequence[str], *, units: Mapping[str, str] | None = None
+    path: Path,
+    wanted: Sequence[str],
+    *,
+    units: Mapping[str, str] | None = None,
+    start_s: int = 0,
 ) -> PlainTable:
     """Read the columns of a CSV file that are among those wanted.
 
@@ -145,6 +150,7 @@ def read_plain(
         path: The file.
         wanted: Columns of a log folder.
         units: By a header or a column's usual name, the unit of its values.
+        start_s: What times count from, subtracted from their decimals.
 
     Returns:
         What of them the file has, in SI.
@@ -165,7 +171,7 @@ def read_plain(
         if name in _WORDS:
             columns[name] = np.array(lines.words(source.places[0], text=True), dtype=str)
         elif name == "time_s":
-            columns[name], unit[name] = _times(lines, source, header)
+            columns[name], unit[name] = _times(lines, source, header, start_s)
         elif len(source.places) > 1:
             columns[name] = _heading(lines, source)
         else:
@@ -402,19 +408,20 @@ def _heading(lines: _Lines, source: _Source) -> Array:
     return heading_of(np.column_stack(parts), lines.path, lines.line)
 
 
-def _times(lines: _Lines, source: _Source, header: str) -> tuple[Array, str]:
-    """Seconds, and what their unit was taken for.
+def _times(lines: _Lines, source: _Source, header: str, start_s: int) -> tuple[Array, str]:
+    """Seconds after a start, each rounded once, and what their unit was taken for."""
 
-    Whole numbers of a smaller unit are divided once, so that none is rounded twice.
-    """
+    def after(stamps: Iterable[Decimal]) -> Array:
+        return np.array([float(one - start_s) for one in stamps])
+
     if len(source.places) > 1:
         parts = [lines.words(place) for place in source.places]
         if all(word.isdigit() for words in parts for word in words):
-            whole = zip(*([int(word) for word in words] for words in parts), strict=True)
-            return np.array([(s * 10**9 + ns) / 10**9 for s, ns in whole]), "s and ns"
+            both = zip(*parts, strict=True)
+            return after(Decimal(s) + Decimal(ns).scaleb(-9) for s, ns in both), "s and ns"
     words = lines.words(source.places[0])
     if words and all(_ISO.fullmatch(word) for word in words):
-        return np.array([_iso_s(lines, row, word) for row, word in enumerate(words)]), "ISO 8601"
+        return after(_iso_s(lines, row, word) for row, word in enumerate(words)), "ISO 8601"
     values = _numbers(lines.path, words, lines.line, "time_s", header)
     unit, how = source.unit, "" if not source.stated else " by --unit"
     most = float(np.abs(values).max(initial=0.0))
@@ -426,15 +433,11 @@ def _times(lines: _Lines, source: _Source, header: str) -> tuple[Array, str]:
             f"{lines.path}:{lines.line[int(np.abs(values).argmax())]}: '{shorten(header)}' is "
             f"{most:.0f} {unit}, expected at most {_SECONDS_END:g} s"
         )
-    per_second = _PER_SECOND[unit]
-    if per_second > 1 and all(word.lstrip("+-").isdigit() for word in words):
-        values = np.array([int(word) / per_second for word in words])
-    else:
-        values = values / per_second
-    return values, "" if unit == "s" and not how else f"{unit}{how}"
+    found = after(Decimal(word) / _PER_SECOND[unit] for word in words)
+    return found, "" if unit == "s" and not how else f"{unit}{how}"
 
 
-def _iso_s(lines: _Lines, row: int, word: str) -> float:
+def _iso_s(lines: _Lines, row: int, word: str) -> Decimal:
     """Seconds since 1970 of a date and a time of day, in UTC where it names no zone."""
     matched = _ISO.fullmatch(word)
     if matched is None:
@@ -448,6 +451,4 @@ def _iso_s(lines: _Lines, row: int, word: str) -> float:
             "2024-05-31T12:00:00.5Z"
         ) from None
     moment = moment if zone else moment.replace(tzinfo=UTC)
-    digits = fraction or "0"
-    scale: int = 10 ** len(digits)
-    return (round(moment.timestamp()) * scale + int(digits)) / scale
+    return round(moment.timestamp()) + Decimal(f"0.{fraction or 0}")

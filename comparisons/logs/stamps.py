@@ -6,6 +6,14 @@ import numpy as np
 
 from comparisons.arrays import Array
 
+_TOLD_S = 1e-9
+"""Times have to be told to this."""
+
+
+def origin(first_s: float) -> int:
+    """Return the whole seconds that a log counts from: 0 where a float tells nanoseconds anyhow."""
+    return int(np.floor(first_s)) if np.spacing(abs(first_s)) > _TOLD_S else 0
+
 
 def resolved(time_s: Array) -> Array:
     """Times as epochs have them: to the nanosecond, where a float tells as much."""

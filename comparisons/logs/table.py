@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,6 +15,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, check_regular, printable
 
+TIMES = ("time_s", "from_s", "to_s")
 _MOST_PARTS = 64
 _QUOTED = re.compile(r"""\"[^"\n]*"|'[^'\n]*'""")
 _BETWEEN = re.compile(r"[=,#\[\]{}\n]")
@@ -35,10 +37,12 @@ class Table:
         header: bool = False,
         gaps: tuple[str, ...] = (),
         optional: tuple[str, ...] = (),
+        start_s: int = 0,
     ) -> None:
         """Read the file; `gaps` are columns in which nan means not measured.
 
         optional: further columns, which a header may name behind the others, all or none.
+        start_s: what the times of the columns TIMES count from, subtracted from their decimals.
         Raises InputError at the first line that is not a full record.
         """
         self.path, self.columns = path, columns
@@ -63,6 +67,9 @@ class Table:
         required = [name not in gaps for name in columns]
         if not np.isfinite(self.data[:, required]).all() or np.isinf(self.data).any():
             self._explain(text)
+        for place in [at for at, name in enumerate(columns) if start_s and name in TIMES]:
+            words = (line.split(self._delimiter)[place] for line in records)
+            self.data[:, place] = [float(Decimal(word.strip()) - start_s) for word in words]
 
     def __getitem__(self, column: str) -> Array:
         """One column (N,) by name."""

@@ -50,8 +50,9 @@ from comparisons.estimates.external import ExternalEstimate, with_poses
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import Integration
+from comparisons.logs.odometry import Integration, RelativePoses
 from comparisons.logs.stamps import at_instants, since_origin
+from comparisons.logs.transforms.clock import file_start, told_by_floats
 from comparisons.pipeline.estimate_motion import in_words, integrations_by_steps, integrations_of
 from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace
 from comparisons.pipeline.prepare import Progress, no_progress
@@ -111,6 +112,7 @@ class ExternalCheck(Shown):
         trace: The filter's own gaps, where it handed in a trace.
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
+        log: As it was read, where the solution's has other integration or times.
         grade: `equal`, `like`, `plausible` or `wrong`, with what it was compared with.
         outcome: `agree`, `disagree` or `unverified`.
         causes: Why the grade is not higher, the most important first.
@@ -132,6 +134,7 @@ class ExternalCheck(Shown):
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
     departure: Departure | None = None
+    log: Log | None = None
 
     def __repr__(self) -> str:
         """Return log, outcome, grade and the causes' names in one line."""
@@ -192,13 +195,13 @@ def check(
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
-    first = job.started(given.numbered_as(log.labels))
+    job, found = job.begun(given.numbered_as(log.labels))
     unsound = given.trace is not None and given.trace.unsound
-    if first.exact or unsound or len(first.inside.time_s) < FEWEST:
-        return first
-    progress("motion models", 0, 0)
-    first = job.integrated(first, ORDERS)
-    return _with_departure(job.explained(first) or job.moved_back(first) or first)
+    if not (found.exact or unsound or len(found.inside.time_s) < FEWEST):
+        progress("motion models", 0, 0)
+        found = job.integrated(found, ORDERS)
+        found = _with_departure(job.explained(found) or job.moved_back(found) or found)
+    return replace(found, log=log)
 
 
 @dataclass(frozen=True)
@@ -214,6 +217,21 @@ class _Job:
     def own(self) -> Solution:
         """The smoother's, by the log's own integration."""
         return self.solver(self.log, self.config, self.progress)
+
+    def begun(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
+        """The grade, and the job with the times of the log that the estimate's filter had.
+
+        One that counts as the log's file does, since 1970, has them as floats tell them, if it is
+        not equal by exact ones alone.
+        """
+        if isinstance(self.log.odometry, RelativePoses) or not _by_the_files_clock(given, self.log):
+            return self, self.started(given)
+        told = replace(self, log=told_by_floats(self.log))
+        first = told.started(given)
+        exact = first if first.grade.value == "equal" else self.started(given)
+        if exact is first or exact.grade.value != "equal":
+            return told, first
+        return self, exact
 
     def started(self, given: ExternalEstimate) -> ExternalCheck:
         """The grade beside references that move as the estimate's own steps do."""
@@ -295,16 +313,21 @@ class _Job:
         return replace(first, causes=(said, *found.causes), remarks=found.remarks)
 
 
+def _by_the_files_clock(given: ExternalEstimate, log: Log) -> bool:
+    """Whether an estimate's times count as the log's file does, and not as the log's do."""
+    start_s = float(file_start(log))
+    begin_s, end_s = log.prior.time_s - CLOCK_S, log.end_s + CLOCK_S
+    return start_s > end_s and begin_s <= given.time_s[0] - start_s <= end_s
+
+
 def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:
     """Return an estimate whose times count as the log's, if they count as the log's file does.
 
     A bag's stamps count from 1970, the log's times from the first of them. instants_s: of the log.
     """
-    start_s = float(log.provenance.get("time_origin_s", 0.0))
-    begin_s, end_s = instants_s[[0, -1]]
-    if not start_s > end_s or not begin_s - CLOCK_S <= given.time_s[0] - start_s <= end_s + CLOCK_S:
+    if not _by_the_files_clock(given, log):
         return given
-    trace = given.trace
+    trace, start_s = given.trace, float(file_start(log))
     if trace is not None:
         trace = replace(trace, step_time_s=since_origin(trace.step_time_s, start_s, instants_s))
     return replace(given, time_s=since_origin(given.time_s, start_s, instants_s), trace=trace)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import slamcheck
+from benchmarks.strangers import Course, Ekf, read_log, simulate
 from comparisons.arrays import Array
 from comparisons.audit.run_trace import write_event
 from comparisons.errors import InputError
@@ -123,6 +124,45 @@ def test_what_a_float_adds_is_no_time_of_its_own() -> None:
     late = np.array([1_700_000_000.1234567])
     assert resolved(late).tolist() == late.tolist()
     assert stamps.resolved(np.array([1e-9])).tolist() == [1e-9]
+
+
+def column(path: Path) -> list[Decimal]:
+    """The times of a CSV file."""
+    return [Decimal(row.split(",")[0]) for row in path.read_text().splitlines()[1:]]
+
+
+def since_1970(folder: Path, out: Path, *, whole: bool) -> str | None:
+    """The grade of a filter that reads stamps as whole nanoseconds, or as floats."""
+    log, start = read_log(folder), Decimal(0)
+    if whole:
+        sampled, seen = (column(folder / f"{one}.csv") for one in ("odometry", "measurements"))
+        start = sampled[0]
+        log = replace(
+            log,
+            meta=log.meta | {"prior": log.meta["prior"] | {"time_s": 0.0}},
+            odometry_s=np.array([float(one - start) for one in sampled]),
+            used_s=np.array([float(one - start) for one in seen]),
+        )
+    Ekf(log).run().write(out, traced=False)
+    path = out / "trajectory.tum"
+    rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
+    path.write_text("".join(f"{start + Decimal(time)} {rest}\n" for time, rest in rows))
+    return slamcheck.check(slamcheck.load_log(folder), out, require="like").grade.value
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_stamps_since_1970_are_taken_as_the_filter_had_them(
+    whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Floats tell 0.24 us of them, which is more than rounding of an estimate."""
+    log = tmp_path / "log"
+    simulate(Course("since-1970", duration_s=6.0, stamps="epoch"), 1, log)
+    assert since_1970(log, tmp_path / "mine", whole=whole) == "equal"
+    if whole:
+        monkeypatch.setattr("comparisons.logs.log_folder.origin", lambda first_s: 0)
+    else:
+        monkeypatch.setattr("comparisons.pipeline.check.told_by_floats", lambda log: log)
+    assert since_1970(log, tmp_path / "other", whole=whole) == "like"
 
 
 def driven(log: Log) -> Array:
