@@ -78,7 +78,7 @@ def test_the_cause_says_it_where_it_matters() -> None:
     )
     assert "learnt" not in evidence(0.07)
     nothing = found._replace(
-        directions=(found.of(HEADING)._replace(information=0.0, largest=None),)
+        directions=(replace(found.of(HEADING), information=0.0, largest=None),)
     )
     assert "learnt" not in evidence(0.2, nothing)
 

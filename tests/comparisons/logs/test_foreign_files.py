@@ -55,7 +55,9 @@ def circle(count: int = 320) -> Circle:
     reported = controls + rng.normal(
         0.0, (WHEELS["sigma_speed_mps"], WHEELS["sigma_turn"]), (count, 2)
     )
-    truth, reckoned = (travelled(*(STEP_S * of).T, 0.5) for of in (controls, reported))
+    truth, reckoned = (
+        travelled(STEP_S * of[:, 0], STEP_S * of[:, 1], 0.5) for of in (controls, reported)
+    )
     around = 9.0 * np.exp(2j * np.pi * np.arange(12) / 12) + 5j
     seen = []
     for k in range(5, count, 5):
