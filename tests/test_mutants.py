@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from benchmarks import mutants as program
-from benchmarks.mutants import drawn, mutants, put_in_place
+from benchmarks.mutants import EQUIVALENT, ROOT, drawn, mutants, put_in_place, score
 
 SOURCE = '''
 LIMIT = 3
@@ -44,6 +45,21 @@ def test_a_line_elsewhere_draws_no_other_mutants() -> None:
     assert [one.key for one in before] == [one.key for one in after]
     other = drawn(mutants("small.py", SOURCE.encode()), 4, 1)
     assert [one.key for one in before] != [one.key for one in other]
+
+
+def test_what_changes_nothing_is_not_counted_and_what_survives_has_a_reason() -> None:
+    assert score(20, []) == (1.0, 0, 0)
+    assert score(20, [""]) == (0.95, 0, 1)
+    assert score(21, [f"{EQUIVALENT}it is", "let live: words"]) == (0.95, 1, 0)
+
+
+def test_every_reason_is_of_a_mutant_that_there_is() -> None:
+    found = tomllib.loads((ROOT / program.REASONS).read_text(encoding="utf-8"))["survivor"]
+    for file in {one["mutant"].partition(" ")[0] for one in found}:
+        there = {one.key for one in mutants(file, (ROOT / file).read_bytes())}
+        named = {one["mutant"] for one in found if one["mutant"].startswith(f"{file} ")}
+        assert named <= there, named - there
+    assert all(one["reason"] for one in found)
 
 
 def test_a_mutant_takes_its_functions_place(

@@ -160,6 +160,7 @@ def test_known_landmarks_are_fused_in_parts_that_equal_one_update(bound: str) ->
     weight = trace.arrays().measurements[POINT].weight
     assert len(weight) >= 4 * 2
     assert np.isclose(weight.sum(), 2.0, rtol=0, atol=1e-12)
+    assert trace.arrays().initialisations[POINT].number.tolist() == [-1, -1]  # of no measurement
     assert_equal_states(parts, single)
 
 

@@ -76,6 +76,18 @@ def test_printed_gain_without_transpose_fails() -> None:
     assert relative_error(printed, exact) > 1e-2
 
 
+def test_buffers_grow_by_doubling() -> None:
+    """Not with each landmark, which would be quadratic in their number."""
+    rng, rooms = np.random.default_rng(0), set()
+    state = mapped_state(rng, 1)
+    for _ in range(100):
+        state.augment(
+            NewLandmarks(np.zeros((1, 2)), np.zeros((1, 2, 3)), np.eye(2)[None]), np.eye(2)[None]
+        )
+        rooms.add(len(state._mean))
+    assert len(rooms) <= 4
+
+
 def test_augmentation_is_the_limit_of_a_boundless_prior() -> None:
     """Eq. 2.53 equals 2.56 with P_LL* growing: one measurement of an unknown landmark."""
     rng = np.random.default_rng(4)
