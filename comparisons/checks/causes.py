@@ -13,7 +13,6 @@ from comparisons.arrays import Array
 from comparisons.audit.spurious import HEADING, Learnt
 from comparisons.checks.agreement import (
     EXACT,
-    LARGEST_DISTANCE,
     LEAST_VARIANCE_RATIO,
     Agreement,
     Allowed,
@@ -412,14 +411,13 @@ def linearisation(
     blocks = (*agreement.landmarks, *agreement.pose_landmarks)
     off = [i for i, block in enumerate(blocks) if not block.agrees]
     parts = []
-    far = [i for i in off if blocks[i].distance_sigma > LARGEST_DISTANCE]
+    far = [i for i in off if not blocks[i].near]
     if far:
         worst = max(far, key=lambda i: blocks[i].distance_sigma)
         block = blocks[worst]
         parts.append(
-            f"{len(far)} of {len(names)} landmarks are more than {LARGEST_DISTANCE:g} sigma "
-            "from the "
-            f"optimum; {names[worst]} differs most, by {block.difference_m:.2f} m "
+            f"{len(far)} of {len(names)} landmarks are more than {block.limit_sigma:.2g} sigma "
+            f"from the optimum; {names[worst]} differs most, by {block.difference_m:.2f} m "
             f"({block.distance_sigma:.1f} sigma)"
         )
     unsure = [i for i in off if i not in far]
@@ -432,12 +430,12 @@ def linearisation(
             f"{len(unsure)} of {len(names)} landmarks have a wrong covariance; the variance of "
             f"{names[worst]} is {ratio:.2g} times the smoother's"
         )
-    if agreement.pose.distance_sigma > LARGEST_DISTANCE:
+    if not agreement.pose.near:
         parts.append(
             f"the last pose differs by {agreement.pose.difference_m:.2f} m "
             f"({agreement.pose.distance_sigma:.1f} sigma)"
         )
-    if agreement.map.distance_sigma > LARGEST_DISTANCE:
+    if not agreement.map.near:
         far_all = agreement.map.distance_sigma
         parts.append(f"map and last pose together differ by {far_all:.1f} sigma")
     if agreement.optimism < LEAST_VARIANCE_RATIO:

@@ -289,12 +289,11 @@ def _map_faults(
     far = [k for k, block in enumerate(blocks) if not block.near]
     if far:
         worst = max(far, key=lambda k: blocks[k].distance_sigma)
+        block, name = blocks[worst], smoothed.landmark_name(int(rows[1][worst]))
         parts.append(
-            f"{len(far)} of {len(blocks)} landmarks are more than {LARGEST_DISTANCE:g} sigma "
-            "from the "
-            f"optimum, landmark {smoothed.landmark_name(int(rows[1][worst]))} most, by "
-            f"{blocks[worst].difference_m:.2f} m "
-            f"({blocks[worst].distance_sigma:.1f} sigma)"
+            f"{len(far)} of {len(blocks)} landmarks are more than {block.limit_sigma:.2g} sigma "
+            f"from the optimum, landmark {name} most, by {block.difference_m:.2f} m "
+            f"({block.distance_sigma:.1f} sigma)"
         )
     last = found.last
     if last is not None and not last.near:
@@ -374,7 +373,7 @@ def _landmark_blocks(
     for i, j, own in zip(*(one.tolist() for one in rows), every, strict=True):
         cover = None if given.landmark_covariance is None else given.landmark_covariance[i]
         apart, name = given.landmark[i] - smoothed.landmark[j], int(smoothed.landmark_id[j])
-        yield LandmarkAgreement.of(apart, own, cover, band, id=name)
+        yield LandmarkAgreement.of(apart, own, cover, band, len(rows[0]), id=name)
 
 
 def _outside(difference: Array, covariance: Array) -> float:

@@ -6,10 +6,16 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from comparisons.checks.agreement import LARGEST_DISTANCE, Agreement, GapFigures
+from comparisons.checks.agreement import (
+    LARGEST_DISTANCE,
+    Agreement,
+    GapFigures,
+    largest_distance,
+)
 from comparisons.checks.qualifiers import TruthGap
 from comparisons.figures import finite
 from comparisons.report.models import Result
+from ekf_reference.core.landmark_types import POINT
 
 if TYPE_CHECKING:
     from comparisons.report.check import CheckResult
@@ -88,7 +94,8 @@ def check_ladder(result: CheckResult) -> list[Step]:
         return [*steps, replace(last, judged=last.judged and (near or last.fails))]
     blocks = [*result.landmarks, *([] if result.last_pose is None else [result.last_pose])]
     sigma = max((one.distance_sigma for one in blocks), default=None)
-    near = sigma is None or sigma <= LARGEST_DISTANCE
+    limit = largest_distance(len(result.landmarks), POINT.width)
+    near = sigma is None or sigma <= limit
     to_smoother = Step(
         gap="optimum",
         above=EXTERNAL,
@@ -97,7 +104,7 @@ def check_ladder(result: CheckResult) -> list[Step]:
         error_m=result.rms_m,
         fails="optimum" in failed,
         judged=result.smoother.verified and (near or result.grade == "plausible"),
-        limit=LARGEST_DISTANCE,
+        limit=limit,
     )
     return [*_reference_steps(result), to_smoother]
 

@@ -7,7 +7,14 @@ import pytest
 
 from comparisons import statistics
 from comparisons.checks.accuracy import aligned, assess, match_by_distance, relative_errors
-from comparisons.checks.agreement import BlockAgreement, Gap, Gaussian, compare, gap
+from comparisons.checks.agreement import (
+    BlockAgreement,
+    Gap,
+    Gaussian,
+    compare,
+    gap,
+    largest_distance,
+)
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
 from comparisons.statistics import eigenvalue_range
@@ -83,6 +90,31 @@ def test_asymmetry_and_indefiniteness_are_gaps() -> None:
 def test_block_limits(distance: float, least: float, largest: float, agrees: bool) -> None:
     apart, given = np.array((distance * 2**0.5, 0.0)), np.diag((least, largest))
     assert BlockAgreement.of(apart, np.eye(2), given).agrees is agrees
+
+
+def test_the_worst_of_many_landmarks_is_no_worse_than_that_of_two_hundred() -> None:
+    """Sound maps of any size pass alike; with one limit for all the large ones pass hardly ever."""
+    rng, passing = np.random.default_rng(0), {}
+    for count in (200, 600, 2000):
+        square = rng.chisquare(2, (500, count)) / 2.0
+        worst = np.sqrt(square.max(axis=1)) / np.sqrt(np.log(200.0 / np.log(2.0)))
+        passing[count] = np.mean(worst <= largest_distance(count, 2)), np.mean(worst <= 1.0)
+    assert all(abs(own - 0.5) < 0.1 for own, _ in passing.values()), passing
+    assert passing[2000][1] < 0.02
+    assert {largest_distance(count, 2) for count in (0, 1, 200)} == {1.0}
+
+
+def test_each_landmark_is_judged_as_one_of_all() -> None:
+    """One of 500 may be farther off than one of 200; the pose may not."""
+    for count, agrees in ((200, False), (500, True)):
+        layout = Layout.packed(3, count)
+        s = Gaussian(np.zeros(layout.size), np.eye(layout.size), layout)
+        off = replace(s, mean=s.mean.copy())
+        off.mean[[0, 3]] = 1.05 * np.sqrt((3.0, 2.0))
+        found = compare(off, off, off, s)
+        assert found.landmarks[0].distance_sigma == pytest.approx(1.05)
+        assert found.landmarks[0].near == found.landmarks[0].agrees == agrees
+        assert not found.pose.near
 
 
 def test_the_map_as_a_whole_is_judged(comparison: Comparison) -> None:

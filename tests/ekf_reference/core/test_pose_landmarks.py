@@ -251,6 +251,8 @@ def test_landmark_indices_that_are_not_in_the_map_are_named() -> None:
     ekf, z, r = build(), np.ones((1, 3)), np.eye(3)[None]
     with pytest.raises(ValueError, match=r"landmark indices \[0\], expected -1 or less than 0"):
         ekf.observe_known(z, r, np.array([0]), POSE)
+    with pytest.raises(ValueError, match=r"landmark indices \[-1, 0\], expected -1 or less than 0"):
+        ekf.observe_known(np.ones((2, 3)), np.tile(r, (2, 1, 1)), np.array([NEW, 0]), POSE)
     assert ekf.observe_known(z, r, np.array([NEW]), POSE).tolist() == [0]
     ekf.remove(np.array([0]), POSE)
     with pytest.raises(ValueError, match="removed"):

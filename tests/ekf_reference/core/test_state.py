@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.landmark_types import NewLandmarks
+from ekf_reference.core.landmark_types import POSE, NewLandmarks
 from ekf_reference.core.state import FilterDivergedError, KalmanState
 from tests.ekf_reference.numerics import point_columns, random_covariance, relative_error
 
@@ -74,6 +74,14 @@ def test_printed_gain_without_transpose_fails() -> None:
     )
     assert relative_error(state.mean, exact) < 1e-12
     assert relative_error(printed, exact) > 1e-2
+
+
+def test_what_lies_within_a_circle_is_found_by_position_alone() -> None:
+    state = KalmanState(np.array((1.0, 2.0, 0.5)), np.eye(3))
+    places = np.array(((4.0, 6.0, 9.0), (4.0, 6.1, 0.0), (1.0, 2.0, 0.0)))
+    square = np.tile(np.eye(3), (3, 1, 1))
+    state.augment(NewLandmarks(places, np.zeros((3, 3, 3)), square), square, POSE)
+    assert state.within(5.0, POSE).tolist() == [0, 2]
 
 
 def test_buffers_grow_by_doubling() -> None:
