@@ -40,7 +40,7 @@ def test_exit_codes_folder_and_json(tmp_path: Path) -> None:
     assert faulty.returncode == 1
     found = AuditResult.model_validate(json.loads(faulty.stdout))
     assert found.verdict == "faulty"
-    assert found.findings[0].blocks == ["position", "bias"]
+    assert found.findings[0].blocks == ("position", "bias")
     assert sorted(found.files) == names
     assert (tmp_path / "there" / "audit.json").read_text() == faulty.stdout
     again = command("audit", "faulty.trace", "--quiet", "--out", "there", cwd=tmp_path)
