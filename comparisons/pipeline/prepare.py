@@ -116,9 +116,13 @@ class Prepared(Generic[C]):
 
         Raises InputError where the odometry leaves a motion without full rank.
         """
-        timeline = build_timeline(self.log, self.positions, self.epochs)
-        check_regular(self.log, timeline)
-        return timeline
+        check_regular(self.log, self.filter_timeline)
+        return self.filter_timeline
+
+    @cached_property
+    def filter_timeline(self) -> Timeline:
+        """The same whatever the odometry's rank, which filters alone do not need."""
+        return build_timeline(self.log, self.positions, self.epochs)
 
     @cached_property
     def judged(self) -> Log:

@@ -156,9 +156,9 @@ def _run(
     time_s: Array,
     started: Callable[[Ekf], FilterObserver] | None = None,
 ) -> FilterRun | None:
-    p = prepared
+    p, map_s = prepared, float(time_s[-1])
     return run_reference(
-        p.log, p.timeline, p.ekf, p.positions, kind=kind, map_s=float(time_s[-1]), started=started
+        p.log, p.filter_timeline, p.ekf, p.positions, kind=kind, map_s=map_s, started=started
     )
 
 

@@ -7,16 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.strangers import Course, simulate
 from comparisons.adapters.filter_loop import NoObserver
 from comparisons.adapters.filter_variants import RobocentricState
 from comparisons.arrays import Array
 from comparisons.checks.grade import Reference, likeness
 from comparisons.checks.spread import within_spread
 from comparisons.config import CheckConfig
+from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import Fault
@@ -27,6 +30,7 @@ from comparisons.pipeline.references import APART, EKF, filter_named, variants
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import NewLandmarks
+from slamcheck import load_log
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
 from tests.ekf_reference.numerics import central_difference
 from tests.helpers import present, without_labels
@@ -110,6 +114,17 @@ def test_a_number_is_fitted(solution: Solution, words: str) -> None:
     found = [one for one in families(solution.log) if one.what.startswith(words)]
     assert len(found) == 1
     assert_named(solution, found[0].member(2.345))
+
+
+def test_a_fault_may_leave_a_motion_without_full_rank(tmp_path: Path) -> None:
+    """No smoother can use such a log, but the filter runs. Each sample has a scan."""
+    simulate(Course("each", rate_hz=5.0, scan_every=1, duration_s=4.0), 1, tmp_path / "log")
+    each = solve(load_log(tmp_path / "log"))
+    (fault,) = (one for one in catalogue(each.log) if one.what.startswith("the stabilisation"))
+    without = replace(each.prepared, log=present(fault.feed)(each.log))
+    with pytest.raises(InputError, match="is singular"):
+        _ = without.timeline
+    assert_named(each, fault)
 
 
 def test_no_fault_stops_a_filter_that_associates_for_itself() -> None:
