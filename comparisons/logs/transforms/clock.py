@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.logs.log import Log
+from comparisons.logs.stamps import resolved
 
 _STREAMS = (
     "odometry", "measurements", "positions", "known_measurements", "scans", "clouds"
@@ -30,7 +31,7 @@ def told_by_floats(log: Log) -> Log:
 
     def told(time_s: Array) -> Array:
         stamps = [float(start + Decimal(one)) for one in time_s.tolist()]
-        return np.array([float(Decimal(stamp) - start) for stamp in stamps])
+        return resolved(np.array([float(Decimal(stamp) - start) for stamp in stamps]))
 
     changed: dict[str, Any] = {}
     for name in _STREAMS:
