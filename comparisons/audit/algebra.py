@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -91,8 +91,9 @@ class Finding:
     fault: bool
     text: str
     event: int | None
-    sensor: str | None
-    blocks: Blocks
+    _: KW_ONLY
+    sensor: str | None = None
+    blocks: Blocks = ()
 
 
 class _Resets:
@@ -191,7 +192,7 @@ class AlgebraCheck:
         sensor = event.sensor if isinstance(event, Update) else None
         text = f"{name_of(event)}: {what}"
         number = event.number
-        self.add(Finding("noise", True, text, number, sensor, ()), what, float("inf"))
+        self.add(Finding("noise", True, text, number, sensor=sensor), what, float("inf"))
         self.known = self.sound = False
         self._start, self._kept = None, []
         if isinstance(event, Prior):
@@ -216,7 +217,7 @@ class AlgebraCheck:
             text = f"all resets are the identity, though {self._resets.largest:.2g} is corrected "
             text += "before them: is the Jacobian made after the correction is set to zero?"
             number = self._resets.first
-            self.add(Finding("covariance", False, text, number, None, ()), "resets")
+            self.add(Finding("covariance", False, text, number), "resets")
 
     def findings(self, *, timed: bool = False) -> tuple[Finding, ...]:
         """Return findings, faults first, those of one event's algebra before the others by weight.
@@ -249,7 +250,9 @@ class AlgebraCheck:
             what = (self._name(event, before, one) if one.kind else None) or one.what
             text = f"{name_of(event)} {what}"
             check = "correction" if one.fault else "gain"
-            finding = Finding(check, one.fault, text, event.number, event.sensor, one.blocks)
+            finding = Finding(
+                check, one.fault, text, event.number, sensor=event.sensor, blocks=one.blocks
+            )
             kind = one.kind if what == one.what and one.kind else what
             self._pending.append((finding, kind))
 
@@ -282,7 +285,7 @@ class AlgebraCheck:
         """Compare a snapshot with the recursion, which goes on from it where it is wrong."""
         if not np.isfinite(snapshot.covariance).all():
             text, number = f"{name_of(self._last)} leads to no finite covariance", snapshot.number
-            self.add(Finding("covariance", True, text, number, None, ()), "not finite")
+            self.add(Finding("covariance", True, text, number), "not finite")
             return
         at = self.replay.layout.columns(snapshot.blocks)
         recorded, right = snapshot.covariance, self.replay.covariance[at][:, at]
@@ -319,7 +322,7 @@ class AlgebraCheck:
     def _invalid(self, snapshot: Snapshot, cause: Finding | None = None) -> None:
         """Add that a covariance is invalid. cause: what is known of where it became so."""
         number = snapshot.number
-        cause = cause or Finding("covariance", True, "", number, None, ())
+        cause = cause or Finding("covariance", True, "", number)
         for what in self._invalidity(snapshot.covariance):
             text = f"the covariance at event {number} {what}"
             self.add(replace(cause, check="covariance", text=text), what[:12])
@@ -395,18 +398,20 @@ class AlgebraCheck:
             last, names = self._last, ", ".join(wrong)
             text = f"{name_of(last)}: the estimate of {names} is off by {largest:.2g} sigma"
             sensor = last.sensor if isinstance(last, Update) else None
-            finding = Finding("correction", True, text, last.number, sensor, tuple(wrong))
+            finding = Finding(
+                "correction", True, text, last.number, sensor=sensor, blocks=tuple(wrong)
+            )
             self.add(finding, f"estimate after {type(last).__name__}")
 
     def _localise(self, snapshot: Snapshot) -> None:
         """Say where and how a snapshot became wrong."""
         if self.tolerance < _SINGLE and self.sound and _is_single(snapshot.covariance):
             text = f"covariances are in single precision: audit them with --tolerance {_SINGLE:g}"
-            self.add(Finding("covariance", False, text, snapshot.number, None, ()), "single")
+            self.add(Finding("covariance", False, text, snapshot.number), "single")
         if self._start is None or self._searched > MOST_SEARCHED:
             self._pending = []
             text = f"the covariance at event {snapshot.number} is not that of the events before it"
-            self.add(Finding("algebra", True, text, snapshot.number, None, ()), "unknown")
+            self.add(Finding("algebra", True, text, snapshot.number), "unknown")
             self._invalid(snapshot)
             return
         start = self._remembering(self._start)
@@ -452,11 +457,13 @@ class AlgebraCheck:
         if event is None:
             first, last = self._kept[0].number, snapshot.number
             text = f"between events {first} and {last}, {cause.what}"
-            return Finding(check, True, text, first, None, cause.blocks)
+            return Finding(check, True, text, first, blocks=cause.blocks)
         sensor = event.sensor if isinstance(event, Update) else None
         tail = ", as at later ones of its kind" if cause.repeated and not cause.sound else ""
         text = f"{name_of(event)}: {cause.what}{tail}"
-        return Finding(check, not cause.sound, text, event.number, sensor, cause.blocks)
+        return Finding(
+            check, not cause.sound, text, event.number, sensor=sensor, blocks=cause.blocks
+        )
 
     def _confirm(self, until: int | None) -> None:
         """Accept what gains were found unlike, up to an event that made the covariance wrong."""
