@@ -120,9 +120,9 @@ def kept_fields(kind: type) -> Mapping[str, Any]:
         for extras in (False, True)
     )
     return {
-        name: float | None if hint == Figure else plain[name]
-        for name, hint in marked.items()
-        if not any(getattr(one, "exclude", None) for one in getattr(hint, "__metadata__", ()))
+        name: float | None if marked[name] == Figure else plain[name]
+        for name in (*(one.name for one in dataclasses.fields(kind)), *computed)
+        if not any(getattr(m, "exclude", None) for m in getattr(marked[name], "__metadata__", ()))
     }
 
 

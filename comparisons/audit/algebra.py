@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +73,7 @@ _OF_EVENTS = ("noise", "covariance", "algebra", "correction", "gain")
 """Checks that tell what is wrong at an event; the others tell what follows."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     """What the audit found.
 
@@ -90,7 +90,8 @@ class Finding:
     check: str
     fault: bool
     text: str
-    event: int | None = None
+    event: int | None
+    _: KW_ONLY
     sensor: str | None = None
     blocks: Blocks = ()
 
@@ -191,11 +192,7 @@ class AlgebraCheck:
         sensor = event.sensor if isinstance(event, Update) else None
         text = f"{name_of(event)}: {what}"
         number = event.number
-        self.add(
-            Finding(check="noise", fault=True, text=text, event=number, sensor=sensor),
-            what,
-            float("inf"),
-        )
+        self.add(Finding("noise", True, text, number, sensor=sensor), what, float("inf"))
         self.known = self.sound = False
         self._start, self._kept = None, []
         if isinstance(event, Prior):
@@ -220,7 +217,7 @@ class AlgebraCheck:
             text = f"all resets are the identity, though {self._resets.largest:.2g} is corrected "
             text += "before them: is the Jacobian made after the correction is set to zero?"
             number = self._resets.first
-            self.add(Finding(check="covariance", fault=False, text=text, event=number), "resets")
+            self.add(Finding("covariance", False, text, number), "resets")
 
     def findings(self, *, timed: bool = False) -> tuple[Finding, ...]:
         """Return findings, faults first, those of one event's algebra before the others by weight.
@@ -254,12 +251,7 @@ class AlgebraCheck:
             text = f"{name_of(event)} {what}"
             check = "correction" if one.fault else "gain"
             finding = Finding(
-                check=check,
-                fault=one.fault,
-                text=text,
-                event=event.number,
-                sensor=event.sensor,
-                blocks=one.blocks,
+                check, one.fault, text, event.number, sensor=event.sensor, blocks=one.blocks
             )
             kind = one.kind if what == one.what and one.kind else what
             self._pending.append((finding, kind))
@@ -293,7 +285,7 @@ class AlgebraCheck:
         """Compare a snapshot with the recursion, which goes on from it where it is wrong."""
         if not np.isfinite(snapshot.covariance).all():
             text, number = f"{name_of(self._last)} leads to no finite covariance", snapshot.number
-            self.add(Finding(check="covariance", fault=True, text=text, event=number), "not finite")
+            self.add(Finding("covariance", True, text, number), "not finite")
             return
         at = self.replay.layout.columns(snapshot.blocks)
         recorded, right = snapshot.covariance, self.replay.covariance[at][:, at]
@@ -330,7 +322,7 @@ class AlgebraCheck:
     def _invalid(self, snapshot: Snapshot, cause: Finding | None = None) -> None:
         """Add that a covariance is invalid. cause: what is known of where it became so."""
         number = snapshot.number
-        cause = cause or Finding(check="covariance", fault=True, text="", event=number)
+        cause = cause or Finding("covariance", True, "", number)
         for what in self._invalidity(snapshot.covariance):
             text = f"the covariance at event {number} {what}"
             self.add(replace(cause, check="covariance", text=text), what[:12])
@@ -407,12 +399,7 @@ class AlgebraCheck:
             text = f"{name_of(last)}: the estimate of {names} is off by {largest:.2g} sigma"
             sensor = last.sensor if isinstance(last, Update) else None
             finding = Finding(
-                check="correction",
-                fault=True,
-                text=text,
-                event=last.number,
-                sensor=sensor,
-                blocks=tuple(wrong),
+                "correction", True, text, last.number, sensor=sensor, blocks=tuple(wrong)
             )
             self.add(finding, f"estimate after {type(last).__name__}")
 
@@ -420,15 +407,11 @@ class AlgebraCheck:
         """Say where and how a snapshot became wrong."""
         if self.tolerance < _SINGLE and self.sound and _is_single(snapshot.covariance):
             text = f"covariances are in single precision: audit them with --tolerance {_SINGLE:g}"
-            self.add(
-                Finding(check="covariance", fault=False, text=text, event=snapshot.number), "single"
-            )
+            self.add(Finding("covariance", False, text, snapshot.number), "single")
         if self._start is None or self._searched > MOST_SEARCHED:
             self._pending = []
             text = f"the covariance at event {snapshot.number} is not that of the events before it"
-            self.add(
-                Finding(check="algebra", fault=True, text=text, event=snapshot.number), "unknown"
-            )
+            self.add(Finding("algebra", True, text, snapshot.number), "unknown")
             self._invalid(snapshot)
             return
         start = self._remembering(self._start)
@@ -474,17 +457,12 @@ class AlgebraCheck:
         if event is None:
             first, last = self._kept[0].number, snapshot.number
             text = f"between events {first} and {last}, {cause.what}"
-            return Finding(check=check, fault=True, text=text, event=first, blocks=cause.blocks)
+            return Finding(check, True, text, first, blocks=cause.blocks)
         sensor = event.sensor if isinstance(event, Update) else None
         tail = ", as at later ones of its kind" if cause.repeated and not cause.sound else ""
         text = f"{name_of(event)}: {cause.what}{tail}"
         return Finding(
-            check=check,
-            fault=not cause.sound,
-            text=text,
-            event=event.number,
-            sensor=sensor,
-            blocks=cause.blocks,
+            check, not cause.sound, text, event.number, sensor=sensor, blocks=cause.blocks
         )
 
     def _confirm(self, until: int | None) -> None:

@@ -188,9 +188,7 @@ class _Pass:
         self._name_spurious(spurious)
         for name, one in self.innovations.turned():
             text = f"sensor `{name}`: {one.what}"
-            finding = Finding(
-                check="innovations", fault=True, text=text, event=one.event, sensor=name
-            )
+            finding = Finding("innovations", True, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, one.weight)
         for figures in sensors:
             self._judge_innovations(figures, level)
@@ -331,22 +329,14 @@ class _Pass:
         name = figures.sensor
         if figures.unusable:
             text = f"sensor `{name}`: {figures.unusable:,} innovations have no valid covariance"
-            self.algebra.add(
-                Finding(check="innovations", fault=True, text=text, sensor=name), "unusable"
-            )
+            self.algebra.add(Finding("innovations", True, text, None, sensor=name), "unusable")
         found = departures(figures, level)
         weight = max((one.weight for one in found), default=0.0)  # a sensor's go together
         for one in found:
             text = f"sensor `{name}`: {one.what} (p = {one.p_value:.1g})"
             if not self.algebra.optimal:
                 text += "; its bands are those of Kalman's gain"
-            finding = Finding(
-                check="innovations",
-                fault=self.algebra.optimal,
-                text=text,
-                event=one.event,
-                sensor=name,
-            )
+            finding = Finding("innovations", self.algebra.optimal, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, weight)
 
     def _judge_average(self, check: str, what: str, found: Averaged | None, level: float) -> None:
@@ -356,9 +346,7 @@ class _Pass:
             fault = check == "nees" or self.algebra.optimal
             # What innovations show explains it: it goes first only where they do not show as much.
             weight = 0.5 * far_off(found.mean, 1.0)
-            self.algebra.add(
-                Finding(check=check, fault=fault, text=text, event=found.worst), what, weight
-            )
+            self.algebra.add(Finding(check, fault, text, found.worst), what, weight)
 
     def _name_spurious(self, found: Learnt | None) -> None:
         """Name what was learnt of directions that the sensors cannot tell; no error of algebra."""
@@ -369,5 +357,5 @@ class _Pass:
                     + f" from measurements that cannot tell it; most by {one.largest.sensor} at "
                     f"event {one.largest.event}"
                 )
-                finding = Finding(check="spurious", fault=False, text=text, event=one.largest.event)
+                finding = Finding("spurious", False, text, one.largest.event)
                 self.algebra.add(finding, one.name)
