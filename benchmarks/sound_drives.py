@@ -1,4 +1,4 @@
-"""Drives on which the filter is sound: true noise as stated, so small that all is linear."""
+"""Drives on which the filter is sound: linear ones, and some that cost double precision digits."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
-from comparisons.logs.log import Log, Positions
+from comparisons.logs.log import Log, Positions, Truth
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.compare import Comparison, compare
@@ -25,9 +26,9 @@ def sound_log(seed: int, seconds: float, *, positions: bool = False) -> Log:
     """
     rng = np.random.default_rng(seed)
     log = simulate(rng, Drive(noise_scale=SCALE, loop_s=seconds))
-    odometry, truth = log.odometry, log.truth.poses
-    if not isinstance(odometry, SteeringOdometry) or truth is None:
-        raise TypeError("the simulated vehicle steers and has true poses")
+    odometry, truth = _steering(log), log.truth.poses
+    if truth is None:
+        raise TypeError("the simulated vehicle has true poses")
     noise = replace(odometry.noise, variance_rate_position=0.0, variance_rate_heading=0.0)
     log = replace(log, odometry=replace(odometry, noise=noise))
     if not positions:
@@ -43,3 +44,42 @@ def sound_run(seed: int, seconds: float, *, positions: bool = False) -> Comparis
     """Both estimators over one of these drives."""
     config = RunConfig(ekf=EkfConfig(gps="on" if positions else "off"))
     return compare(sound_log(seed, seconds, positions=positions), config)
+
+
+def standing_still(log: Log, from_s: float, still_s: float) -> Log:
+    """The vehicle stands still once, for so long, and is as unsure of it as of its speed."""
+    odometry = _steering(log)
+    stand = int(np.searchsorted(odometry.time_s, from_s))
+    moved = {
+        name: np.insert(getattr(odometry, name), stand, value)
+        for name, value in (("time_s", from_s), ("speed_mps", 0.0), ("steering_rad", 0.0))
+    }
+
+    def later(time_s: Array) -> Array:
+        return np.where(time_s > from_s, time_s + still_s, time_s)
+
+    moved["time_s"] = later(moved["time_s"])
+    measurements = replace(log.measurements, time_s=later(log.measurements.time_s))
+    noise = replace(odometry.noise, variance_rate_position=1e-2, variance_rate_heading=1e-7)
+    odometry = replace(odometry, **moved, noise=noise)  # type: ignore[arg-type]
+    return replace(log, odometry=odometry, measurements=measurements, truth=Truth())
+
+
+def far_away(log: Log, far_m: float) -> Log:
+    """The same beside another origin."""
+    pose = log.prior.pose + (far_m, -far_m, 0.0)
+    return replace(log, prior=replace(log.prior, pose=pose), truth=Truth())
+
+
+def fine(log: Log) -> Log:
+    """Controls and measurements stated to be known to 1e-7: a coordinate's last place counts."""
+    seen, sigma = log.measurements, np.full(len(log.measurements.time_s), 1e-7)
+    seen = replace(seen, sigma_range_m=sigma, sigma_bearing_rad=sigma)
+    noise = replace(_steering(log).noise, sigma_speed_mps=1e-7, sigma_turn=1e-7)
+    return replace(log, odometry=replace(_steering(log), noise=noise), measurements=seen)
+
+
+def _steering(log: Log) -> SteeringOdometry:
+    if not isinstance(log.odometry, SteeringOdometry):
+        raise TypeError("the simulated vehicle steers")
+    return log.odometry

@@ -102,7 +102,10 @@ def _singular(log: Log, timeline: Timeline) -> tuple[Index, int]:
 def _enough(
     log: Log, odometry: SteeringOdometry | VelocityOdometry, timeline: Timeline, rows: Index
 ) -> OdometryNoise:
-    """The least rates of stabilisation noise, powers of ten, that make increments (n,) regular."""
+    """The least rates of stabilisation noise, powers of ten, that make increments (n,) regular.
+
+    Raises InputError where none does.
+    """
     noise = odometry.noise
 
     def of(noise: OdometryNoise) -> Array:
@@ -122,7 +125,11 @@ def _enough(
             total = controls + p * per_position + h * per_heading
             if (least_eigenvalues(total) >= LEAST_EIGENVALUE).all():
                 return replace(noise, variance_rate_position=p, variance_rate_heading=h)
-    raise ValueError("no stabilisation noise makes the increments regular")
+    raise InputError(
+        f"{log.name}: odometry noise: the covariance of the motion between two observations is "
+        "singular, and no stabilisation noise mends it, for the sigmas of speed and turn, over "
+        "these intervals, are too large beside it; expected smaller sigmas or intervals"
+    )
 
 
 def least_eigenvalues(covariance: Array) -> Array:

@@ -374,18 +374,19 @@ def unverified(optimality: Optimality) -> Cause:
     return Cause("oracle", optimality.lacks, hint)
 
 
-def rounding(allowed: Allowed) -> str:
-    """How well double precision tells the gaps of a log."""
+def rounding(share: float) -> str:
+    """How well double precision tells the gaps of a log; share: of sigma, or of a covariance."""
+    told = f"to {share:.1g} (relative) only" if np.isfinite(share) else "not at all"
     return (
         "variances or coordinates of the log lie so many powers of ten apart that double precision "
-        f"tells the algebra and the models to {allowed.covariance:.1g} (relative) only"
+        f"tells the algebra and the models {told}"
     )
 
 
-def untold(allowed: Allowed) -> Cause:
+def untold(share: float) -> Cause:
     """Rounding hides what a verdict would be about."""
     hint = "narrow the prior, end the log before its longest gap, or move the origin nearer"
-    return Cause("oracle", rounding(allowed), hint)
+    return Cause("oracle", rounding(share), hint)
 
 
 def doubted_association(against: int, variants: int) -> Cause:

@@ -103,6 +103,11 @@ class Diagnosis:
     algebra: Allowed = EXACT
     model: Allowed = EXACT
 
+    @property
+    def hidden(self) -> float:
+        """What double precision hides of either gap; 0 where that is what storing does."""
+        return 0.0 if self.algebra.stored else max(self.algebra.largest, self.model.largest)
+
 
 def judge(
     agreement: Agreement,
@@ -124,9 +129,9 @@ def judge(
     """
     found = _red(agreement, run, diagnosis, data_faults, conservative=conservative)
     outcome: Outcome = "disagree"
-    algebra, allowed = agreement.algebra, diagnosis.algebra
-    if not found and not allowed.stored and allowed.covariance > _UNTOLD:
-        outcome, found = "unverified", [cause.untold(allowed)]
+    algebra = agreement.algebra
+    if not found and diagnosis.hidden > _UNTOLD:
+        outcome, found = "unverified", [cause.untold(diagnosis.hidden)]
     elif not found:
         outcome, found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
         if outcome != "agree":
@@ -136,8 +141,8 @@ def judge(
             found += cause.noise(test, diagnosis.consistency) if not fits else []
             found += cause.dropout(diagnosis.dropouts())
     remarks = _remarks(result.optimality, run) + _on_robust(result.options.robust)
-    if not allowed.stored and _TOLD < allowed.covariance <= _UNTOLD:
-        remarks.append(cause.rounding(allowed))
+    if _TOLD < diagnosis.hidden <= _UNTOLD:
+        remarks.append(cause.rounding(diagnosis.hidden))
     if conservative and not algebra.within(ROUNDING):
         under = algebra.sigma < ROUNDING
         mean = f"less than {ROUNDING:.2g}" if under else f"{algebra.sigma:.2g}"
@@ -169,7 +174,7 @@ def _red(
         differences, known_faults = diagnosis.differences(), diagnosis.known_model_errors()
         if differences or known_faults or not data_faults:  # else the data's use explains the gap
             found.append(cause.model(agreement.model, differences, known_faults, diagnosis.model))
-    if run.breakdown and not found:
+    if run.breakdown and not found and diagnosis.hidden <= _UNTOLD:
         found.append(
             Cause(
                 "breakdown",

@@ -24,18 +24,22 @@ def stored_rounding(*arrays: Array) -> float:
     return 0.0 if plain.all() else SINGLE
 
 
-def restored(arrays: list[Array], rng: np.random.Generator) -> list[Array]:
-    """Return arrays of single precision as they may have been before they were stored.
+def restored(
+    arrays: list[Array], rng: np.random.Generator, precision: type = np.float32
+) -> list[Array]:
+    """Return arrays as they may have been before they were stored in a precision.
 
     Every number moves within half of its last place, equal ones together, so that what is symmetric
-    stays so. Numbers that half the precision could hold, such as zeros and ones, stay.
+    stays so; by one place at most where that is the last of double precision. Numbers that half
+    precision could hold, such as zeros and ones, stay.
     """
     flat = np.concatenate([array.ravel() for array in arrays])
     size, which = np.unique(np.abs(flat), return_inverse=True)
     with np.errstate(over="ignore"):
         plain = size == size.astype(np.float16)
-    place = np.spacing(size.astype(np.float32)).astype(np.float64)
-    moved = np.where(plain, 0.0, 0.5 * place * rng.uniform(-1.0, 1.0, len(size)))
+    place = np.spacing(size.astype(precision)).astype(np.float64)
+    share = 1.0 if precision is np.float64 else 0.5
+    moved = np.where(plain, 0.0, share * place * rng.uniform(-1.0, 1.0, len(size)))
     flat = flat + np.sign(flat) * moved[which]
     ends = np.cumsum([array.size for array in arrays])[:-1]
     return [

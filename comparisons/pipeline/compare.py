@@ -347,7 +347,7 @@ def _diagnosis(known: Known) -> Diagnosis:
         consistency=known.value(ConsistencyFinding),
         log_fits=fits,
         algebra=gaps.algebra_rounding,
-        model=gaps.rounding,
+        model=gaps.model_rounding,
     )
 
 

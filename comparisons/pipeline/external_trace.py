@@ -10,10 +10,7 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.adapters.smoother_input import (
-    model_system_of,
     recorded_system_of,
-    solve_model,
-    solve_recorded,
 )
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
@@ -61,7 +58,6 @@ from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.measurements import REJECTED
-from ekf_reference.core.trace import TraceArrays
 from graphslam.smoother import SmootherOptions
 
 _RECORD = (
@@ -212,7 +208,7 @@ def _diagnosis(
         return learnt(run_events(run))
 
     ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
-    algebra, model = gaps.algebra_rounding, gaps.rounding
+    algebra, model = gaps.algebra_rounding, gaps.model_rounding
     covariance = stored_rounding(ekf.joint_covariance) > 0.0
     if rounding or covariance:
         algebra = algebra.plus(allowed_of_estimate(Gaussian.of(ekf), sigma, covariance=covariance))
@@ -227,25 +223,12 @@ def _diagnosis(
             model=model,
         )
 
-    def again(trace: TraceArrays) -> Gaussian:
-        other = replace(run, trace=trace)
-        return Gaussian(*solve_recorded(recorded_system_of(other), other), ekf.layout)
-
-    def model_again(trace: TraceArrays) -> Gaussian:
-        until = run.timeline.steps_until()
-        departed, arrived = run.departed.copy(), run.arrived.copy()
-        left = until < len(trace.departed)
-        departed[left] = trace.departed[until[left]]
-        arrived[until > 0] = trace.arrived[until[until > 0] - 1]
-        other = replace(run, trace=trace, departed=departed, arrived=arrived)
-        return Gaussian(*solve_model(model_system_of(gaps.problem, other), other), ekf.layout)
-
-    from_trace = allowed_gap(again, run.trace, sigma)
+    from_trace = allowed_gap(gaps.solved, run.trace, sigma)
     algebra = algebra.plus(from_trace)
     single = ""
     if not gaps.agreement.algebra.explained_by(algebra):
         single = computed_in_single(run, gaps.agreement.algebra, sigma)
-    model = model.plus(from_trace).plus(allowed_gap(model_again, run.trace, sigma))
+    model = model.plus(from_trace).plus(allowed_gap(gaps.model_solved, run.trace, sigma))
     return Diagnosis(
         differences=lambda: gaps.model_differences(_stored_differences(run, gaps)),
         known_model_errors=known_model_errors,

@@ -29,6 +29,7 @@ from comparisons.arrays import Array
 from comparisons.checks.agreement import (
     Agreement,
     Allowed,
+    Gap,
     Gaussian,
     compare,
     lost_of,
@@ -87,26 +88,79 @@ class Gaps:
     def algebra_rounding(self) -> Allowed:
         """What double precision explains of the algebra gap.
 
-        Measured where the gap is more and the filter knew very little on its way: ten times what a
-        sound recursion through the same matrices loses is no fault of a filter. The mean errs by
-        that share of each correction, and the errors of N updates add up as a random walk, of which
-        three sigma are allowed.
+        Measured where the gap is more than `rounding`: what moving the records in their last places
+        changes, and what sound recursions lose. A filter that broke down is not measured: what it
+        may lose of what it knew least counts.
         """
-        allowed, last = self.rounding, self.smoothed.joint_covariance
-        noise = np.einsum("kii->i", self.run.trace.q)
-        sound = self.agreement.algebra.explained_by(allowed)
-        if sound or not lost_of(noise[:2].max(), noise[2:].max(), last) > ROUNDING:
-            return allowed
+        if self.run.breakdown:
+            return self.rounding.at_least(self._lost)
+        algebra = self.agreement.algebra
+        if algebra.explained_by(self.rounding):
+            return self.rounding
+        return self._moved(self.solved, algebra).at_least_of(self._recursion())
+
+    @cached_property
+    def model_rounding(self) -> Allowed:
+        """What double precision explains of the model gap, measured where that is more.
+
+        F2 is not moved where the filter's own pose has other entries than the log's.
+        """
+        model = self.agreement.model
+        if model.explained_by(self.rounding):
+            return self.rounding
+        moved = self._moved(self.solved, model)
+        if self.run.trace.departed.shape[1:] != self.run.departed.shape[1:]:
+            return moved
+        return moved.at_least_of(self._moved(self.model_solved, model))
+
+    @property
+    def _lost(self) -> float:
+        """What a filter may lose that forgets as much as a single step of this run forgets."""
+        noise, last = np.einsum("kii->i", self.run.trace.q), self.smoothed.joint_covariance
+        return lost_of(noise[:2].max(), noise[2:].max(), last)
+
+    def _moved(self, solve: Callable[[TraceArrays], Gaussian], least: Gap) -> Allowed:
+        """What moving the records in their last places changes, at least `rounding`."""
+        from comparisons.checks.diagnosis.single_precision import rounding_gap
+
+        sigma = np.sqrt(np.diag(self.smoothed.joint_covariance))
+        return self.rounding.at_least_of(rounding_gap(solve, self.run.trace, sigma, least))
+
+    def _recursion(self) -> Allowed:
+        """Ten times what a sound recursion through the recorded matrices loses, where it may count.
+
+        The mean errs by that share of each correction, and the errors of N updates add up as a
+        random walk, of which three sigma are allowed.
+        """
+        if not self._lost > ROUNDING:
+            return self.rounding
         from comparisons.audit.own_filter import rounded_covariance
 
         found = rounded_covariance(self.run)
         if found is None:
-            return allowed
+            return self.rounding
         other, updates = found
-        _, exact = solve_recorded(self.recorded, self.run)
+        exact = self.solved(self.run.trace).covariance
         lost = covariance_gap(other, exact, units(other, exact)).largest
-        allowed = allowed.at_least(_LOST * lost)
-        return replace(allowed, sigma=max(allowed.sigma, 3.0 * math.sqrt(updates) * lost))
+        walk = max(_LOST, 3.0 * math.sqrt(updates)) * lost
+        return self.rounding.at_least_of(Allowed(walk, _LOST * lost))
+
+    def solved(self, trace: TraceArrays) -> Gaussian:
+        """F1 of other records of the same run."""
+        other = replace(self.run, trace=trace)
+        return Gaussian(*solve_recorded(recorded_system_of(other), other), other.estimate.layout)
+
+    def model_solved(self, trace: TraceArrays) -> Gaussian:
+        """F2 where other records of the same run say that it was."""
+        run = self.run
+        until = run.timeline.steps_until()
+        departed, arrived = run.departed.copy(), run.arrived.copy()
+        left = until < len(trace.departed)
+        departed[left] = trace.departed[until[left]]
+        arrived[until > 0] = trace.arrived[until[until > 0] - 1]
+        other = replace(run, trace=trace, departed=departed, arrived=arrived)
+        system = model_system_of(self.problem, other)
+        return Gaussian(*solve_model(system, other), run.estimate.layout)
 
     @cached_property
     def _model_steps(self) -> LinearRelations | None:

@@ -43,7 +43,7 @@ def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
         agreement=replace(
             c.agreement,
             algebra_limit_sigma=c.gaps.algebra_rounding.sigma,
-            model_limit_sigma=c.gaps.rounding.sigma,
+            model_limit_sigma=c.gaps.model_rounding.sigma,
         ),
         verdict=c.verdict.outcome,
         summary=c.verdict.summary,

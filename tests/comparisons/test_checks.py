@@ -117,6 +117,12 @@ def test_each_landmark_is_judged_as_one_of_all() -> None:
         assert not found.pose.near
 
 
+@pytest.mark.parametrize("value", [0.5, 3.0, 9.0])
+def test_a_two_sided_probability_counts_both_tails(value: float) -> None:
+    below = 1.0 - np.exp(-0.5 * value)  # chi-square with two degrees of freedom
+    assert statistics.two_sided(value, 2.0) == pytest.approx(2.0 * min(below, 1.0 - below))
+
+
 def test_the_map_as_a_whole_is_judged(comparison: Comparison) -> None:
     """Each landmark may agree while all of them together do not."""
     far = BlockAgreement.of(np.full(2, 10.0), np.eye(2), np.eye(2))

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.sound_drives import far_away, fine, standing_still
 from comparisons.checks.agreement import EXACT
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.faults.fault import with_state
-from comparisons.logs.log import LandmarkMeasurements, Log, Prior, Truth
-from comparisons.logs.odometry import OdometryNoise, RelativePoses, SteeringOdometry
+from comparisons.logs.log import LandmarkMeasurements, Log, Prior
+from comparisons.logs.odometry import OdometryNoise, RelativePoses
 from comparisons.pipeline.compare import REQUIRED, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
 from comparisons.report.folder import write_job_folder
@@ -169,31 +170,6 @@ def test_what_rounding_hides_is_no_verdict() -> None:
     assert "double precision tells" in c.verdict.causes[0].evidence
 
 
-def standing_still(log: Log, from_s: float, still_s: float) -> Log:
-    """The vehicle stands still once, for so long, and is as unsure of it as of its speed."""
-    assert isinstance(log.odometry, SteeringOdometry)
-    stand = int(np.searchsorted(log.odometry.time_s, from_s))
-    moved = {
-        name: np.insert(getattr(log.odometry, name), stand, value)
-        for name, value in (("time_s", from_s), ("speed_mps", 0.0), ("steering_rad", 0.0))
-    }
-
-    def later(time_s: Array) -> Array:
-        return np.where(time_s > from_s, time_s + still_s, time_s)
-
-    moved["time_s"] = later(moved["time_s"])
-    measurements = replace(log.measurements, time_s=later(log.measurements.time_s))
-    noise = replace(log.odometry.noise, variance_rate_position=1e-2, variance_rate_heading=1e-7)
-    odometry = replace(log.odometry, **moved, noise=noise)  # type: ignore[arg-type]
-    return replace(log, odometry=odometry, measurements=measurements, truth=Truth())
-
-
-def far_away(log: Log, far_m: float) -> Log:
-    """The same beside another origin."""
-    pose = log.prior.pose + (far_m, -far_m, 0.0)
-    return replace(log, prior=replace(log.prior, pose=pose), truth=Truth())
-
-
 @pytest.mark.parametrize("still_s", [1e4, 86_400.0, 1e6])
 def test_a_long_stand_still_is_no_fault_of_the_filter(still_s: float) -> None:
     """The filter forgets where it is: what rounding does is measured on a sound recursion."""
@@ -224,6 +200,36 @@ def test_an_origin_far_away_is_no_fault_of_the_filter(far_m: float) -> None:
     assert c.verdict.outcome == "agree"
     assert max(c.agreement.algebra.sigma, c.agreement.model.sigma) < 0.5 * c.gaps.rounding.sigma
     assert (far_m == 5e6) == (c.gaps.rounding.sigma < 1e-5)
+
+
+def test_sigmas_near_the_last_place_are_no_fault_of_the_filter() -> None:
+    """What moving the records in their last places changes is measured, and no more is allowed."""
+    c = compared(fine(simulated(5002, loop_s=12.0)))
+    assert not {"algebra", "model"} & {cause.gap for cause in c.verdict.causes}
+    assert not c.agreement.algebra.explained_by(c.gaps.rounding)
+    assert not c.agreement.model.explained_by(c.gaps.rounding)
+    assert c.agreement.algebra.explained_by(c.gaps.algebra_rounding)
+    assert c.agreement.model.explained_by(c.gaps.model_rounding)
+    assert c.gaps.algebra_rounding.sigma < 1e-3
+
+
+def test_a_wrong_update_shows_beside_sigmas_near_the_last_place() -> None:
+    class TooSure(Corrupted):
+        def corrupt(self) -> None:
+            self._covariance *= 0.99
+
+    c = compared(fine(simulated(5002, loop_s=12.0)), Modified(with_state(TooSure)))
+    assert c.verdict.outcome == "disagree"
+    assert c.verdict.causes[0].gap == "algebra"
+
+
+def test_a_filter_that_rounding_breaks_down_is_not_blamed() -> None:
+    """After a day without a measurement sigmas of 1e-7 are lost to rounding: nothing is told."""
+    c = compared(fine(standing_still(simulated(5004, loop_s=20.0), 5.0, 86_400.0)))
+    assert c.ekf.breakdown
+    assert c.verdict.outcome == "unverified"
+    assert "double precision tells" in c.verdict.causes[0].evidence
+    assert c.ekf.breakdown in c.verdict.remarks[0]
 
 
 def test_a_wrong_update_shows_beside_a_wide_prior() -> None:

@@ -1,9 +1,9 @@
-"""Filters in single precision: what storing explains, and whether they compute in it, too.
+"""What rounding explains: of computing in double precision, of storing in single precision.
 
-Storing rounds every record once. What this does to the solution is measured: the records are moved
-within what storing left open, and solved again. A filter that computes in single precision rounds
-its covariance at every operation: its gap to its own equations grows along the run, as that of a
-replay of these equations in single precision does.
+Rounding changes every record in its last place. What this does to the solution is measured: the
+records are moved within what the precision left open, and solved again. A filter that computes in
+single precision rounds its covariance at every operation: its gap to its own equations grows along
+the run, as that of a replay of these equations in single precision does.
 """
 
 from __future__ import annotations
@@ -22,12 +22,15 @@ from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
+from graphslam.marginals import SingularProblemError
 
 _DRAWS = 5
 FACTOR = 3.0
 """What storing did may be so many times the largest of what the draws did."""
 OPERATIONS = 4.0
 """A formula computed in single precision is off by so many times what storing its result does."""
+_FAR = 30.0
+"""A gap of more times what one draw did is not explained by the largest of several."""
 _ALIKE = 10.0
 """A gap is that of a computation in single precision up to so many times a replay's."""
 _ROUNDED = ("pose", "landmark", "innovation", "jacobian_pose", "jacobian_other", "noise")
@@ -39,11 +42,13 @@ _BATCHES: tuple[Callable[[TraceArrays], MeasurementRecords], ...] = (
 )
 
 
-def _restored(trace: TraceArrays, rng: np.random.Generator) -> TraceArrays:
+def _restored(
+    trace: TraceArrays, rng: np.random.Generator, precision: type = np.float32
+) -> TraceArrays:
     batches = [records(trace) for records in _BATCHES]
     arrays = [getattr(trace, name) for name in _STEPS]
     arrays += [getattr(records, name) for records in batches for name in _ROUNDED]
-    moved = iter(restored(arrays, rng))
+    moved = iter(restored(arrays, rng, precision))
     steps: dict[str, Any] = {name: next(moved) for name in _STEPS}
     seen, initialised, fixes = (replace(records, **_named(moved)) for records in batches)
     return replace(
@@ -55,11 +60,11 @@ def _restored(trace: TraceArrays, rng: np.random.Generator) -> TraceArrays:
     )
 
 
-def restored_traces(trace: TraceArrays) -> Iterator[TraceArrays]:
-    """Yield traces as this one may have been before it was stored in single precision."""
+def restored_traces(trace: TraceArrays, precision: type = np.float32) -> Iterator[TraceArrays]:
+    """Yield traces as this one may have been before it was stored in a precision."""
     rng = np.random.default_rng(0)
     for _ in range(_DRAWS):
-        yield _restored(trace, rng)
+        yield _restored(trace, rng, precision)
 
 
 def allowed_gap(
@@ -74,6 +79,32 @@ def allowed_gap(
     """
     stored = solve(trace)
     return _widest([gap(solve(other), stored, sigma) for other in restored_traces(trace)])
+
+
+def rounding_gap(
+    solve: Callable[[TraceArrays], Gaussian], trace: TraceArrays, sigma: Array, least: Gap
+) -> Allowed:
+    """Return what computing in double precision explains of a gap to a solution of a trace.
+
+    Its numbers are moved within their last places, and solved again. What cannot be solved then is
+    told by nothing: all is explained.
+
+    Args:
+        solve: F1 or F2 of a trace.
+        trace: as it was recorded, in double precision.
+        sigma: (n,) units of the means, S's.
+        least: a gap; where one draw shows that rounding is far from it, no other is made.
+    """
+    stored, gaps = solve(trace), list[Gap]()
+    for other in restored_traces(trace, np.float64):
+        try:
+            gaps.append(gap(solve(other), stored, sigma))
+        except (SingularProblemError, np.linalg.LinAlgError):
+            return Allowed(np.inf, np.inf)
+        found = _widest(gaps).times(OPERATIONS)
+        if not least.explained_by(found.times(_FAR)):
+            break
+    return found
 
 
 def _named(moved: Iterator[Array]) -> dict[str, Any]:
