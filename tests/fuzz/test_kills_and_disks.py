@@ -174,7 +174,7 @@ def marked(mark: str) -> list[int]:
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are in /proc")
 @pytest.mark.slow
-@settings(max_examples=cases(2, 60), suppress_health_check=tuple(HealthCheck))
+@settings(max_examples=cases(1, 60), suppress_health_check=tuple(HealthCheck))
 @given(
     number=st.sampled_from([signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT]),
     delay_s=st.floats(0.0, 6.0),
