@@ -32,9 +32,10 @@ MODELS: dict[str, type[Result | CheckResult]] = {"result.json": Result, "check.j
 """Results whose figures are those of the product's own baselines, and those of extensions."""
 LEFT_OUT = frozenset(
     {"config", "settings", "schema", "log", "seconds", "cpu_s", "scans_per_second", "versions"}
-    | {"files", "starts", "minima", "id"}
+    | {"files", "starts", "minima", "id", "stated_noise"}
 )
-"""Keys that are no results, or the way to the optimum."""
+"""Keys that are no results, or the way to the optimum, or say of the log what its estimates do not
+depend on."""
 TOLERANCE = 1e-4
 """Share of a figure by which a processor's rounding may move it, and of LEAST where it is less."""
 LEAST = 0.1
