@@ -206,7 +206,7 @@ def test_the_filter_against_the_smoother_has_a_band(sound: Comparison) -> None:
     smoothed = present(sound.consistency.smoothed)
     alone = replace(sound.consistency, ekf=None, sensors=())
     assert inconsistencies(alone) == ()
-    wrong = replace(smoothed, squared=4.0 * smoothed.squared)
+    wrong = replace(smoothed, squared_per_dof=4.0 * present(smoothed.squared_per_dof))
     [reported] = inconsistencies(replace(alone, smoothed=wrong)) or ()
     assert reported.startswith("filter-smoother difference ")
 
