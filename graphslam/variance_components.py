@@ -43,8 +43,8 @@ class Component(NamedTuple):
     """How a sensor's noise compares with what is stated.
 
     name: of COMPONENTS. factor: its standard deviation over the stated one. dof: equivalent degrees
-    of freedom; that many independent errors would tell as much. settled: the rounds ended; else
-    the factor is on its way, and farther from one.
+    of freedom; that many independent errors would tell as much. settled: the rounds ended, for all
+    components; else the factors are on their way.
     """
 
     name: str
@@ -106,12 +106,12 @@ def estimate_components(
         weight, before = 1.0 / np.sqrt(variance[group]), variance
         change, dof = _changes(diags(weight) @ jacobian, weight * residual, group, signs, free)
         variance = np.clip(variance * change, 1.0 / _MOST, _MOST)
-        moved = np.abs(np.log(variance / before))
-        if (moved < _SETTLED).all():
+        settled = (np.abs(np.log(variance / before)) < _SETTLED).all()
+        if settled:
             break
     return tuple(
-        Component(COMPONENTS[name], float(np.sqrt(factor)), float(known), bool(last < _SETTLED))
-        for name, factor, known, last in zip(names, variance, dof, moved, strict=True)
+        Component(COMPONENTS[name], float(np.sqrt(factor)), float(known), bool(settled))
+        for name, factor, known in zip(names, variance, dof, strict=True)
         if name >= 0
     )
 

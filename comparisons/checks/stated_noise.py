@@ -37,7 +37,7 @@ class StatedNoise:
         low: lower end of its 95 % interval.
         high: upper end of it; absent where there is none.
         testable: whether the run tells this sigma to 20 %.
-        settled: whether the factor was found; else it is farther from 1 than said.
+        settled: whether the factors of all sensors were found; else this one is on its way.
     """
 
     sensor: str
@@ -51,7 +51,7 @@ class StatedNoise:
     def said(self) -> str:
         """The factor, and what is known of it."""
         if not self.settled:
-            return f"{'over' if self.factor > 1.0 else 'under'} {self.factor:.2g}"
+            return f"about {self.factor:.1g}, not settled"
         if finite(self.high) is None:
             return "not testable here"
         interval = f"{_digits(self.low)} to {_digits(self.high)}"
