@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from scipy.sparse import coo_matrix, diags, identity
+from scipy.sparse import identity
 from scipy.sparse.linalg import splu
 
 from graphslam.arrays import Array
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY
 from graphslam.layout import POINT, POSE_LANDMARK
+from graphslam.sparse_system import column_lengths, scaled_columns, sparse_system
 
 _FREE = 1e-10
 """A direction is free when what the measurements say of it is this small against its columns."""
@@ -31,19 +32,13 @@ def explain_singularity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values)
     points = np.array([gtsam.symbolChr(key) == _POINT for key in keys])
     width = np.where(points, POINT.width, POSE_LANDMARK.width)
     first = np.concatenate(([0], np.cumsum(width)))
-    row, column, value = graph.linearize(values).sparseJacobian_()
-    size = int(first[-1])
-    inside = column <= size  # the last column is the right-hand side
-    jacobian = coo_matrix(
-        (value[inside], (row[inside].astype(int) - 1, column[inside].astype(int) - 1)),
-        shape=(int(row.max(initial=1)), size),
-    ).tocsc()
-    length = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=0))).ravel()
+    jacobian, _ = sparse_system(graph, values)
+    length = column_lengths(jacobian)
     nothing = np.flatnonzero(length == 0.0)
     if len(nothing):
         which = np.unique(np.searchsorted(first, nothing, side="right") - 1)
         return f"no measurement constrains {_listed([keys[i] for i in which])}"
-    scaled = (jacobian @ diags(1.0 / length)).tocsc()
+    scaled = scaled_columns(jacobian, length)
     direction = _weakest(scaled)
     if float(np.linalg.norm(scaled @ direction) ** 2) > _FREE:
         return ""

@@ -18,13 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix, diags, identity
+from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 from scipy.special import gammaincinv
 
 from graphslam.arrays import Array, Index
 from graphslam.graph_builder import COMPONENTS, row_components
 from graphslam.smoother import SmootherResult
+from graphslam.sparse_system import column_lengths, scaled_columns, sparse_system
 
 _DRAWS = 6
 """Random signs with which the norms of W's blocks are estimated: 41 % of one value, over a block of
@@ -73,15 +74,8 @@ def variance_components(result: SmootherResult) -> tuple[Component, ...]:
     Returns:
         In the order of COMPONENTS.
     """
-    row, column, value = result.graph.linearize(result.values).sparseJacobian_()
-    row, column = row.astype(np.intp) - 1, column.astype(np.intp) - 1
-    component, size = row_components(result.problem), result.values.dim()
-    inside = column < size  # the last column is the right-hand side
-    jacobian = coo_matrix(
-        (value[inside], (row[inside], column[inside])), shape=(len(component), size)
-    ).tocsr()
-    residual = np.zeros(len(component))
-    residual[row[~inside]] = value[~inside]
+    component = row_components(result.problem)
+    jacobian, residual = sparse_system(result.graph, result.values, len(component))
     return estimate_components(jacobian, residual, component)
 
 
@@ -120,8 +114,7 @@ def _changes(
     jacobian: csr_matrix, residual: Array, group: Index, signs: Array, free: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """(g,) factors of the groups' variances, and their equivalent degrees of freedom."""
-    length = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=0)).ravel())
-    jacobian = jacobian @ diags(1.0 / length)
+    jacobian = scaled_columns(jacobian, column_lengths(jacobian))
     normal = (jacobian.T @ jacobian + _RIDGE * identity(jacobian.shape[1])).tocsc()
     solve = splu(
         normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}

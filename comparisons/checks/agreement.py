@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -91,17 +92,15 @@ class Allowed:
 
     def at_least(self, lost: float) -> Allowed:
         """Return what this explains as well in both; NaN explains nothing."""
-        if not lost > ROUNDING:
-            return self
-        return replace(self, sigma=max(self.sigma, lost), covariance=max(self.covariance, lost))
+        return self.at_least_of(Allowed(lost, lost)) if lost > ROUNDING else self
 
     def at_least_of(self, other: Allowed) -> Allowed:
         """Return what this or another explains."""
-        sigma, covariance = (
-            max(self.sigma, other.sigma),
-            max(self.covariance, other.covariance),
+        return replace(
+            self,
+            sigma=max(self.sigma, other.sigma),
+            covariance=max(self.covariance, other.covariance),
         )
-        return replace(self, sigma=sigma, covariance=covariance)
 
     def times(self, factor: float) -> Allowed:
         """Return so many times as much."""
@@ -199,6 +198,7 @@ class Band(NamedTuple):
 AGREEING = Band()
 
 
+@cache
 def largest_distance(count: int, dof: int) -> float:
     """Return within how many sigma each of so many landmarks agrees.
 
@@ -270,10 +270,8 @@ class BlockAgreement:
             if not _positive(smoother):
                 raise LinAlgError("the smoother's covariance is not positive definite to rounding")
         squared = float(difference @ np.linalg.solve(smoother, difference))
-        distance, limit = (
-            float(np.sqrt(squared / len(difference))),
-            largest_distance(among, len(difference)),
-        )
+        distance = float(np.sqrt(squared / len(difference)))
+        limit = largest_distance(among, len(difference))
         ratios = (None, None) if given is None else eigenvalue_range(given, smoother)
         return cls(
             difference_m=apart_m,

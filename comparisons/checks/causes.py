@@ -376,10 +376,10 @@ def unverified(optimality: Optimality) -> Cause:
 
 def rounding(share: float) -> str:
     """How well double precision tells the gaps of a log; share: of sigma, or of a covariance."""
-    told = f"to {share:.1g} (relative) only" if np.isfinite(share) else "not at all"
+    digits = f"to {share:.1g} (relative) only" if np.isfinite(share) else "not at all"
     return (
         "variances or coordinates of the log lie so many powers of ten apart that double precision "
-        f"tells the algebra and the models {told}"
+        f"tells the algebra and the models {digits}"
     )
 
 

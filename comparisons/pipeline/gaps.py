@@ -97,7 +97,7 @@ class Gaps:
         algebra = self.agreement.algebra
         if algebra.explained_by(self.rounding):
             return self.rounding
-        return self._moved(self.solved, algebra).at_least_of(self._recursion())
+        return self._moved(self.solved, self._f1, algebra).at_least_of(self._recursion())
 
     @cached_property
     def model_rounding(self) -> Allowed:
@@ -108,10 +108,15 @@ class Gaps:
         model = self.agreement.model
         if model.explained_by(self.rounding):
             return self.rounding
-        moved = self._moved(self.solved, model)
+        moved = self._moved(self.solved, self._f1, model)
         if self.run.trace.departed.shape[1:] != self.run.departed.shape[1:]:
             return moved
-        return moved.at_least_of(self._moved(self.model_solved, model))
+        own = self.model_solved(self.run.trace)
+        return moved.at_least_of(self._moved(self.model_solved, own, model))
+
+    @cached_property
+    def _f1(self) -> Gaussian:
+        return Gaussian(*solve_recorded(self.recorded, self.run), self.run.estimate.layout)
 
     @property
     def _lost(self) -> float:
@@ -119,12 +124,15 @@ class Gaps:
         noise, last = np.einsum("kii->i", self.run.trace.q), self.smoothed.joint_covariance
         return lost_of(noise[:2].max(), noise[2:].max(), last)
 
-    def _moved(self, solve: Callable[[TraceArrays], Gaussian], least: Gap) -> Allowed:
+    def _moved(
+        self, solve: Callable[[TraceArrays], Gaussian], stored: Gaussian, least: Gap
+    ) -> Allowed:
         """What moving the records in their last places changes, at least `rounding`."""
         from comparisons.checks.diagnosis.single_precision import rounding_gap
 
         sigma = np.sqrt(np.diag(self.smoothed.joint_covariance))
-        return self.rounding.at_least_of(rounding_gap(solve, self.run.trace, sigma, least))
+        moved = rounding_gap(solve, stored, self.run.trace, sigma, least)
+        return self.rounding.at_least_of(moved)
 
     def _recursion(self) -> Allowed:
         """Ten times what a sound recursion through the recorded matrices loses, where it may count.
@@ -140,7 +148,7 @@ class Gaps:
         if found is None:
             return self.rounding
         other, updates = found
-        exact = self.solved(self.run.trace).covariance
+        exact = self._f1.covariance
         lost = covariance_gap(other, exact, units(other, exact)).largest
         walk = max(_LOST, 3.0 * math.sqrt(updates)) * lost
         return self.rounding.at_least_of(Allowed(walk, _LOST * lost))

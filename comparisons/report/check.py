@@ -54,7 +54,7 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import about_job, log_result, smoother_result
+from comparisons.report.sections import about_job, smoother_result
 from comparisons.report.settings import (
     setting_lines,
     settings_rows,
@@ -95,8 +95,7 @@ def build_check_result(check: ExternalCheck, read: Clock | None = None) -> Check
         verdict=check.outcome,
         causes=check.causes,
         remarks=list(check.remarks),
-        **about_job(solution.prepared, solution.prepared.clock.after(read))
-        | {"log": log_result(check.log or solution.log)},
+        **about_job(solution.prepared, solution.prepared.clock.after(read), log=check.log),
     )
 
 

@@ -31,13 +31,20 @@ if TYPE_CHECKING:
 
 
 def about_job(
-    prepared: Prepared[Any], clock: Mapping[str, Any], ekf: EkfConfig | None = None
+    prepared: Prepared[Any],
+    clock: Mapping[str, Any],
+    ekf: EkfConfig | None = None,
+    log: Log | None = None,
 ) -> dict[str, Any]:
-    """Return what results of every job on a log have. clock: `Clock.after`. ekf: as it ran."""
+    """Return what results of every job on a log have.
+
+    clock: `Clock.after`. ekf: as it ran. log: as it was read, where it was prepared with another
+    integration or other times.
+    """
     return {
         "config": prepared.config.model_dump(mode="json"),
         "settings": settings_result(prepared.config, prepared.log.format, ekf),
-        "log": log_result(prepared.log),
+        "log": log_result(log or prepared.log),
         **clock,
         "versions": package_versions(),
     }

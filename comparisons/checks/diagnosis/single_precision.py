@@ -82,20 +82,25 @@ def allowed_gap(
 
 
 def rounding_gap(
-    solve: Callable[[TraceArrays], Gaussian], trace: TraceArrays, sigma: Array, least: Gap
+    solve: Callable[[TraceArrays], Gaussian],
+    stored: Gaussian,
+    trace: TraceArrays,
+    sigma: Array,
+    least: Gap,
 ) -> Allowed:
     """Return what computing in double precision explains of a gap to a solution of a trace.
 
-    Its numbers are moved within their last places, and solved again. What cannot be solved then is
-    told by nothing: all is explained.
+    Its numbers are moved within their last places, and solved again. Where this has no solution,
+    any gap is explained.
 
     Args:
         solve: F1 or F2 of a trace.
+        stored: the solution of this one.
         trace: as it was recorded, in double precision.
         sigma: (n,) units of the means, S's.
         least: a gap; where one draw shows that rounding is far from it, no other is made.
     """
-    stored, gaps = solve(trace), list[Gap]()
+    gaps = list[Gap]()
     for other in restored_traces(trace, np.float64):
         try:
             gaps.append(gap(solve(other), stored, sigma))
