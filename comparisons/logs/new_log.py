@@ -16,7 +16,7 @@ from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import Odometry, RelativePoses, VelocityOdometry
 from comparisons.logs.plain_csv import NAMES, SEE, UNITS, PlainTable, read_plain, split_unit
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
-from comparisons.logs.stamps import origin, since
+from comparisons.logs.stamps import since
 from graphslam import increments
 from graphslam.increments import dead_reckoned
 
@@ -149,16 +149,15 @@ class _Reading:
         self.files, self.stated = files, dict(files.stated)
         self.tables: dict[str, PlainTable] = {}
         self.notes: list[str] = []
-        self.kind, self.geodetic, self.start_s = "", False, 0
+        self.kind, self.geodetic = "", False
+        self.start_s: int | None = None  # that of the odometry, which is read first
         self.span_s = (-np.inf, np.inf)
 
     def odometry(self) -> dict[str, Any]:
         """Columns of one kind, with what is stated of it."""
         wanted = ("time_s", *_MOTION, *COVARIANCE, *TWIST)
         table = self._read("odometry", self.files.odometry, wanted)
-        self.start_s = origin(float(np.min(table.columns.get("time_s", 0.0))))
-        if self.start_s:
-            table = self._read("odometry", self.files.odometry, wanted)
+        self.start_s = table.start_s
         if self.files.imu is not None:
             table = self._with_imu(table, self.files.imu)
         self.kind = self.files.kind or self._kind(table)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
+from comparisons.logs.stamps import origin
 from comparisons.logs.table import is_number, number_or_fail, read_text, shorten
 
 SEE = "see docs/your-own-log.md"
@@ -90,8 +91,8 @@ class PlainTable:
 
     headers: of the file, in its order. unit: of each column that is not in SI, in words. factor: of
     each column, to SI. used: headers that are read. stated: the names under which units were given
-    that a column has. A column of
-    numbers that is empty throughout is not there.
+    that a column has. start_s: what times count from. A column of numbers that is empty throughout
+    is not there.
     """
 
     path: Path
@@ -103,6 +104,7 @@ class PlainTable:
     factor: dict[str, float] = field(default_factory=dict)
     used: frozenset[str] = frozenset()
     stated: frozenset[str] = frozenset()
+    start_s: int = 0
 
     def rows(self, kept: NDArray[np.bool_]) -> PlainTable:
         """Those in some of the rows (N,), booleans."""
@@ -142,7 +144,7 @@ def read_plain(
     wanted: Sequence[str],
     *,
     units: Mapping[str, str] | None = None,
-    start_s: int = 0,
+    start_s: int | None = 0,
 ) -> PlainTable:
     """Read the columns of a CSV file that are among those wanted.
 
@@ -150,7 +152,8 @@ def read_plain(
         path: The file.
         wanted: Columns of a log folder.
         units: By a header or a column's usual name, the unit of its values.
-        start_s: What times count from, subtracted from their decimals.
+        start_s: What times count from, subtracted from their decimals; None: the origin of the
+            file's own.
 
     Returns:
         What of them the file has, in SI.
@@ -171,7 +174,7 @@ def read_plain(
         if name in _WORDS:
             columns[name] = np.array(lines.words(source.places[0], text=True), dtype=str)
         elif name == "time_s":
-            columns[name], unit[name] = _times(lines, source, header, start_s)
+            columns[name], start_s, unit[name] = _times(lines, source, header, start_s)
         elif len(source.places) > 1:
             columns[name] = _heading(lines, source)
         else:
@@ -190,6 +193,7 @@ def read_plain(
         factor=factor,
         used=frozenset(lines.names[p] for s in sources.values() for p in s.places),
         stated=frozenset(source.stated for source in sources.values() if source.stated),
+        start_s=start_s or 0,
     )
 
 
@@ -408,20 +412,24 @@ def _heading(lines: _Lines, source: _Source) -> Array:
     return heading_of(np.column_stack(parts), lines.path, lines.line)
 
 
-def _times(lines: _Lines, source: _Source, header: str, start_s: int) -> tuple[Array, str]:
-    """Seconds after a start, each rounded once, and what their unit was taken for."""
+def _times(
+    lines: _Lines, source: _Source, header: str, start_s: int | None
+) -> tuple[Array, int, str]:
+    """Seconds after a start, each rounded once, the start, and what their unit was taken for."""
 
-    def after(stamps: Iterable[Decimal]) -> Array:
-        return np.array([float(one - start_s) for one in stamps])
+    def after(stamps: Iterable[Decimal]) -> tuple[Array, int]:
+        every = list(stamps)
+        start = origin(float(min(every, default=0))) if start_s is None else start_s
+        return np.array([float(one - start) for one in every]), start
 
     if len(source.places) > 1:
         parts = [lines.words(place) for place in source.places]
         if all(word.isdigit() for words in parts for word in words):
             both = zip(*parts, strict=True)
-            return after(Decimal(s) + Decimal(ns).scaleb(-9) for s, ns in both), "s and ns"
+            return *after(Decimal(s) + Decimal(ns).scaleb(-9) for s, ns in both), "s and ns"
     words = lines.words(source.places[0])
     if words and all(_ISO.fullmatch(word) for word in words):
-        return after(_iso_s(lines, row, word) for row, word in enumerate(words)), "ISO 8601"
+        return *after(_iso_s(lines, row, word) for row, word in enumerate(words)), "ISO 8601"
     values = _numbers(lines.path, words, lines.line, "time_s", header)
     unit, how = source.unit, "" if not source.stated else " by --unit"
     most = float(np.abs(values).max(initial=0.0))
@@ -434,7 +442,7 @@ def _times(lines: _Lines, source: _Source, header: str, start_s: int) -> tuple[A
             f"{most:.0f} {unit}, expected at most {_SECONDS_END:g} s"
         )
     found = after(Decimal(word) / _PER_SECOND[unit] for word in words)
-    return found, "" if unit == "s" and not how else f"{unit}{how}"
+    return *found, "" if unit == "s" and not how else f"{unit}{how}"
 
 
 def _iso_s(lines: _Lines, row: int, word: str) -> Decimal:

@@ -6,13 +6,13 @@ import numpy as np
 
 from comparisons.arrays import Array
 
-_TOLD_S = 1e-9
-"""Times have to be told to this."""
+_RESOLUTION_S = 1e-9
+"""Of times, which float64 must have."""
 
 
 def origin(first_s: float) -> int:
-    """Return the whole seconds that a log counts from: 0 where a float tells nanoseconds anyhow."""
-    return int(np.floor(first_s)) if np.spacing(abs(first_s)) > _TOLD_S else 0
+    """Return the whole seconds that a log counts from: 0 where float64 resolves nanoseconds."""
+    return int(np.floor(first_s)) if np.spacing(abs(first_s)) > _RESOLUTION_S else 0
 
 
 def resolved(time_s: Array) -> Array:

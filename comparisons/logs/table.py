@@ -15,7 +15,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, check_regular, printable
 
-TIMES = ("time_s", "from_s", "to_s")
+_TIMES = ("time_s", "from_s", "to_s")
 _MOST_PARTS = 64
 _QUOTED = re.compile(r"""\"[^"\n]*"|'[^'\n]*'""")
 _BETWEEN = re.compile(r"[=,#\[\]{}\n]")
@@ -42,7 +42,7 @@ class Table:
         """Read the file; `gaps` are columns in which nan means not measured.
 
         optional: further columns, which a header may name behind the others, all or none.
-        start_s: what the times of the columns TIMES count from, subtracted from their decimals.
+        start_s: what the times of its columns count from, subtracted from their decimals.
         Raises InputError at the first line that is not a full record.
         """
         self.path, self.columns = path, columns
@@ -67,7 +67,7 @@ class Table:
         required = [name not in gaps for name in columns]
         if not np.isfinite(self.data[:, required]).all() or np.isinf(self.data).any():
             self._explain(text)
-        for place in [at for at, name in enumerate(columns) if start_s and name in TIMES]:
+        for place in [at for at, name in enumerate(columns) if start_s and name in _TIMES]:
             words = (line.split(self._delimiter)[place] for line in records)
             self.data[:, place] = [float(Decimal(word.strip()) - start_s) for word in words]
 

@@ -52,7 +52,7 @@ from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses
 from comparisons.logs.stamps import at_instants, since_origin
-from comparisons.logs.transforms.clock import file_start, told_by_floats
+from comparisons.logs.transforms.clock import file_start, timed_by_floats
 from comparisons.pipeline.estimate_motion import in_words, integrations_by_steps, integrations_of
 from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace
 from comparisons.pipeline.prepare import Progress, no_progress
@@ -195,7 +195,7 @@ def check(
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
-    job, found = job.begun(given.numbered_as(log.labels))
+    job, found = job.clocked(given.numbered_as(log.labels))
     unsound = given.trace is not None and given.trace.unsound
     if not (found.exact or unsound or len(found.inside.time_s) < FEWEST):
         progress("motion models", 0, 0)
@@ -218,7 +218,7 @@ class _Job:
         """The smoother's, by the log's own integration."""
         return self.solver(self.log, self.config, self.progress)
 
-    def begun(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
+    def clocked(self, given: ExternalEstimate) -> tuple[_Job, ExternalCheck]:
         """The grade, and the job with the times of the log that the estimate's filter had.
 
         One that counts as the log's file does, since 1970, has them as floats tell them, if it is
@@ -226,11 +226,11 @@ class _Job:
         """
         if isinstance(self.log.odometry, RelativePoses) or not _by_the_files_clock(given, self.log):
             return self, self.started(given)
-        told = replace(self, log=told_by_floats(self.log))
-        first = told.started(given)
+        by_floats = replace(self, log=timed_by_floats(self.log))
+        first = by_floats.started(given)
         exact = first if first.grade.value == "equal" else self.started(given)
         if exact is first or exact.grade.value != "equal":
-            return told, first
+            return by_floats, first
         return self, exact
 
     def started(self, given: ExternalEstimate) -> ExternalCheck:

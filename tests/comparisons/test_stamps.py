@@ -161,7 +161,7 @@ def test_stamps_since_1970_are_taken_as_the_filter_had_them(
     if whole:
         monkeypatch.setattr("comparisons.logs.log_folder.origin", lambda first_s: 0)
     else:
-        monkeypatch.setattr("comparisons.pipeline.check.told_by_floats", lambda log: log)
+        monkeypatch.setattr("comparisons.pipeline.check.timed_by_floats", lambda log: log)
     assert since_1970(log, tmp_path / "other", whole=whole) == "like"
 
 

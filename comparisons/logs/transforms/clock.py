@@ -1,4 +1,4 @@
-"""A log's times as float64 tells them on the clock that its file counts by."""
+"""A log's times as float64 has them on the clock of its file."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ def file_start(log: Log) -> Decimal:
     return Decimal(log.provenance.get("time_origin_s", "0"))
 
 
-def told_by_floats(log: Log) -> Log:
+def timed_by_floats(log: Log) -> Log:
     """Return the log with the times that a filter has which reads its file's stamps as float64.
 
-    Seconds since 1970 are told to a quarter of a microsecond, so that steps have other lengths.
+    Seconds since 1970 have a resolution of a quarter of a microsecond, so that steps have other
+    lengths.
     """
     start = file_start(log)
 
-    def told(time_s: Array) -> Array:
+    def by_floats(time_s: Array) -> Array:
         stamps = [float(start + Decimal(one)) for one in time_s.tolist()]
         return resolved(np.array([float(Decimal(stamp) - start) for stamp in stamps]))
 
@@ -37,11 +38,11 @@ def told_by_floats(log: Log) -> Log:
     for name in _STREAMS:
         stream = getattr(log, name)
         if stream is not None:
-            changed[name] = replace(stream, time_s=told(stream.time_s))
-    prior_s = float(told(np.array([log.prior.time_s]))[0])
+            changed[name] = replace(stream, time_s=by_floats(stream.time_s))
+    prior_s = float(by_floats(np.array([log.prior.time_s]))[0])
     poses = log.truth.poses
     if poses is not None:
-        poses = replace(poses, time_s=told(poses.time_s))
+        poses = replace(poses, time_s=by_floats(poses.time_s))
     return replace(
         log,
         prior=replace(log.prior, time_s=prior_s),
