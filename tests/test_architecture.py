@@ -72,6 +72,7 @@ def foreign(source: str, package: str) -> list[str]:
     )
 
 
+@pytest.mark.slow
 def test_nothing_in_the_house_imports_the_public_interface() -> None:
     for package in sorted(HOUSE):
         for path in (ROOT / package).rglob("*.py"):
@@ -296,6 +297,7 @@ def mentions(source: str) -> Iterator[str]:
             yield node.value.partition(":")[0]
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_nothing_that_only_tests_and_benchmarks_use() -> None:
     known = modules(*HOUSE, "slamcheck")
     edges = {name: set(mentions(path.read_text())) & set(known) for name, path in known.items()}
@@ -456,6 +458,7 @@ def test_a_filter_that_knows_a_feature_is_found() -> None:
     assert trespasses([("filters", source)]) == ["filters imports scan_landmarks"]
 
 
+@pytest.mark.slow
 def test_no_extension_imports_another_but_what_it_stands_on() -> None:
     """A feature knows nobody's internals: only sources that another one offers."""
     stands_on = {

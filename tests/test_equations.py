@@ -208,6 +208,7 @@ def test_every_number_has_one_row() -> None:
     assert not miscounted(TEXT)
 
 
+@pytest.mark.slow
 def test_functions_and_tests_exist() -> None:
     assert not pointing_nowhere(TEXT)
 
@@ -216,6 +217,7 @@ def test_rows_name_a_function_and_a_test_or_say_why_not() -> None:
     assert not incomplete(TEXT)
 
 
+@pytest.mark.slow
 def test_functions_name_their_equations() -> None:
     assert not unmentioned(TEXT)
 
@@ -274,6 +276,7 @@ def test_rows_that_name_too_much_or_too_little_are_rejected() -> None:
         assert incomplete(TEXT.replace(absent, broken)) == ["N 2.59"]
 
 
+@pytest.mark.slow
 def test_a_function_that_does_not_name_its_equation_is_rejected() -> None:
     row = row_of("N 4.15")
     other = row.replace("Scan.point`", "Scan.box`")

@@ -32,6 +32,7 @@ def run(name: str, *arguments: str) -> Any:
     return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](*arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["01_ekf_slam", "05_dense_map"])
 def test_a_figure_is_drawn(name: str, tmp_path: Path) -> None:
     figure = tmp_path / "figure.png"
@@ -48,17 +49,20 @@ def test_the_compressed_filter_equals_the_full_one() -> None:
     assert run("02_compressed_equals_full") < 1e-9
 
 
+@pytest.mark.slow
 def test_a_fix_in_parts_is_nearer_to_consistent() -> None:
     nees = run("03_sequential_gps")
     assert nees["in parts"] < 6.0 < 30.0 < nees["at once"]
 
 
+@pytest.mark.slow
 def test_the_renormalised_filter_is_near_that_of_the_heading() -> None:
     heading, published, renormalised = run("04_misono").values()
     assert math.isclose(heading, renormalised, rel_tol=0.01)
     assert published > 10.0 * heading
 
 
+@pytest.mark.slow
 def test_a_dense_map_moves_with_its_landmarks() -> None:
     errors = run("05_dense_map")
     assert errors["in regions"] < 0.5 * errors["placed once"]
@@ -92,6 +96,7 @@ def checked(source: str, folder: Path, log: Path) -> ExternalCheck:
     return check(read_log_folder(log), read_external(out), CheckConfig(require="like"))
 
 
+@pytest.mark.slow
 def test_the_own_filter_is_like_ours(log_folder: Path, tmp_path: Path) -> None:
     assert all(name not in OWN for name in ("import comparisons", "from comparisons", "gtsam"))
     assert len([one for one in OWN.splitlines() if one.strip()]) < 120
@@ -103,6 +108,7 @@ def test_the_own_filter_is_like_ours(log_folder: Path, tmp_path: Path) -> None:
 SEEN = 'seen["bearing_rad"][k]'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "gaps", "reported"),
     [
@@ -165,6 +171,7 @@ def build(tmp_path: Path) -> Callable[..., str]:
     return built
 
 
+@pytest.mark.slow
 @NEEDS_COMPILER
 def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., str], tmp_path: Path) -> None:
     program, out = build(WRITER), tmp_path / "out"
@@ -202,6 +209,7 @@ def _little_room() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
+@pytest.mark.slow
 @NEEDS_COMPILER
 @pytest.mark.parametrize("broken", [False, True])
 def test_a_killed_cpp_writer_leaves_no_half_folder(
@@ -215,6 +223,7 @@ def test_a_killed_cpp_writer_leaves_no_half_folder(
     assert (tmp_path / "out").exists() == broken
 
 
+@pytest.mark.slow
 @NEEDS_COMPILER
 def test_the_cpp_example_runs(build: Callable[..., str], log_folder: Path, tmp_path: Path) -> None:
     program = build((EXAMPLES / "cpp" / "write_estimate.cpp").read_text())

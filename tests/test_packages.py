@@ -131,6 +131,7 @@ def test_the_public_interface_says_so_at_its_first_use(tmp_path: Path) -> None:
         assert "hides slamcheck's package comparisons" in shown.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_pytest_runs_others_tests_and_fails_those_of_slamcheck(tmp_path: Path) -> None:
     """A plugin that cannot be loaded would end every test run of the environment."""
     foreign(tmp_path / "first", "comparisons")

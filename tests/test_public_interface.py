@@ -88,6 +88,7 @@ def test_importing_it_loads_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_a_log_is_run_checked_and_solved(tmp_path: Path) -> None:
     log = slamcheck.load_log("simulated-loop", seed=7)
     run = slamcheck.compare(log, filter="compressed")
@@ -250,6 +251,7 @@ def framed(result: Any) -> str:
     return unescape(shown.split('srcdoc="')[1].split('"')[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(SHOWN))
 def test_a_result_shows_itself_in_a_notebook(name: str, results: dict[str, Any]) -> None:
     page, seen = framed(results[name]), _Seen()

@@ -182,6 +182,7 @@ def test_a_record_of_no_table_is_refused(tmp_path: Path) -> None:
         read_records(registry_of(name="three"), tmp_path)
 
 
+@pytest.mark.slow
 def test_what_a_command_loads_becomes_the_sources(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

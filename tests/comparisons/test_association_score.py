@@ -80,6 +80,7 @@ def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
     assert rows["pairs of measurements, same landmark: precision"].startswith("0.")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["nn", "jcbb"])
 def test_association_by_position_finds_the_labels_in_simulation(rule: str) -> None:
     c = compared(simulated(seed=1), association=rule)

@@ -120,6 +120,7 @@ def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) 
     assert "disputed measurements: " in " ".join(done.stdout.split())
 
 
+@pytest.mark.slow
 def test_a_filter_is_not_accused_by_an_association_that_is_in_doubt() -> None:
     """It knew the labels, which the log does not say; the smoother's own may be wrong."""
     labelled = simulated(1, loops=1, noise_scale=6.0)

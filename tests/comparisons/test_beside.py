@@ -92,6 +92,7 @@ def test_a_call_elsewhere_returns_the_same() -> None:
         assert here.tobytes() == there.tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("second_core")
 def test_what_is_raised_there_is_raised_here() -> None:
     with elsewhere(refuse, "no landmark") as work:
@@ -100,6 +101,7 @@ def test_what_is_raised_there_is_raised_here() -> None:
             work.result()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("second_core")
 def test_a_killed_process_is_an_error_in_one_line(tmp_path: Path) -> None:
     with elsewhere(sleeping, str(tmp_path / "pid")) as work:
@@ -115,6 +117,7 @@ def test_what_cannot_be_sent_is_done_here() -> None:
         assert work.result() == (False, os.getpid())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("second_core")
 def test_an_interrupt_leaves_no_process(tmp_path: Path) -> None:
     pid = 0
@@ -127,6 +130,7 @@ def test_an_interrupt_leaves_no_process(tmp_path: Path) -> None:
     assert gone(pid, 1.0)
 
 
+@pytest.mark.slow
 def test_without_the_block_a_process_stays(second_core: None, tmp_path: Path) -> None:
     """The broken variant: nobody ends it."""
     work = elsewhere(sleeping, str(tmp_path / "pid"))
@@ -155,6 +159,7 @@ with elsewhere(sleeping, sys.argv[1]) as work:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "first"), [(ORPHAN, ""), (ORPHANS, "0")], ids=["beside", "spread"]
 )
@@ -253,6 +258,7 @@ def _arrays(content: Any) -> list[bytes]:
     return [x for part in parts for x in _arrays(part)]
 
 
+@pytest.mark.slow
 def test_a_run_with_its_own_association_is_the_same_to_the_bit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -274,6 +280,7 @@ def test_a_run_with_its_own_association_is_the_same_to_the_bit(
     assert arrays[0] == arrays[1]
 
 
+@pytest.mark.slow
 def test_a_solution_is_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     log = first_seconds(simulated(0), 15.0)
     seen = _watched(monkeypatch)

@@ -153,6 +153,7 @@ def test_scans_cost_no_global_update() -> None:
     assert len(broken.state.updates) > scans
 
 
+@pytest.mark.slow
 def test_the_run_is_written_with_both_kinds(tmp_path: Path) -> None:
     folder = written(by_filter("compressed"), tmp_path / "out")
     for name in ("landmarks.csv", "scan_landmarks.csv"):

@@ -374,6 +374,7 @@ def test_where_the_smoother_has_no_pose_there_is_no_hole() -> None:
     assert coverage(given, all_along, epochs).share == 1.0  # nothing is observed in the hole
 
 
+@pytest.mark.slow
 def test_a_lost_filter_has_no_simple_cause(log: Log, whole: ExternalEstimate) -> None:
     rng = np.random.default_rng(0)
     wander = np.cumsum(rng.normal(0.0, 0.15, whole.pose.shape), axis=0) * (1.0, 1.0, 0.01)
@@ -383,6 +384,7 @@ def test_a_lost_filter_has_no_simple_cause(log: Log, whole: ExternalEstimate) ->
     assert "RMS" in found.causes[0].evidence
 
 
+@pytest.mark.slow
 def test_a_covariance_that_is_none_is_found(log: Log, whole: ExternalEstimate) -> None:
     """Not positive definite: no pose lies within such a region."""
     negative = -present(whole.pose_covariance)

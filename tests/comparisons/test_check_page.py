@@ -109,6 +109,7 @@ def test_the_ladder_starts_at_the_estimate() -> None:
     assert "The estimate equals the reference EKF to rounding." in text
 
 
+@pytest.mark.slow
 def test_a_wrong_estimate_fails_where_it_is_wrong() -> None:
     """Of a path that is five times too long neither the filter nor the optimum is near."""
     stretched = replace(bare(filtered()), pose=filtered().pose * (5.0, 5.0, 1.0))
@@ -146,6 +147,7 @@ def test_the_band_is_what_the_future_took_away() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
@@ -170,6 +172,7 @@ def test_no_band_is_drawn_where_none_is_justified(given: dict[str, Any], reason:
     assert all(panel.bands for panel in named(panels, "estimate - truth"))
 
 
+@pytest.mark.slow
 def test_no_band_is_drawn_where_the_filter_is_surer() -> None:
     found = check(run().log, overconfident(filtered()))
     reported, panels = external_panels(found)
@@ -238,6 +241,7 @@ def test_landmarks_without_covariances_or_counterparts_are_drawn() -> None:
     assert "not in the estimate" in text
 
 
+@pytest.mark.slow
 def test_one_far_away_does_not_hide_the_map() -> None:
     found = check(run().log, bare(filtered()))
     far = check(run().log, replace(bare(filtered()), pose=filtered().pose + (5e5, 4e6, 0.0)))
@@ -295,6 +299,7 @@ def shifted(given: ExternalEstimate, since: int) -> ExternalEstimate:
     return replace(given, pose=pose)
 
 
+@pytest.mark.slow
 def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
     """In the text, on the page's and the picture's map, and on every curve."""
     since = 60

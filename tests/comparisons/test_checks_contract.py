@@ -43,6 +43,7 @@ def unaccounted(c: Comparison) -> list[str]:
     return [one.name for one in CHECKS if (one.name in c.findings) == (one.name in c.absent)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "association", "lacking"),
     [

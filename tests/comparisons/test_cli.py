@@ -216,6 +216,7 @@ def test_a_closed_pipe_keeps_the_verdict(tmp_path: Path) -> None:
     assert (tmp_path / "report" / "result.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "redirected", "code"),
     [
@@ -430,6 +431,7 @@ def test_a_run_shows_that_it_reads(tmp_path: Path) -> None:
     assert shown.index("reading ") < shown.index("report ") < shown.index("report:  ")
 
 
+@pytest.mark.slow
 def test_without_a_terminal_a_long_job_has_a_line_per_stage(tmp_path: Path) -> None:
     long = python(STAGES.format(quiet_s=0.5, rest_s=0.5), tmp_path)
     assert long.stdout == "done\n"

@@ -27,6 +27,7 @@ from graphslam.marginals import SingularProblemError
 from tests.helpers import assert_followed, compared, first_seconds, present, simulated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter_s", [0.02, 1e-3, 1e-4, 1e-6, 1e-7, 1e-8])
 def test_measurements_that_come_one_by_one(jitter_s: float) -> None:
     """A millisecond or less, down to nanoseconds, between poses costs no digits that matter."""
@@ -170,6 +171,7 @@ def test_what_rounding_hides_is_no_verdict() -> None:
     assert "double precision tells" in c.verdict.causes[0].evidence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("still_s", [1e4, 86_400.0, 1e6])
 def test_a_long_stand_still_is_no_fault_of_the_filter(still_s: float) -> None:
     """The filter forgets where it is: what rounding does is measured on a sound recursion."""
@@ -179,6 +181,7 @@ def test_a_long_stand_still_is_no_fault_of_the_filter(still_s: float) -> None:
     assert c.agreement.algebra.explained_by(c.gaps.algebra_rounding)
 
 
+@pytest.mark.slow
 def test_a_wrong_update_shows_behind_a_long_stand_still() -> None:
     class TooSure(Corrupted):
         updates = -60
@@ -202,6 +205,7 @@ def test_an_origin_far_away_is_no_fault_of_the_filter(far_m: float) -> None:
     assert (far_m == 5e6) == (c.gaps.rounding.sigma < 1e-5)
 
 
+@pytest.mark.slow
 def test_sigmas_near_the_last_place_are_no_fault_of_the_filter() -> None:
     """What moving the records in their last places changes is measured, and no more is allowed."""
     c = compared(fine(simulated(5002, loop_s=12.0)))
@@ -213,6 +217,7 @@ def test_sigmas_near_the_last_place_are_no_fault_of_the_filter() -> None:
     assert c.gaps.algebra_rounding.sigma < 1e-3
 
 
+@pytest.mark.slow
 def test_a_wrong_update_shows_beside_sigmas_near_the_last_place() -> None:
     class TooSure(Corrupted):
         def corrupt(self) -> None:

@@ -66,6 +66,7 @@ def test_a_defect_is_caught_and_named_first(defect: Fault) -> None:
         assert re.fullmatch(MODEL[defect.name], first)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LOGS)
 def test_a_sound_filter_passes_the_logs_that_show_defects(name: str) -> None:
     log, ekf = open_case(name, seed=4)
@@ -114,6 +115,7 @@ def curved(own: Method, *args: Array) -> PredictedMeasurements:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "reported"),
     [

@@ -61,6 +61,7 @@ def test_only_what_is_occupied_counts() -> None:
     assert np.isnan(nothing.median_m)
 
 
+@pytest.mark.slow
 def test_both_maps_agree_where_the_filter_is_right(comparison: Comparison) -> None:
     check = present(comparison.find(DenseMapsFinding).agreement)
     assert comparison.verdict.outcome == "agree"

@@ -42,6 +42,7 @@ def test_closing_the_loop_brings_the_map_to_where_the_objects_are(
         assert now.p95_m < 0.7 * then.p95_m
 
 
+@pytest.mark.slow
 def test_one_grid_keeps_its_double_walls(maps: list[DenseMapping]) -> None:
     """The worst twentieth of its occupied cells is twice as far off as the dense map's."""
     dense = np.array([m.errors["occupancy"].p95_m for m in maps])

@@ -173,6 +173,7 @@ def collinear(log: Log, landmarks: int = 6) -> Log:
     return replace(log, measurements=seen, truth=replace(log.truth, landmarks=None))
 
 
+@pytest.mark.slow
 def test_landmarks_in_a_row_have_regions_with_virtual_corners_alone(log: Log) -> None:
     """A shift of the map is that of its landmarks, of which there may be fewer than virtual ones.
 

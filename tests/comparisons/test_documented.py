@@ -76,6 +76,7 @@ def test_a_row_that_is_compared_with_itself_is_found() -> None:
     assert "compared with itself" in wrong(dataclasses.replace(sound, also=(own,)))
 
 
+@pytest.mark.slow
 def test_the_page_is_generated_from_the_code() -> None:
     assert PAGE.read_text() == markdown(), "docs/settings.md is old: make settings"
 

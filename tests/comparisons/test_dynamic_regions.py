@@ -155,6 +155,7 @@ def comparison(carried: list[Log]) -> Comparison:
     return compared(carried[1], dynamic=True, accept_misfit=True)
 
 
+@pytest.mark.slow
 def test_the_frozen_smoothers_stay_exact(comparison: Comparison) -> None:
     gaps = comparison.agreement.algebra, comparison.agreement.model
     assert max(g.sigma for g in gaps) < 1e-8
@@ -191,6 +192,7 @@ def all_moving() -> ScanExperiment:
     return replace(experiment, world=world)
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_all_moving_is_said_to_be_beyond_it() -> None:
     """As dense.dynamic documents: it takes landmarks that stand still."""
     log = simulate(np.random.default_rng(0), all_moving())

@@ -220,6 +220,7 @@ def test_estimates_of_earlier_versions_are_read(tmp_path: Path) -> None:
                 np.testing.assert_allclose(array, other, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edit", [wrapped, coarse, bare])
 def test_other_habits_make_no_difference(
     tmp_path: Path, case: tuple[Log, EkfConfig, Comparison], edit: Callable[[Arrays], None]
@@ -249,6 +250,7 @@ def test_a_planted_defect_has_its_cause(tmp_path: Path, defect: Fault) -> None:
         assert named_first(defect, found), first
 
 
+@pytest.mark.slow
 def test_a_coarse_filter_that_fuses_late_is_told(
     tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
 ) -> None:
@@ -265,6 +267,7 @@ def test_a_coarse_filter_that_fuses_late_is_told(
     assert any("measurements are used too late, by 0.025 s" in said for said in found.remarks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["the measurements are fused one odometry", "cosine and sine"])
 def test_what_follows_from_a_fault_is_none(
     tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], words: str
@@ -288,6 +291,7 @@ def test_what_follows_from_a_fault_is_none(
         assert "noise covariance" not in own[0].evidence
 
 
+@pytest.mark.slow
 def test_a_late_path_is_not_moved_back_beside_its_trace(tmp_path: Path) -> None:
     """The trace would no longer fit it, and says how its filter moved."""
     log, choices = open_case("loop", seed=4)
@@ -367,6 +371,7 @@ def test_damage_is_one_line(
     assert str(tmp_path / FORMER) in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [False, True])
 def test_each_kind_of_record_that_differs_is_named(
     tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], steps: bool
@@ -393,6 +398,7 @@ def test_each_kind_of_record_that_differs_is_named(
     assert "measurement updates" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("former", [False, True])
 def test_a_noise_that_is_no_covariance_is_the_first_cause(
     tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], former: bool
@@ -440,6 +446,7 @@ def test_a_start_and_a_step_may_be_known_exactly_in_some_direction(
     assert not apart(replace(trace, prior_covariance=start + 1e-6 * np.eye(3))).within(1e-9)
 
 
+@pytest.mark.slow
 def test_steps_without_noise_are_a_difference_of_the_models(
     tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]
 ) -> None:

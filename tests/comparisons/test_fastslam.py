@@ -67,6 +67,7 @@ def summary_lines(comparison: Comparison) -> Sequence[tuple[str, str]]:
     return run_summary(comparison, build_result(comparison)).lines
 
 
+@pytest.mark.slow
 def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     found = comparison.find(FastSlamFinding)
     assert found.check.agrees is True
@@ -101,6 +102,7 @@ def test_the_joint_covariance_has_the_clouds_own_blocks(comparison: Comparison) 
     np.testing.assert_allclose(estimate.landmark_covariances(), mixture.covariance, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_stretches_cover_the_log_and_end_before_the_cloud_is_depleted(
     comparison: Comparison, stretches: StretchComparison
 ) -> None:
@@ -171,6 +173,7 @@ def test_what_fastslam_alone_has_wrong_disagrees(comparison: Comparison) -> None
     assert exact.clouds <= LEVEL < exact.gaussian
 
 
+@pytest.mark.slow
 def test_a_cloud_that_is_too_small_gives_no_verdict(comparison: Comparison) -> None:
     given = RunConfig.model_validate({"extensions": {"fastslam": {"particles": 4, "clouds": 16}}})
     found = compare(comparison.log, given).find(FastSlamFinding)
@@ -178,6 +181,7 @@ def test_a_cloud_that_is_too_small_gives_no_verdict(comparison: Comparison) -> N
     assert "gives no verdict: clouds of 4 particles are too small" in found.remarks[0]
 
 
+@pytest.mark.slow
 def test_where_the_gaussian_fails_fastslam_agrees_with_the_exact_posterior() -> None:
     """A loop with 0.1 rad of noise a step, of benchmarks/posterior_sampling.py."""
     log = draw_problem(circle(), np.random.default_rng(0)).log

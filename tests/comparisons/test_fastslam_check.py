@@ -145,6 +145,7 @@ def test_shapes_that_are_not_gaussian_are_named(draw: str, words: list[str]) -> 
     assert found.agrees is True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("exact", "agrees"), [(None, False), (1.0, False), (1.5, True), (2.5, False)]
 )

@@ -89,6 +89,7 @@ def evidence(found: ExternalCheck) -> str:
     return " ".join([*(one.evidence for one in found.causes), *found.remarks])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "name"),
     [

@@ -100,6 +100,7 @@ def test_the_vehicle_is_nearer_to_the_truth_with_them() -> None:
     assert np.mean(having) < 0.95 * np.mean(without)
 
 
+@pytest.mark.slow
 def test_they_stand_where_something_stands() -> None:
     """Every kept landmark's rectangle holds a part of a true object, moved with the map or not."""
     made, truth = with_them(1).find(HighLevelFinding).made, log(1).truth.surfaces
@@ -121,6 +122,7 @@ def test_where_none_are_accepted_the_filter_is_the_same_to_the_bit() -> None:
     assert not np.array_equal(bits(with_them(1).ekf)[0], bits(without)[0])
 
 
+@pytest.mark.slow
 def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
     """To the bit; with its returns the same drive has landmarks."""
     short = first_seconds(log(1), 45.0)

@@ -273,6 +273,7 @@ def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -
     assert "distance from the smoother" not in drawn(comparison, build_result(comparison))
 
 
+@pytest.mark.slow
 def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> None:
     """Of 100,000 poses and 1,500 landmarks, without pictures, which do not grow."""
     c, many, poses = comparison, 1500, 100_000

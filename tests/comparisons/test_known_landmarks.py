@@ -33,6 +33,7 @@ def with_survey(log: Log, every: int = 6) -> Log:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["full", "compressed"])
 @pytest.mark.parametrize("association", ["known", "nn"])
 def test_gaps_stay_at_rounding(name: str, association: str) -> None:

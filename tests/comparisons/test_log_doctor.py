@@ -31,6 +31,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_what_was_done_is_named(name: str) -> None:
     kind = CASES[name]
@@ -48,6 +49,7 @@ def test_a_sound_log_is_not_accused(kind: str) -> None:
     assert found.test.reading == "plausible"
 
 
+@pytest.mark.slow
 def test_more_noise_than_stated_is_no_unit() -> None:
     """Three times: no single change explains it, and nothing is named."""
     log, rng = drive(9, "velocity"), np.random.default_rng(0)

@@ -42,6 +42,7 @@ WRONG: dict[str, tuple[Callable[[Log], Log], str, float]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_the_number_is_named_first_thing(log: Log, name: str) -> None:
     change, words, number = WRONG[name]
@@ -56,6 +57,7 @@ def test_the_number_is_named_first_thing(log: Log, name: str) -> None:
     assert float(fitted[0]) == pytest.approx(number, rel=0.15)
 
 
+@pytest.mark.slow
 def test_noise_that_is_larger_than_stated_is_no_number(log: Log) -> None:
     rng, seen = np.random.default_rng(0), log.measurements
     more = 3.0 * seen.sigma_bearing_rad * rng.standard_normal(len(seen.time_s))
@@ -73,6 +75,7 @@ def test_a_number_explains_what_is_too_high_and_no_more(chi2: float, said: bool)
     assert explains(ChiSquareTest(812.0, 400, 318.0, 493.0), chi2, 8) is said
 
 
+@pytest.mark.slow
 def test_a_sound_log_has_none(log: Log) -> None:
     found = compared(log)
     assert found.verdict.outcome == "agree"

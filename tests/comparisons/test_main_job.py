@@ -12,6 +12,7 @@ from comparisons.pipeline.compare import Comparison
 from tests.helpers import assert_followed, compared, first_seconds, present
 
 
+@pytest.mark.slow
 def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
     c = victoria_park
     assert len(c.smoother.poses) == 6969

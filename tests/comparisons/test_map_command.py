@@ -165,6 +165,7 @@ def test_no_regions_no_window() -> None:
         window(placed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["dynamic-places", "occupancy-loop"])
 def test_a_map_too_large_is_refused_with_a_resolution_that_fits(name: str) -> None:
     """What is suggested fits, and what lies a quarter below does not: no more is asked than it

@@ -68,6 +68,7 @@ def test_a_waypoint_run_with_positions_has_no_gap() -> None:
         assert comparison.agreement.model.within(ROUNDING) is (name == "misono-full")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chart", [DividedByLength(), CovarianceLeftBehind()])
 def test_other_ways_back_to_the_circle_are_rejected(log: Log, chart: Chart) -> None:
     state = partial(KalmanState, chart=chart)

@@ -66,6 +66,7 @@ def judged(kind: type[Ekf], folder: Path, out: Path) -> ExternalCheck:
     return slamcheck.check(slamcheck.load_log(folder), out, require="like")
 
 
+@pytest.mark.slow
 def test_a_sound_filter_is_equal_on_its_own_arc(folder: Path, tmp_path: Path) -> None:
     found = judged(Newcomer, folder, tmp_path / "mine")
     assert (found.outcome, found.grade.value) == ("agree", "equal")
@@ -119,6 +120,7 @@ FAULTS: dict[str, Plant] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", FAULTS)
 def test_each_fault_is_the_first_sentence(words: str, folder: Path, tmp_path: Path) -> None:
     found = judged(FAULTS[words](Newcomer), folder, tmp_path / "mine")
@@ -146,6 +148,7 @@ def unscented_grades(kind: type[Ekf], folder: Path, out: Path) -> list[str | Non
     return [likeness(given, one, labelled=True).grade for one in fitted]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [UnscentedHalf, UnscentedThird, Cubature])
 def test_sigma_points_are_found_and_no_fault_is_taken_for_them(
     kind: type[Ekf], hard: Path, tmp_path: Path
@@ -169,6 +172,7 @@ def shortened(own: Method, ekf: Ekf, z: Array, expected: Array) -> Any:
     return own(z - (0.3 * abs(z[1]), 0.0), expected)
 
 
+@pytest.mark.slow
 def test_a_fault_that_nobody_knows_is_given_no_name(folder: Path, tmp_path: Path) -> None:
     found = judged(instead(residual=shortened)(Newcomer), folder, tmp_path / "mine")
     assert found.outcome == "disagree"
@@ -176,6 +180,7 @@ def test_a_fault_that_nobody_knows_is_given_no_name(folder: Path, tmp_path: Path
     assert found.remarks[0].startswith("first departure: the poses leave")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("traced", [True, False])
 def test_a_fault_that_comes_late_is_dated(folder: Path, tmp_path: Path, traced: bool) -> None:
     """The nearest by the largest difference is another filter, which it leaves much earlier.

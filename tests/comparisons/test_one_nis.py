@@ -68,6 +68,7 @@ def of_trace(folder: Path) -> tuple[SensorInnovations, ...]:
     return event_innovations(trace, trace.sensors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_run_check_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
     run = filtered(name)

@@ -103,6 +103,7 @@ def test_positions_that_contradict_all_else_are_a_disagreement(name: str) -> Non
     assert [float(n) for n in re.findall(r"-?\d+\.\d+", first)] == pytest.approx(figures, abs=1.0)
 
 
+@pytest.mark.slow
 def test_positions_reduce_the_covariance_of_vehicle_and_map() -> None:
     """Guivant 2002, Fig. 8: the deviations drop when absolute information arrives."""
     log = with_fixes(simulated(seed=3), (0.0, 0.0))

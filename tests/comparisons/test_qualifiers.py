@@ -150,6 +150,7 @@ def drawn(rng: np.random.Generator) -> Consistency:
     return Consistency(None, None, sensors, None, gated=False)
 
 
+@pytest.mark.slow
 def test_words_hold_for_all_bands_of_a_run_together() -> None:
     """In 99.9 % of sound runs. Words by the figures' own bands, as they were, are often false."""
     rng = np.random.default_rng(0)

@@ -197,6 +197,7 @@ def test_a_log_by_name_path_or_nothing_that_is_one(
     assert "AttributeError" not in done.stdout
 
 
+@pytest.mark.slow
 def test_the_plugin_loads_nothing_before_a_test_asks(tmp_path: Path) -> None:
     """Broken variant: the module of the fixtures' work, which does load it."""
     code = (

@@ -66,6 +66,7 @@ CASES: dict[str, tuple[str, Callable[[Path], None] | None]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.slow] if m else []) for n, (_, m) in CASES.items()]
 )

@@ -201,6 +201,7 @@ def test_positions_tell_by_how_much_sigmas_are_wrong(scale: float) -> None:
     assert check.reference_factor == pytest.approx(1.0, abs=0.35)
 
 
+@pytest.mark.slow
 def test_the_car_park_by_its_scans(shared_data: Path) -> None:
     log = read_log(shared_data / "acfr_car_park")
     motion = run_scan_odometry(log)

@@ -177,6 +177,7 @@ def test_ties_fall_on_one_side(
     assert not all(decided(seed) == exact for seed in range(20))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "number"), [(3, 0), (0, 4)])
 def test_a_short_drive_stays(seed: int, number: int) -> None:
     found = moved(stretch(seed, number))

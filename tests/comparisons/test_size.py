@@ -144,6 +144,7 @@ def test_landmarks_without_labels_are_counted_by_scans(labelled: bool) -> None:
     assert found == (len(np.unique(log.measurements.landmark)) if labelled else most)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pairs", [False, True])
 def test_the_filters_memory_is_linear_in_poses(pairs: bool) -> None:
     """From 200 to 400 poses its peak at most doubles, and some; a matrix over poses is seen."""

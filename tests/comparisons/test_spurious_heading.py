@@ -120,6 +120,7 @@ GOLDEN: dict[str, Callable[[], Comparison]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GOLDEN)
 def test_run_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
     c, trace = GOLDEN[name](), tmp_path / "run.trace"
@@ -142,6 +143,7 @@ def test_surveyed_landmarks_tell_the_heading() -> None:
     assert consistency_panels(c).learnt is None
 
 
+@pytest.mark.slow
 def test_a_pose_of_four_entries_is_turned_in_its_own() -> None:
     """Misono's full filter is linearised much like the EKF; without the columns it is not."""
     log = simulated(seed=1, loop_s=40.0)

@@ -73,6 +73,7 @@ def checked(log: Log, folder: Path) -> ExternalCheck:
     return slamcheck.check(slamcheck.load_log(folder / "log"), folder / "mine")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["regular", "jittered", "epoch", "hours"])
 def test_a_right_filter_is_equal_whatever_the_stamps(kind: str, tmp_path: Path) -> None:
     found = checked(written(kind, seed=1), tmp_path)
@@ -89,6 +90,7 @@ def test_stamps_resolved_to_a_tenth_of_a_millisecond_would_not_be(
         checked(written("jittered", seed=1), tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("decimals", [6, 9])
 def test_an_estimate_with_fewer_decimals_is_of_the_same_instants(
     decimals: int, tmp_path: Path

@@ -66,6 +66,7 @@ def test_a_command_loads_only_what_it_needs(words: str, tmp_path: Path) -> None:
     assert not (NEVER[words] - of_scipy_special()) & loaded(words, tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "before", "found"),
     [

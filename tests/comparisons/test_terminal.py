@@ -119,6 +119,7 @@ def test_figures_are_columns_by_group() -> None:
     assert list(table(rows))[2].style == "red"
 
 
+@pytest.mark.slow
 def test_real_outcomes_keep_their_width() -> None:
     log = first_seconds(simulated(seed=1), 20.0)
     named = replace(log, name="a log whose name is as long as a whole line of a terminal " * 2)

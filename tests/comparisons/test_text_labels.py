@@ -58,6 +58,7 @@ def test_a_report_has_the_names(run: Comparison, tmp_path: Path) -> None:
     assert run.ekf.estimate.to_pandas("landmarks")["label"].tolist()[:2] == NAMES[:2]
 
 
+@pytest.mark.slow
 def test_an_estimate_is_checked_by_names(log: Log, run: Comparison, tmp_path: Path) -> None:
     """In any order; wrong names put it elsewhere."""
     estimate = run.ekf.estimate

@@ -64,6 +64,7 @@ def sources() -> Iterator[Path]:
         yield from sorted(path.rglob("*.py")) if path.is_dir() else [path]
 
 
+@pytest.mark.slow
 def test_every_kind_of_cause_is_explained() -> None:
     used: set[str] = set()
     for path in (ROOT / "comparisons").rglob("*.py"):
@@ -90,6 +91,7 @@ def test_an_explanation_is_of_whole_sentences(kind: str) -> None:
     assert not BANNED.search(f"{one.title} {one.meaning} {one.check}")
 
 
+@pytest.mark.slow
 def test_no_text_has_a_word_of_the_old_idiom() -> None:
     found = {
         str(path.relative_to(ROOT)): words

@@ -179,6 +179,7 @@ def differences(one: Path, other: Path) -> list[str]:
     return [fault for a, b in zip(Trace(one), Trace(other), strict=True) for fault in faults(a, b)]
 
 
+@pytest.mark.slow
 def test_cpp_and_python_record_the_same(example: Path, tmp_path: Path) -> None:
     run(tmp_path / "python.trace")
     assert Trace(example).sensors == Trace(tmp_path / "python.trace").sensors
@@ -198,12 +199,14 @@ def raw(build: Build, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return trace
 
 
+@pytest.mark.slow
 def test_a_recording_without_sqlite_is_the_same(example: Path, raw: Path) -> None:
     assert Trace(raw).sensors == Trace(example).sensors
     assert Trace(raw).counts == Trace(example).counts
     assert differences(example, raw) == []
 
 
+@pytest.mark.slow
 def test_a_recording_without_sqlite_is_read_to_its_last_batch(raw: Path, tmp_path: Path) -> None:
     """Cut off anywhere, or with any byte changed: whole batches, or a refusal in one line."""
     whole, short = raw.read_bytes(), tmp_path / "short.events"
@@ -242,6 +245,7 @@ def test_the_example_is_a_sound_filter(example: Path) -> None:
     assert 1.5 < np.mean(nees) < 8.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -380,6 +384,7 @@ def wrapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_cpp_filter_is_recorded_without_a_change_in_it(
     build: Build, wrapped: Path, tmp_path: Path
 ) -> None:
@@ -399,6 +404,7 @@ def test_a_cpp_filter_is_recorded_without_a_change_in_it(
             assert of_members.blocks == ("state",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -514,6 +520,7 @@ a matrix has rows of different lengths
 """
 
 
+@pytest.mark.slow
 def test_cpp_checks_its_calls_and_records_every_kind(build: Build, tmp_path: Path) -> None:
     path = tmp_path / "run.trace"
     done = subprocess.run(
@@ -584,6 +591,7 @@ def for_ever(build: Build) -> Path:
     return build(FOR_EVER)
 
 
+@pytest.mark.slow
 def test_a_killed_cpp_recording_is_valid_to_its_last_commit(for_ever: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.trace"
     job = subprocess.Popen((for_ever, path), stdin=subprocess.PIPE, stdout=subprocess.PIPE)

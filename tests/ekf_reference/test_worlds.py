@@ -38,6 +38,7 @@ def normalised_errors(scale: float) -> Array:
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scale", "honest"), [(1.0, True), (0.8, False), (1.25, False)])
 def test_a_filter_that_knows_the_noise_is_as_wrong_as_it_says(scale: float, honest: bool) -> None:
     """Two-sided chi-square, 1 in 1000 to fail by chance."""

@@ -11,6 +11,7 @@ from benchmarks.audit_faults import judge, sound
 from examples.audit import msckf
 
 
+@pytest.mark.slow
 def test_a_finding_elsewhere_is_not_right(tmp_path: Path) -> None:
     path, fault = tmp_path / "trace", msckf.FAULTS["block-stale"]
     planted = msckf.record(path, 3, "block-stale")
@@ -24,6 +25,7 @@ def test_a_finding_elsewhere_is_not_right(tmp_path: Path) -> None:
     assert judge(tmp_path / "sound", planted, fault)[:3] == (False, False, False)
 
 
+@pytest.mark.slow
 def test_sound_traces_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sound(["msckf"], 2, tmp_path)
     assert capsys.readouterr().out == "0 of 2 sound traces flagged, 0.0 to 84.2 %\n"

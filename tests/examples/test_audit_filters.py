@@ -66,6 +66,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return Recorded(module.record, module.FAULTS, folder / "sound", faulty, AUDITED[name])
 
 
+@pytest.mark.slow
 def test_a_sound_trace_replays_to_rounding(recorded: Recorded) -> None:
     assert max(apart for _, apart in departures(recorded.sound)) < ROUNDING
     assert 400 < Trace(recorded.sound).counts.events < 1000
@@ -82,6 +83,7 @@ def test_fewer_snapshots_are_of_the_same_run(recorded: Recorded, tmp_path: Path)
         np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
+@pytest.mark.slow
 def test_every_fault_shows_at_its_event(recorded: Recorded) -> None:
     assert len(recorded.faults) == 10
     assert sum(not fault.statistical for fault in recorded.faults.values()) >= 8
@@ -100,6 +102,7 @@ def test_the_audit_passes_a_sound_trace(recorded: Recorded) -> None:
     assert result.nees is not None
 
 
+@pytest.mark.slow
 def test_the_audit_finds_five_faults(recorded: Recorded) -> None:
     for name in recorded.audited:
         path, planted = recorded.faulty[name]

@@ -34,6 +34,7 @@ def printed(command: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> s
     return text.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "block"), [*zip(FILTERS, BLOCKS, strict=True)])
 def test_commands_print_what_the_page_shows(
     name: str, block: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

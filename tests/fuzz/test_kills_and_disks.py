@@ -244,6 +244,7 @@ def exit_after(count: int, act: Callable[[], object]) -> bool:
     return ended
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_an_exit_after_any_call_ends_the_writing(kind: str, tmp_path: Path) -> None:

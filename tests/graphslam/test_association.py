@@ -235,6 +235,7 @@ class Unmoved(FullSmoother):
         """Nothing."""
 
 
+@pytest.mark.slow
 def test_solving_anew_after_each_piece_decides_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = unlabelled(worlds.loop(1, poses=worlds.LOOP + 40).problem)
     growing = associate(problem)

@@ -147,6 +147,7 @@ def optimum_of_gtsam(path: str, order: str) -> float:
     return float(graph.error(end))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "order"), PUBLIC)
 def test_public_files_have_the_optimum_of_gtsam(name: str, order: str) -> None:
     path = str(Path(gtsam.__file__).parent / "Data" / name)

@@ -72,6 +72,7 @@ def test_optimisers_agree(problem: SlamProblem, name: str) -> None:
     assert other.rank == problem.state_dimension
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_once", [1, 7, 300])
 def test_covariances_of_poses_keep_no_marginals(
     problem: SlamProblem, at_once: int, monkeypatch: pytest.MonkeyPatch

@@ -306,6 +306,7 @@ def test_a_standard_normal_is_accepted_always_and_forgotten_at_once() -> None:
     assert effective_sample_size(chains.draws).min() > 0.8 * 8000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("heading", "bearing"), [(0.02, 0.25), (0.3, 0.2)])
 def test_a_curved_posterior_is_that_of_quadrature(heading: float, bearing: float) -> None:
     problem = far_bearing(heading=heading, bearing=bearing)

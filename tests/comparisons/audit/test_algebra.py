@@ -47,6 +47,7 @@ def write(events: list[Event], path: Path) -> None:
             write_event(event, record)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_sound_run_has_no_faults_and_the_same_events(name: str) -> None:
     c = CASES[name]()
@@ -80,6 +81,7 @@ def handed_in(c: Comparison, folder: Path) -> ExternalCheck:
     return check_external(read_external(folder), solve(c.log, CheckConfig()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "what"),
     [
@@ -123,6 +125,7 @@ def assert_same_gap(c: Comparison, check: ExternalCheck, found: Audit) -> None:
         assert figures == pytest.approx((one.sigma, one.covariance), rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "choices"),
     [("full", "known"), ("compressed", "nn"), ("compressed", "consensus"), ("full", "euclidean")],
@@ -136,6 +139,7 @@ def test_run_check_and_audit_have_the_same_gap(name: str, choices: str, tmp_path
     assert_same_gap(c, handed_in(c, tmp_path), found)
 
 
+@pytest.mark.slow
 def test_a_trace_without_snapshots_says_what_is_lacking(tmp_path: Path) -> None:
     c = compared(simulated(seed=3, loop_s=10.0), planted("F transposed"))
     write_estimate(c.ekf.estimate, tmp_path)

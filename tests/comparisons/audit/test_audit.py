@@ -174,6 +174,7 @@ FAULTS: list[tuple[str, Callable[[Array, Array], Array], str, str]] = [
 """At which event, what becomes of P, the blocks that are named, and the words."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 4, 23])
 def test_a_sound_filter_is_sound(tmp_path: Path, every: int) -> None:
     found = audited(tmp_path, Toy(seed=1, every=every))
@@ -185,6 +186,7 @@ def test_a_sound_filter_is_sound(tmp_path: Path, every: int) -> None:
     assert {one.sensor for one in found.sensors} == {"doppler", "gps", "way"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 6])
 @pytest.mark.parametrize(("what", "change", "blocks", "text"), FAULTS)
 def test_a_fault_is_found_with_event_and_block(
@@ -269,6 +271,7 @@ def test_a_correction_that_is_not_gain_times_residual(
     assert present(found.first_open).sigma > 1e-6
 
 
+@pytest.mark.slow
 def test_a_sensor_that_fails_has_a_time(tmp_path: Path) -> None:
     def bias(number: int, sensor: str) -> float:
         return 6.0 if sensor == "gps" and number > 900 else 0.0
@@ -280,6 +283,7 @@ def test_a_sensor_that_fails_has_a_time(tmp_path: Path) -> None:
     assert 900 < (first.event or 0) < 930
 
 
+@pytest.mark.slow
 def test_asymmetry_and_indefiniteness_are_found(tmp_path: Path) -> None:
     def skew(p: Array, before: Array) -> Array:
         p[0, 3] += 0.01
@@ -449,6 +453,7 @@ def test_resets_that_are_all_the_identity_are_noted(
     assert [(one.fault, one.event) for one in notes] == [(False, 2)] * told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_single_precision_is_recognised(tmp_path: Path, precision: type) -> None:
     def alter(toy: Toy, number: int, what: str, before: Array) -> Array:

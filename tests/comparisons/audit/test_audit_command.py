@@ -28,6 +28,7 @@ def traces(folder: Path) -> tuple[Path, Path]:
     return sound, faulty
 
 
+@pytest.mark.slow
 def test_exit_codes_folder_and_json(tmp_path: Path) -> None:
     traces(tmp_path)
     sound = command("audit", "sound.trace", cwd=tmp_path)
@@ -86,6 +87,7 @@ def test_a_page_shows_what_file_names_say_as_text(tmp_path: Path) -> None:
     assert "<b>x" not in page
 
 
+@pytest.mark.slow
 def test_in_python(tmp_path: Path) -> None:
     sound, faulty = traces(tmp_path)
     assert slamcheck.audit(sound).sound

@@ -75,6 +75,7 @@ def block(replay: Replay, snapshot: Snapshot) -> Array:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_events_lead_to_the_filters_covariance(name: str) -> None:
     events = list(run_events(CASES[name]().ekf))
@@ -87,6 +88,7 @@ def test_the_events_lead_to_the_filters_covariance(name: str) -> None:
     assert np.abs(apart).max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_what_a_run_learnt_is_what_its_equations_hold(name: str) -> None:
     """By one dense linear model of all noises."""
@@ -133,6 +135,7 @@ def test_what_was_fused_together_is_one_update() -> None:
     assert sum(len(e.residual) for e in updates) == run.trace.measurements[POINT].innovation.size
 
 
+@pytest.mark.slow
 def test_a_boundless_prior_is_in_the_filters_own_equations() -> None:
     """A large one tells nothing; a small one holds landmarks to the world, which tells a turn."""
     c = initialised_boundless(1e8)
@@ -156,6 +159,7 @@ def same(one: object, other: object) -> bool:
     return one == other
 
 
+@pytest.mark.slow
 def test_the_file_holds_the_same_events(tmp_path: Path) -> None:
     for number, c in enumerate((sound(), framed())):
         place = tmp_path / f"{number}.trace"
@@ -175,6 +179,7 @@ def test_a_wrong_covariance_at_the_end_would_show() -> None:
     assert not np.allclose(block(replay, last), last.covariance, rtol=1e-6, atol=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [None, "cross-covariance dropped at prediction", "vehicle dropped at augmentation"]
 )

@@ -208,6 +208,7 @@ def test_of_two_samples_at_one_instant_the_later_holds() -> None:
     assert np.all(doubled.step_duration_s > 0)
 
 
+@pytest.mark.slow
 def test_measurements_between_relative_poses_are_refused(victoria_park: object) -> None:
     from comparisons.pipeline.compare import Comparison
 

@@ -106,6 +106,7 @@ def test_damaged_chunks_are_computed_again(scenario: Path, finished: Path, tmp_p
     assert contents(out) == good
 
 
+@pytest.mark.slow
 def test_fewer_runs_and_other_filters_use_what_is_there(finished: Path, tmp_path: Path) -> None:
     study = study_of(short("circle", 60), 30, "ekf", "oc")
     first = run_study(study, tmp_path)

@@ -128,6 +128,7 @@ def truths(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir() if "truth" in p.name)
 
 
+@pytest.mark.slow
 def test_the_log_handed_out_holds_no_truth(tmp_path: Path) -> None:
     seen: list[Log] = []
 
@@ -160,6 +161,7 @@ def test_a_command_sees_a_folder_without_truth(
     assert result["filters"]["mine"]["rmse_position_m"] > 1.0
 
 
+@pytest.mark.slow
 def test_a_failure_is_named_and_its_log_is_kept(
     scenario: Path, program: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +197,7 @@ def test_all_failing_ends_with_exit_code_2(
     assert (tmp_path / "out" / "logs" / "000000" / "log.toml").exists()
 
 
+@pytest.mark.slow
 def test_a_command_that_hangs_is_ended_with_its_children(tmp_path: Path) -> None:
     mark = tmp_path / "alive"
     child = f"import time, pathlib; time.sleep(3); pathlib.Path({str(mark)!r}).touch()"

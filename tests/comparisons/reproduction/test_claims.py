@@ -533,6 +533,7 @@ CLAIMS_OF_SOUND_DATA = {
 SOUND = {name: count for count, names in CLAIMS_OF_SOUND_DATA.items() for name in names.split()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(SOUND))
 def test_sound_data_are_let_through(name: str) -> None:
     """So that the broken ones above are caught for what was broken."""
@@ -551,6 +552,7 @@ SAID = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAID)
 def test_what_the_thesis_says_is_let_through(name: str) -> None:
     """Of our data not all of these claims hold; what breaks them starts from what it says."""

@@ -57,6 +57,7 @@ def test_recorder_loads_the_ground_floor_alone() -> None:
     assert len(found) <= MOST
 
 
+@pytest.mark.slow
 def test_audit_loads_no_planar_harness(tmp_path: Path) -> None:
     trace = tmp_path / "run.trace"
     _faulty(trace)
@@ -66,6 +67,7 @@ def test_audit_loads_no_planar_harness(tmp_path: Path) -> None:
     assert len(found) <= MOST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["comparisons.config", "comparisons.pipeline.compare"])
 def test_planar_harness_would_be_counted(module: str, tmp_path: Path) -> None:
     trace = tmp_path / "run.trace"

@@ -320,6 +320,7 @@ HOSTILE: tuple[Any, ...] = (
 """Values to put in any column."""
 
 
+@pytest.mark.slow
 def test_any_value_in_any_column_is_read_or_refused(first: Path) -> None:
     """Nothing but InputError, with the number of the event or a later one that it spoils."""
     with closing(sqlite3.connect(first)) as file:
@@ -347,6 +348,7 @@ def stored(path: Path) -> bytes:
     return bytes(data)
 
 
+@pytest.mark.slow
 def test_any_byte_of_a_batch_is_read_or_refused(trace: Path) -> None:
     """Whole events, or ValueError and InputError; and never more numbers than a batch may hold."""
     whole, draw, fine, said = stored(trace), random.Random(3), 0, list[str]()  # noqa: S311
@@ -694,6 +696,7 @@ def test_a_recording_is_read_while_it_goes_on(tmp_path: Path) -> None:
     assert len(list(Trace(path))) == 6001
 
 
+@pytest.mark.slow
 def test_memory_holds_few_events_at_once(tmp_path: Path) -> None:
     """Sixty snapshots of 2 MB: only some of them are held."""
     path, n = tmp_path / "run.trace", 500

@@ -204,6 +204,7 @@ def test_two_trees_are_told_apart_as_often_as_theory_says() -> None:
     assert both - alone > 0.2
 
 
+@pytest.mark.slow
 def test_a_vague_landmark_is_not_preferred() -> None:
     """Trees at one place, one of them hardly known: right in half the integral of the larger."""
     memory = remembered(np.array([[0.3], [0.5]]), np.array([[0.01], [0.4]]))

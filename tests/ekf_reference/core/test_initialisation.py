@@ -65,6 +65,7 @@ def test_closing_the_loop_correlates_the_map(seed: int) -> None:
     assert before < after < several
 
 
+@pytest.mark.slow
 def test_absolute_observations_decorrelate_the_map() -> None:
     """Nieto 2005, Fig. 2.12: a few absolute positions of the vehicle, and the map falls apart."""
     drive, rng = circuit(seed=0, duration_s=2 * LOOP_S), np.random.default_rng(0)

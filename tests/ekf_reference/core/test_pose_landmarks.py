@@ -203,6 +203,7 @@ def _keep(ekf: Ekf) -> None:
     ekf.state = NoCross(ekf.state.pose, PRIOR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "modify", [_observe(Unwrapped), _observe(Flipped), _observe(NoLever), _keep]
 )

@@ -98,6 +98,7 @@ def test_example_3_1_correlation_falls_from_above_095_to_below_01(seed: int) -> 
         assert min(rho[2 * i + axis, 8 + axis] for i in (1, 2, 3) for axis in (0, 1)) > 0.9
 
 
+@pytest.mark.slow
 def test_example_3_1_holds_for_every_landmark_within_a_correlated_triangle() -> None:
     now = fused()
     near = np.flatnonzero(np.linalg.norm(now.landmark - now.landmark[POINT], axis=1) < 25.0)

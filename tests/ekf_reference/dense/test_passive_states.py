@@ -102,6 +102,7 @@ def gaps(passive: PassiveStates) -> tuple[float, float, float]:
     )
 
 
+@pytest.mark.slow
 def test_equal_to_a_filter_that_has_them_in_its_state() -> None:
     passive, ekf = watched(PassiveStates)
     assert len(passive.value) > 50
@@ -110,6 +111,7 @@ def test_equal_to_a_filter_that_has_them_in_its_state() -> None:
     assert np.allclose(ekf.state.mean, carried().mean, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_filter_does_not_notice() -> None:
     alone = drive(lambda ekf, k, z: None, lambda ekf: None)
     _, ekf = watched(PassiveStates)

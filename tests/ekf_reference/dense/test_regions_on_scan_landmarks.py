@@ -96,6 +96,7 @@ def test_the_map_is_that_between_points_of_the_same_mean_and_covariance() -> Non
     assert content(dense, view) == content(points, same)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken", [without_cross, shifted])
 def test_another_covariance_makes_another_map(broken: Callable[[Ekf], FilterView]) -> None:
     dense, view = mapped(by_filter)

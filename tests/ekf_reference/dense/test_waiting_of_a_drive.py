@@ -228,6 +228,7 @@ def test_the_filter_does_not_notice() -> None:
     assert np.array_equal(with_maps.covariance, alone.covariance)
 
 
+@pytest.mark.slow
 def test_what_waited_is_fused_and_nearer_to_its_place() -> None:
     """Also where the regions are the thesis' own, which come up when little is left to learn."""
     found = driven(dense=True)
@@ -254,6 +255,7 @@ def waiting_points(make: type[Ekf]) -> tuple[DelayedInitialisation, Array]:
     return room, ekf.state.landmarks.ravel()
 
 
+@pytest.mark.slow
 def test_a_compressed_filter_tells_them_the_same() -> None:
     """As long as their landmarks are active; after that they stay as they are."""
     full, expected = waiting_points(Ekf)

@@ -124,6 +124,7 @@ def excess(runs: Runs) -> float:
     return min(least, float(chi2.sf(t2, 1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [250, pytest.param(2000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("proposal", PROPOSALS)
 def test_linear_posterior_and_evidence_are_the_kalman_filters(
@@ -146,6 +147,7 @@ def certain_landmarks(
 EXPECTED = ParticleMaps.expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("proposal", PROPOSALS)
 @pytest.mark.parametrize("fault", ["motion too wide", "landmark taken for certain", "no ln |S|"])
 def test_broken_filters_are_rejected(

@@ -331,6 +331,7 @@ def misplaced_m(choice: Choice, seed: int) -> float:
     return abs(float(slam.mean_pose()[0] - truth[0]))
 
 
+@pytest.mark.slow
 def test_sampled_associations_recover_from_a_first_one_that_was_wrong() -> None:
     lost = {
         choice: sum(misplaced_m(choice, seed) > 0.5 for seed in range(40))

@@ -219,6 +219,7 @@ def test_removals_know_the_steps_before_them_once_these_are_stacked(
     assert trace.arrays().removals.step.tolist() == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("c1", [1e-4, 1e-2])
 def test_suboptimal_update_is_conservative_and_nearly_free(c1: float) -> None:
     """P* - P is positive semidefinite (Guivant 2002, eq. 23), and small for the paper's c1.

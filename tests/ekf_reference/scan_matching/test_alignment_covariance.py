@@ -94,6 +94,7 @@ def test_nees_over_200_pairs_is_in_the_band(shaped: Trials) -> None:
     assert within_band(shaped.nees(shaped.covariance), 3, 200)
 
 
+@pytest.mark.slow
 def test_the_band_rejects_broken_covariances(shaped: Trials) -> None:
     """The curvature of Lambda as it is (5.16), half, twice, and turned the wrong way."""
     unscaled: Array = np.linalg.inv(shaped.curvature).astype(float)
@@ -113,6 +114,7 @@ def flat() -> Trials:
     return Trials([CORRIDOR, WALL], 60, 13, LASER)
 
 
+@pytest.mark.slow
 def test_what_a_wall_does_not_fix_is_wide(flat: Trials) -> None:
     """Along it the sigma is above the prior's and covers the error; across, NEES is in the band."""
     assert (flat.free >= 1).all()

@@ -21,6 +21,7 @@ def points() -> Array:
     return np.random.default_rng(0).normal(scale=30.0, size=(1000, 3))
 
 
+@pytest.mark.slow
 def test_ply_gives_every_bit_back(tmp_path: Path, points: Array) -> None:
     write_cloud(tmp_path / "a.ply", points)
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.ply"), points)

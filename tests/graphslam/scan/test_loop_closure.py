@@ -59,6 +59,7 @@ def position_error(problem: SlamProblem, true: Array) -> float:
     return float(np.sqrt((offset**2).sum(axis=1).mean()))
 
 
+@pytest.mark.slow
 def test_a_drive_round_the_block_is_closed() -> None:
     true, problem, _ = drive()
     found = closed().loop_closures
@@ -89,6 +90,7 @@ def test_every_attempt_says_what_came_of_it() -> None:
     assert all(a.outcome and "\n" not in a.outcome for a in found.attempts)
 
 
+@pytest.mark.slow
 def test_the_same_scans_close_the_same_loops() -> None:
     _, problem, clouds = drive()
     again = loop_closer(OdometryOptions()).close(problem, clouds)

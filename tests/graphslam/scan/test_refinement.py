@@ -147,6 +147,7 @@ def trials(seed: int) -> tuple[Array, Array]:
     return np.array(right), np.array(wrong)
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_the_errors_in_the_source_s_frame() -> None:
     right, wrong = trials(3)
     low, high = chi2.ppf((0.025, 0.975), 3 * TRIALS) / TRIALS
