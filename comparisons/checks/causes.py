@@ -133,11 +133,13 @@ EXPLANATIONS: dict[str, Explanation] = {
         "rejects every measurement.",
     ),
     "log": Explanation(
-        "The log fits with another number",
+        "The log fits with another number, unit or sigma",
         "The smoother's chi-square is too high, and it falls to what the stated noise explains if "
         "one number of one sensor is changed: a scale, an offset, or a delay. The named one "
         "removes at least 80 % of what chi-square is too high by. Scales of speed and range stand "
-        "for each other where nothing else tells the size of the map.",
+        "for each other where nothing else tells the size of the map. Where no such number "
+        "explains it, the log is examined as by `slamcheck logs LOG`: units, signs, exchanged "
+        "columns, and sigmas that are variances.",
         "Check the calibration, the units and the clock of the named sensor.",
     ),
     "positions": Explanation(
@@ -505,19 +507,20 @@ def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
     )
 
 
-def log(fits: Sequence[LogFit], test: ChiSquareTest) -> list[Cause]:
-    """The numbers that would make the log fit, where there are any."""
-    if not fits:
-        return []
+def log_number(fits: Sequence[LogFit], test: ChiSquareTest) -> Cause:
+    """Numbers that would make the log fit, of which there is one at least."""
     named = ", or ".join(f"to {one.chi2:.0f} with {one.what}" for one in fits)
-    return [
-        Cause(
-            "log",
-            f"the smoother's chi-square falls from {test.chi2:.0f} (for {test.dof} degrees of "
-            f"freedom) {named}",
-            "check the calibration, units and clock of this sensor; correct the log and run again",
-        )
-    ]
+    return Cause(
+        "log",
+        f"the smoother's chi-square falls from {test.chi2:.0f} (for {test.dof} degrees of "
+        f"freedom) {named}",
+        "check the calibration, units and clock of this sensor; correct the log and run again",
+    )
+
+
+def log_fault(words: str) -> Cause:
+    """What the log looks like, with what mends it."""
+    return Cause("log", words, "make the log again with this changed (slamcheck new-log)")
 
 
 def noise(test: ChiSquareTest, consistency: Consistency | None) -> list[Cause]:

@@ -16,13 +16,12 @@ from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.config import FailOn
 from comparisons.figures import rounded
 from comparisons.statistics import ROUNDING
-from graphslam.optimum import Optimality
+from graphslam.optimum import ChiSquareTest, Optimality
 from graphslam.smoother import SmootherResult
 
 if TYPE_CHECKING:
     from comparisons.checks.diagnosis.dropouts import Dropouts
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
-    from comparisons.checks.diagnosis.log_fit import LogFit
     from comparisons.checks.diagnosis.model_differences import ModelDifference
 
 SPARED_SIGMA = 0.05
@@ -83,9 +82,9 @@ class Diagnosis:
     and how. unnamed: what to check where none is found.
     explanations: known mistakes that reproduce the records. growth: where linearising cost
     something. spurious: what the filter learnt of its heading from what cannot tell it. dropouts:
-    stretches without observations. consistency: of the innovations. log_fits: numbers that would
-    make the log fit. The last three explain a disagreement, or an optimum that is not verified, and
-    never make one.
+    stretches without observations. consistency: of the innovations. log: what is wrong with it,
+    where chi-square is too high. The last three explain a disagreement, or an optimum that is not
+    verified, and never make one.
     single: how the algebra gap grows, if computing in single precision explains it. algebra,
     model: the gaps that rounding explains.
     """
@@ -98,7 +97,7 @@ class Diagnosis:
     spurious: Callable[[], Learnt | None] = lambda: None
     dropouts: Callable[[], Dropouts | None] = lambda: None
     consistency: Consistency | None = None
-    log_fits: Callable[[], Sequence[LogFit]] = tuple
+    log: Callable[[ChiSquareTest], Sequence[Cause]] = lambda test: ()
     single: str = ""
     algebra: Allowed = EXACT
     model: Allowed = EXACT
@@ -136,9 +135,9 @@ def judge(
         outcome, found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
         if outcome != "agree":
             test = result.optimality.chi_square
-            fits = diagnosis.log_fits() if test.reading == "too high" else ()
-            found = cause.log(fits, test) + found
-            found += cause.noise(test, diagnosis.consistency) if not fits else []
+            wrong = list(diagnosis.log(test)) if test.reading == "too high" else []
+            found = wrong + found
+            found += cause.noise(test, diagnosis.consistency) if not wrong else []
             found += cause.dropout(diagnosis.dropouts())
     remarks = _remarks(result.optimality, run) + _on_robust(result.options.robust)
     if _TOLD < diagnosis.hidden <= _UNTOLD:

@@ -15,6 +15,7 @@ from comparisons.audit.spurious import Learnt
 from comparisons.checks.accuracy import Accuracies, AccuracyFinding
 from comparisons.checks.agreement import Agreement
 from comparisons.checks.association import AssociationFinding, AssociationScore
+from comparisons.checks.causes import Cause, log_fault, log_number
 from comparisons.checks.check import Finding, value_of
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
@@ -40,13 +41,13 @@ from comparisons.pipeline.prepare import (
 from comparisons.pipeline.size import announce_time
 from comparisons.shown import Shown, render
 from ekf_reference.core.ekf import Ekf
+from graphslam.optimum import ChiSquareTest
 from graphslam.smoother import SmootherOptions, SmootherResult
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from comparisons.checks.diagnosis.dropouts import Dropouts
-    from comparisons.checks.diagnosis.log_fit import LogFit
     from comparisons.pipeline.beside import Beside
     from comparisons.trace.events import Event
 
@@ -331,11 +332,15 @@ def _diagnosis(known: Known) -> Diagnosis:
 
         return find_dropouts(run, gaps.smoothed)
 
-    def fits() -> Sequence[LogFit]:
+    def log_causes(test: ChiSquareTest) -> Sequence[Cause]:
+        from comparisons.checks.diagnosis.log_doctor import examine
         from comparisons.checks.diagnosis.log_fit import log_fits
 
         known.prepared.progress("the log's own numbers", 0, 0)
-        return log_fits(log, run, gaps.result)
+        if fits := log_fits(log, run, gaps.result):
+            return [log_number(fits, test)]
+        found = examine(log)
+        return [log_fault(found.words)] if found.findings else []
 
     return Diagnosis(
         differences=gaps.model_differences,
@@ -345,7 +350,7 @@ def _diagnosis(known: Known) -> Diagnosis:
         spurious=lambda: known.value(SpuriousFinding),
         dropouts=dropouts,
         consistency=known.value(ConsistencyFinding),
-        log_fits=fits,
+        log=log_causes,
         algebra=gaps.algebra_rounding,
         model=gaps.model_rounding,
     )

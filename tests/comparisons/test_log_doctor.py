@@ -18,6 +18,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.odometry import VelocityOdometry
 from tests.commands import slamcheck
+from tests.helpers import compared
 
 CASES = {
     "clockwise bearings": "velocity",
@@ -40,6 +41,18 @@ def test_what_was_done_is_named(name: str) -> None:
     assert words in found.words
     assert len(found.findings) <= 2
     assert re.search(r"chi-square falls from \S+ to \S+ with this changed", found.words)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bearing's variance", "turns in degrees"])
+def test_a_run_names_it_first(name: str) -> None:
+    """What no scale, offset or delay explains; without it a sigma was said to be too small."""
+    change, words = {**EVERY, **WHEELS}[name]
+    found = compared(change(drive(7, "velocity"))).verdict
+    first = found.causes[0]
+    assert first.gap == "log"
+    assert words in first.evidence
+    assert "noise" not in [one.gap for one in found.causes]
 
 
 @pytest.mark.parametrize("kind", ["velocity", "steering", "poses"])
