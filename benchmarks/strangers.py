@@ -36,7 +36,10 @@ def rotation(angle: float) -> Array:
 
 @dataclass(frozen=True)
 class Course:
-    """A drive. scan_every: in samples. apart: stamps jitter, scans lie between the samples."""
+    """A drive. scan_every: in samples. apart: stamps jitter, scans lie between the samples.
+
+    start_ns: its first stamp.
+    """
 
     name: str
     rate_hz: float = 10.0
@@ -44,6 +47,7 @@ class Course:
     duration_s: float = 40.0
     hard: bool = False
     apart: bool = False
+    start_ns: int = 0
 
 
 def stamps_ns(course: Course, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -57,7 +61,7 @@ def stamps_ns(course: Course, rng: np.random.Generator) -> tuple[Array, Array]:
     if course.apart:
         scans += np.round(rng.uniform(0.15, 0.75, len(scans)) * period).astype(np.int64)
         scans = scans[scans < odometry[-1]]
-    return odometry, scans
+    return odometry + course.start_ns, scans + course.start_ns
 
 
 def arc(pose: Array, u: Array, dt: float) -> Array:
@@ -82,7 +86,7 @@ def simulate(course: Course, seed: int, folder: Path) -> None:
     start, goal = pose.copy(), 0
     pose = pose + rng.normal(size=3) * np.sqrt(np.diag(prior))
     goals = np.array([[8.0, -8.0], [8.0, 8.0], [-8.0, 8.0], [-8.0, -8.0]])
-    controls, seen = [], []
+    controls, seen = list[Array](), []
     ends = np.append(odometry_ns[1:], odometry_ns[-1])
     for begin, end in zip(odometry_ns, ends, strict=True):
         if np.hypot(*(goals[goal] - pose[:2])) < 3.0:
