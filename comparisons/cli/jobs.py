@@ -1,4 +1,4 @@
-"""What the jobs' commands share: from what was given to a configuration, a log and a folder."""
+"""What the jobs' commands share: from what was given to the folder, and to the exit code."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from comparisons.cli.flags import Given
+from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
 from comparisons.errors import InputError
 
 if TYPE_CHECKING:
     from comparisons.config import JobConfig
     from comparisons.logs.log import Log
-    from comparisons.pipeline.prepare import Clock
+    from comparisons.pipeline.prepare import Clock, Progress
 
 C = TypeVar("C", bound="JobConfig")
 
@@ -26,6 +27,28 @@ class Job(Generic[C]):
     config: C
     folder: Path
     read: Clock
+
+
+def do_job(
+    given: Given,
+    work: Callable[[Progress], tuple[Job[Any], object]],
+    after: Callable[[Any], None] = lambda found: None,
+) -> None:
+    """Work, write the report, print it and exit.
+
+    work: returns what it did and what it found. after: done with that, when all is printed.
+    """
+    with guarded(log_file=given.log_file):
+        with progress_bar(given.output) as progress:
+            job, found = work(progress)
+            progress("report", 0, 0)
+            from comparisons.report.job import report_of
+
+            report = report_of(found, job.read)
+            file = report.write(job.folder)
+        print_result(report.summary(), file, given.output)
+        after(found)
+        raise SystemExit(VERDICTS[report.outcome])
 
 
 def start_job(

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from comparisons.cli.flags import Given, from_flags
-from comparisons.cli.jobs import start_job
-from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
+from comparisons.cli.jobs import Job, do_job, start_job
 from comparisons.options.table import of_job
+
+if TYPE_CHECKING:
+    from comparisons.config import OdometryConfig
+    from comparisons.pipeline.odometry import FrontEnd
+    from comparisons.pipeline.prepare import Progress
 
 
 @from_flags(of_job("odometry"), "--guess --loop-closure --matcher --gps --cloud --seed")
@@ -19,23 +25,13 @@ def odometry(given: Given) -> None:
       slamcheck odometry scan-loop-fine             simulated scans, with truth
       slamcheck odometry path/to/acfr_car_park --cloud pcd
     """
-    with guarded(log_file=given.log_file):
-        with progress_bar(given.output) as progress:
-            from comparisons.config import OdometryConfig
 
-            job = start_job(given, OdometryConfig)
-            from comparisons.pipeline.odometry import run_front_end
+    def work(progress: Progress) -> tuple[Job[OdometryConfig], FrontEnd]:
+        from comparisons.config import OdometryConfig
 
-            front_end = run_front_end(job.log, job.config, progress)
-            progress("report", 0, 0)
-            from comparisons.report.folder import write_job_folder
-            from comparisons.report.odometry import (
-                build_front_end_result,
-                front_end_folder,
-                front_end_summary,
-            )
+        job = start_job(given, OdometryConfig)
+        from comparisons.pipeline.odometry import run_front_end
 
-            result = build_front_end_result(front_end, job.read)
-            write_job_folder(front_end_folder(front_end, result), job.folder)
-        print_result(front_end_summary(result), job.folder / "odometry.json", given.output)
-        raise SystemExit(VERDICTS[result.verdict])
+        return job, run_front_end(job.log, job.config, progress)
+
+    do_job(given, work)

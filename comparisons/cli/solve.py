@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from comparisons.cli.flags import Given, from_flags
-from comparisons.cli.jobs import start_job
-from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
+from comparisons.cli.jobs import Job, do_job, start_job
 from comparisons.options.table import of_job
+
+if TYPE_CHECKING:
+    from comparisons.config import SolveConfig
+    from comparisons.pipeline.prepare import Progress
+    from comparisons.pipeline.solve import Solution
 
 
 @from_flags(of_job("solve"), "--association --gps --smoother --robust --seed")
@@ -19,23 +25,13 @@ def solve(given: Given) -> None:
       slamcheck solve                               the bundled log
       slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
     """
-    with guarded(log_file=given.log_file):
-        with progress_bar(given.output) as progress:
-            from comparisons.config import SolveConfig
 
-            job = start_job(given, SolveConfig)
-            from comparisons.pipeline.solve import solve as solve_log
+    def work(progress: Progress) -> tuple[Job[SolveConfig], Solution]:
+        from comparisons.config import SolveConfig
 
-            solution = solve_log(job.log, job.config, progress)
-            progress("report", 0, 0)
-            from comparisons.report.folder import write_job_folder
-            from comparisons.report.solution import (
-                build_solution_result,
-                solution_folder,
-                solution_summary,
-            )
+        job = start_job(given, SolveConfig)
+        from comparisons.pipeline.solve import solve as solve_log
 
-            result = build_solution_result(solution, job.read)
-            write_job_folder(solution_folder(solution, result), job.folder)
-        print_result(solution_summary(result), job.folder / "solution.json", given.output)
-        raise SystemExit(VERDICTS[result.verdict])
+        return job, solve_log(job.log, job.config, progress)
+
+    do_job(given, work)
