@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -49,6 +50,21 @@ def do_job(
         print_result(report.summary(), file, given.output)
         after(found)
         raise SystemExit(VERDICTS[report.outcome])
+
+
+def do_plain_job(given: Given, kind: str, work: str, base: Mapping[str, Any] | None = None) -> None:
+    """Do a job that is one function of log, configuration and progress.
+
+    kind: name of its configuration. work: `module:function`. Both are loaded here. base: see
+    read_job.
+    """
+
+    def done(progress: Progress) -> tuple[Job[Any], object]:
+        job = start_job(given, getattr(import_module("comparisons.config"), kind), base)
+        module, _, name = work.partition(":")
+        return job, getattr(import_module(module), name)(job.log, job.config, progress)
+
+    do_job(given, done)
 
 
 def start_job(

@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from comparisons.cli.flags import Given, from_flags
-from comparisons.cli.jobs import Job, do_job, start_job
+from comparisons.cli.jobs import do_plain_job
 from comparisons.options.table import of_job
-
-if TYPE_CHECKING:
-    from comparisons.config import OdometryConfig
-    from comparisons.pipeline.odometry import FrontEnd
-    from comparisons.pipeline.prepare import Progress
 
 
 @from_flags(of_job("odometry"), "--guess --loop-closure --matcher --gps --cloud --seed")
@@ -25,13 +18,4 @@ def odometry(given: Given) -> None:
       slamcheck odometry scan-loop-fine             simulated scans, with truth
       slamcheck odometry path/to/acfr_car_park --cloud pcd
     """
-
-    def work(progress: Progress) -> tuple[Job[OdometryConfig], FrontEnd]:
-        from comparisons.config import OdometryConfig
-
-        job = start_job(given, OdometryConfig)
-        from comparisons.pipeline.odometry import run_front_end
-
-        return job, run_front_end(job.log, job.config, progress)
-
-    do_job(given, work)
+    do_plain_job(given, "OdometryConfig", "comparisons.pipeline.odometry:run_front_end")
