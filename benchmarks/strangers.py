@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from slamcheck import Recorder
 
 Array = NDArray[Any]
-WHEELBASE_M = 2.0
 NANOSECOND = 1e-9
 
 
@@ -37,32 +36,32 @@ def rotation(angle: float) -> Array:
 
 @dataclass(frozen=True)
 class Course:
-    """A drive. stamps: `grid`, `nanosecond`, `jitter`, `apart`, `epoch`; scan_every: in samples."""
+    """A drive. scan_every: in samples. apart: stamps jitter, scans lie between the samples.
+
+    start_ns: its first stamp.
+    """
 
     name: str
     rate_hz: float = 10.0
     scan_every: int = 5
     duration_s: float = 40.0
     hard: bool = False
-    stamps: str = "grid"
-    steering: bool = False
+    apart: bool = False
+    start_ns: int = 0
 
 
 def stamps_ns(course: Course, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return the stamps of odometry and scans, and which sample holds at each scan is theirs."""
+    """Return the stamps of odometry and scans."""
     count = int(course.duration_s * course.rate_hz)
     period = 1e9 / course.rate_hz
     odometry = np.round(np.arange(count) * period).astype(np.int64)
-    if course.stamps == "grid":
-        odometry = np.round(odometry / 1e5).astype(np.int64) * 100_000
-    if course.stamps in ("jitter", "apart", "epoch"):
+    if course.apart:
         odometry[1:] += np.round(rng.uniform(-0.1, 0.1, count - 1) * period).astype(np.int64)
     scans = odometry[course.scan_every :: course.scan_every].copy()
-    if course.stamps in ("apart", "epoch"):
+    if course.apart:
         scans += np.round(rng.uniform(0.15, 0.75, len(scans)) * period).astype(np.int64)
         scans = scans[scans < odometry[-1]]
-    start = 1_700_000_000_123_456_789 if course.stamps == "epoch" else 0
-    return odometry + start, scans + start
+    return odometry + course.start_ns, scans + course.start_ns
 
 
 def arc(pose: Array, u: Array, dt: float) -> Array:
@@ -74,8 +73,8 @@ def arc(pose: Array, u: Array, dt: float) -> Array:
     return moved + pose
 
 
-def simulate(course: Course, seed: int, folder: Path) -> tuple[Array, Array]:
-    """Write a log folder. Returns true poses at the odometry's stamps, and the true landmarks."""
+def simulate(course: Course, seed: int, folder: Path) -> None:
+    """Write a log folder."""
     rng = np.random.default_rng((seed, sum(map(ord, course.name))))
     odometry_ns, scans_ns = stamps_ns(course, rng)
     sigma = np.array([0.2, 0.08]) if course.hard else np.array([0.1, 0.02])
@@ -87,19 +86,15 @@ def simulate(course: Course, seed: int, folder: Path) -> tuple[Array, Array]:
     start, goal = pose.copy(), 0
     pose = pose + rng.normal(size=3) * np.sqrt(np.diag(prior))
     goals = np.array([[8.0, -8.0], [8.0, 8.0], [-8.0, 8.0], [-8.0, -8.0]])
-    path, controls, seen = [], [], []
+    controls, seen = list[Array](), []
     ends = np.append(odometry_ns[1:], odometry_ns[-1])
     for begin, end in zip(odometry_ns, ends, strict=True):
-        path.append(pose)
         if np.hypot(*(goals[goal] - pose[:2])) < 3.0:
             goal = (goal + 1) % 4
         turn = wrapped(np.arctan2(*(goals[goal] - pose[:2])[::-1]) - pose[2])
         limit = 1.0 if course.hard else 0.4
-        u = np.array([1.5 + 0.5 * np.sin(0.1 * len(path)), np.clip(turn, -limit, limit)])
-        raw = u.copy()
-        if course.steering:
-            raw[1] = np.arctan(u[1] * WHEELBASE_M / u[0])
-        controls.append(raw + rng.normal(size=2) * sigma)
+        u = np.array([1.5 + 0.5 * np.sin(0.1 * (len(controls) + 1)), np.clip(turn, -limit, limit)])
+        controls.append(u + rng.normal(size=2) * sigma)
         for scan in scans_ns[(scans_ns >= begin) & (scans_ns < max(end, begin + 1))]:
             at = arc(pose, u, (scan - begin) * NANOSECOND)
             for label, point in enumerate(landmarks):
@@ -109,26 +104,22 @@ def simulate(course: Course, seed: int, folder: Path) -> tuple[Array, Array]:
         dt = (end - begin) * NANOSECOND
         pose = arc(pose, u, dt) + rng.normal(size=3) * np.sqrt(dt * rates)
     folder.mkdir(parents=True)
-    kind, turn_name = ("steering", "steering_rad") if course.steering else ("velocity", "")
     rows = [
         f"{stamp(t)},{v!r},{w!r}"
         for t, (v, w) in zip(odometry_ns, map(np.ndarray.tolist, controls), strict=True)
     ]
-    head = f"time_s,speed_mps,{turn_name or 'yaw_rate_radps'}"
+    head = "time_s,speed_mps,yaw_rate_radps"
     (folder / "odometry.csv").write_text("\n".join([head, *rows]) + "\n")
     head = "time_s,range_m,bearing_rad,sigma_range_m,sigma_bearing_rad,landmark,diameter_m"
     rows = [f"{stamp(t)},{r!s},{b!s},{noise[0]},{noise[1]},{n},nan" for t, r, b, n in seen]
     (folder / "measurements.csv").write_text("\n".join([head, *rows]) + "\n")
-    vehicle = f"[odometry.vehicle]\nwheelbase_m = {WHEELBASE_M}\nencoder_offset_m = 0.0\n"
-    vehicle += "sensor_forward_m = 0.0\nsensor_left_m = 0.0\n"
     (folder / "log.toml").write_text(
         f'version = 1\nname = "{course.name}"\n[prior]\ntime_s = {stamp(odometry_ns[0])}\n'
         f"pose = {start.tolist()}\ncovariance = {prior.tolist()}\n"
-        f'[odometry]\nkind = "{kind}"\n[odometry.noise]\nsigma_speed_mps = {sigma[0]}\n'
+        f'[odometry]\nkind = "velocity"\n[odometry.noise]\nsigma_speed_mps = {sigma[0]}\n'
         f"sigma_turn = {sigma[1]}\nvariance_rate_position = {rates[0]}\n"
-        f"variance_rate_heading = {rates[2]}\n" + vehicle * course.steering
+        f"variance_rate_heading = {rates[2]}\n"
     )
-    return np.array(path), landmarks
 
 
 def stamp(time_ns: int) -> str:
@@ -201,7 +192,6 @@ class Ekf:
     landmark did, by its label.
     """
 
-    traced: ClassVar[bool] = True
     kind: ClassVar[str] = "ekf"
     dtype: ClassVar[type] = np.float64
 
@@ -260,13 +250,7 @@ class Ekf:
 
     def control(self, number: int) -> tuple[Array, Array]:
         """Return speed and yaw rate of a sample, with their covariance."""
-        u, noise = self.driven(number), self.control_noise
-        if self.log.meta["odometry"]["kind"] == "steering":
-            base = self.log.meta["odometry"]["vehicle"]["wheelbase_m"]
-            j = np.array([[1.0, 0.0], [np.tan(u[1]), u[0] / np.cos(u[1]) ** 2]])
-            j[1] /= base
-            return np.array([u[0], u[0] * np.tan(u[1]) / base]), j @ noise @ j.T
-        return u, noise
+        return self.driven(number), self.control_noise
 
     def process(self, b: Array, noise: Array, dt: float) -> Array:
         """Return Q of a step."""
@@ -346,21 +330,12 @@ class Ekf:
         self.note_update(ks, self.x, h, nu, r)
         self.correct(h, nu, r)
 
-    def gain(self, h: Array, r: Array) -> Array:
-        """Return K."""
-        return np.linalg.solve(h @ self.p @ h.T + r, h @ self.p).T
-
     def correct(self, h: Array, nu: Array, r: Array) -> None:
         """Use x + K nu and P - K H P, symmetrised."""
-        gain = self.gain(h, r)
+        gain = np.linalg.solve(h @ self.p @ h.T + r, h @ self.p).T
         self.x = self.x + gain @ nu
-        self.p = self.reduced(gain, h, r)
+        self.p = self.p - gain @ h @ self.p
         self.p = 0.5 * (self.p + self.p.T)
-
-    def reduced(self, gain: Array, h: Array, r: Array) -> Array:
-        """Return the covariance after an update."""
-        reduced: Array = self.p - gain @ h @ self.p
-        return reduced
 
     def place(self, pose: Array, z: Array) -> tuple[Array, Array, Array]:
         """Return where a new landmark lies, with G_x and G_z."""
@@ -391,10 +366,6 @@ class Ekf:
         for k in ks[~known]:
             self.initialise(k)
 
-    def chosen(self, ks: Array) -> Array:
-        """Return the measurements of a scan, as they are used."""
-        return ks
-
     # Positions
 
     def position(self, g: int) -> tuple[Array, Array]:
@@ -418,39 +389,20 @@ class Ekf:
 
     # Run and output
 
-    def pose(self) -> tuple[Array, Array]:
-        """Return pose and covariance of the additive error in the log's frame."""
-        return self.x[self.v], self.p[np.ix_(self.v, self.v)]
-
-    def joint(self) -> tuple[Array, Array]:
-        """Return pose and landmarks in the order of `index`, and their covariance."""
-        order = np.concatenate((self.v, *self.index.values())).astype(int)
-        return self.x[order], self.p[np.ix_(order, order)]
-
-    def instants(self) -> Array:
-        """Return the times to predict to."""
-        return np.unique(np.concatenate((self.log.odometry_s, self.log.used_s, self.log.fixed_s)))
-
-    def keeps(self, scan: bool) -> bool:
-        """Return whether a pose is put out at an instant, with measurements or without."""
-        return True
-
     def run(self) -> Ekf:
         """Filter the whole log."""
         log, now = self.log, self.log.meta["prior"]["time_s"]
-        times = self.instants()
-        for t in times:
+        for t in np.unique(np.concatenate((log.odometry_s, log.used_s, log.fixed_s))):
             sample = np.searchsorted(log.odometry_s, now, side="right") - 1
             if t > now:
                 self.predict(int(sample), t - now, t)
             now = t
-            ks = self.chosen(np.flatnonzero(log.used_s == t))
+            ks = np.flatnonzero(log.used_s == t)
             if len(ks):
                 self.fuse(ks)
             for g in np.flatnonzero(log.fixed_s == t):
                 self.fix(int(g))
-            if t == times[-1] or self.keeps(len(ks) > 0):
-                self.path.append((t, *map(np.array, self.pose())))
+            self.path.append((t, self.x[:3].copy(), self.p[:3, :3].copy()))
         return self
 
     def tum(self, pose: Array) -> list[float]:
@@ -462,12 +414,11 @@ class Ekf:
         folder.mkdir(parents=True)
         rows = [[t, *self.tum(pose)] for t, pose, _ in self.path]
         np.savetxt(folder / "trajectory.tum", rows, ["%.9f"] + ["%.17g"] * 7)
-        x, p = self.joint()
-        places = zip(self.index, x[3::2].tolist(), x[4::2].tolist(), strict=True)
+        places = zip(self.index, self.x[3::2].tolist(), self.x[4::2].tolist(), strict=True)
         lines = [f"{label},{px!r},{py!r}" for label, px, py in places]
         (folder / "landmarks.csv").write_text("\n".join(["id,x_m,y_m", *lines]) + "\n")
         spread = np.array([p for _, _, p in self.path])
-        np.savez(folder / "covariances.npz", pose=spread, last_pose_and_landmarks=p)
+        np.savez(folder / "covariances.npz", pose=spread, last_pose_and_landmarks=self.p)
         text = f'version = 1\ninformation = "filtered"\nestimator = "{self.kind}"\n'
         (folder / "estimate.toml").write_text(text)
         if traced:
@@ -479,40 +430,6 @@ class Ekf:
 # Sound filters
 
 
-class Joseph(Ekf):
-    """(I - K H) P (I - K H)^T + K R K^T."""
-
-    def reduced(self, gain: Array, h: Array, r: Array) -> Array:
-        """Return the covariance after an update."""
-        keep = np.eye(len(self.x)) - gain @ h
-        reduced: Array = keep @ self.p @ keep.T + gain @ r @ gain.T
-        return reduced
-
-
-class Information(Ekf):
-    """The update adds information."""
-
-    def correct(self, h: Array, nu: Array, r: Array) -> None:
-        """P^-1 + H^T R^-1 H."""
-        weighed = h.T @ np.linalg.inv(r)
-        self.p = np.linalg.inv(np.linalg.inv(self.p) + weighed @ h)
-        self.p = 0.5 * (self.p + self.p.T)
-        self.x = self.x + self.p @ weighed @ nu
-
-
-class SquareRoot(Ekf):
-    """The update triangularises the roots of R and P."""
-
-    def correct(self, h: Array, nu: Array, r: Array) -> None:
-        """By QR of ((root R, H S), (0, S))."""
-        m, root = len(nu), np.linalg.cholesky(self.p)
-        below = np.zeros((len(root), m))
-        whole = np.block([[np.linalg.cholesky(r), h @ root], [below, root]])
-        lower = np.transpose(np.linalg.qr(whole.T, mode="r"))
-        self.x = self.x + lower[m:, :m] @ np.linalg.solve(lower[:m, :m], nu)
-        self.p = lower[m:, m:] @ lower[m:, m:].T
-
-
 class Single(Ekf):
     """State, covariance and update are in single precision."""
 
@@ -522,62 +439,15 @@ class Single(Ekf):
 class ByRow(Ekf):
     """Each measurement of a scan is linearised at the state after the one before."""
 
-    def order(self, ks: Array) -> Array:
-        """Return the measurements in the order of use."""
-        return ks
-
     def fuse(self, ks: Array) -> None:
         """Use one after the other."""
-        for k in self.order(ks):
+        for k in ks:
             super().fuse(np.array([k]))
-
-
-class ByLabel(ByRow):
-    """In the order of labels, falling."""
-
-    def order(self, ks: Array) -> Array:
-        """By label."""
-        return ks[np.argsort(-self.log.label[ks])]
-
-
-class Backward(ByRow):
-    """In the order of rows, the last first."""
-
-    def order(self, ks: Array) -> Array:
-        """The last first."""
-        return ks[::-1]
-
-
-class Shuffled(ByRow):
-    """In a random order of the labels that is the same in all scans."""
-
-    def order(self, ks: Array) -> Array:
-        """By a fixed rank of labels."""
-        rank = np.random.default_rng(1).permutation(10_000)
-        return ks[np.argsort(rank[self.log.label[ks]])]
-
-
-class Iterated(Ekf):
-    """Gauss-Newton, four iterations."""
-
-    iterations: ClassVar[int] = 4
-
-    def update(self, ks: Array) -> None:
-        """Linearise again at the estimate."""
-        start, at = self.x, self.x
-        for _ in range(self.iterations):
-            point = at
-            h, nu, r = self.linearised(ks, point)
-            moved = nu + h @ (point - start)
-            at = start + self.gain(h, r) @ moved
-        self.note_update(ks, point, h, nu, r)
-        self.correct(h, moved, r)
 
 
 class Unscented(Ekf):
     """Sigma points of what a step or a scan depends on, in place of Jacobians."""
 
-    traced = False
     kind = "other"
 
     alpha: ClassVar[float] = 1.0
@@ -672,81 +542,8 @@ class Cubature(UnscentedHalf):
         return symmetric
 
 
-class FirstEstimates(Ekf):
-    """Jacobians at predicted poses and at the landmarks' first positions (Huang 2010)."""
-
-    kind = "other"
-
-    def __init__(self, log: Log) -> None:
-        """Start with the prior as the first prediction."""
-        super().__init__(log)
-        self.before, self.first = self.x[:3].copy(), dict[int, Array]()
-
-    def motion(self, pose: Array, u: Array, dt: float) -> tuple[Array, Array, Array]:
-        """F from prediction to prediction."""
-        arrived, f, b = super().motion(pose, u, dt)
-        d = arrived[:2] - self.before[:2]
-        f[:2, 2] = -d[1], d[0]
-        self.before = arrived.copy()
-        return arrived, f, b
-
-    def place(self, pose: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Keep the first position; G_x seen from the predicted pose."""
-        point, gx, gz = super().place(pose, z)
-        d = point - self.before[:2]
-        gx[:, 2] = -d[1], d[0]
-        self.first[len(self.x)] = point
-        return point, gx, gz
-
-    def linearised(self, ks: Array, x: Array) -> tuple[Array, Array, Array]:
-        """H at first estimates, the innovation at the last."""
-        h, nu, r = super().linearised(ks, x)
-        for at, k in enumerate(ks):
-            rows, index = slice(2 * at, 2 * at + 2), self.index[self.log.label[k]]
-            _, hv, hl = self.expected(self.before, self.first[index[0]])
-            h[rows, self.v], h[rows, index] = hv, hl
-        return h, nu, r
-
-
-class LandmarksFirst(Ekf):
-    """The pose lies behind the landmarks."""
-
-    def initialise(self, k: int) -> None:
-        """Put the pose last again."""
-        super().initialise(k)
-        order = np.concatenate((*self.index.values(), self.v)).astype(int)
-        self.x, self.p = self.x[order], self.p[np.ix_(order, order)]
-        at = {int(old): new for new, old in enumerate(order)}
-        self.v = np.array([at[int(row)] for row in self.v])
-        self.index = {
-            label: np.array([at[int(row)] for row in rows]) for label, rows in self.index.items()
-        }
-
-
-class Decimated(Ekf):
-    """Poses at the instants of measurements only, and at the end."""
-
-    def keeps(self, scan: bool) -> bool:
-        """Return whether there are measurements."""
-        return scan
-
-
-class UntilLastScan(Decimated):
-    """Stops with the last measurement."""
-
-    def instants(self) -> Array:
-        """Leave out what comes later."""
-        times = super().instants()
-        kept: Array = times[times <= self.log.used_s[-1]]
-        return kept
-
-
 class Car(Ekf):
     """Speed of a wheel, a sensor beside the axle, steps along the departing heading (Nieto 2.5)."""
-
-    def control(self, number: int) -> tuple[Array, Array]:
-        """Return speed and steering angle of a sample, with their covariance."""
-        return self.driven(number), self.control_noise
 
     def velocity(self, u: Array, **other: float) -> Array:
         """Return the sensor's speed forward and left, and the turn. other: measures of the car."""
@@ -799,168 +596,3 @@ class Euler(Ekf):
             f, b = step @ f, step @ b + h * np.array([[c, 0.0], [s, 0.0], [0.0, 1.0]])
             at = at + [h * u[0] * c, h * u[0] * s, h * u[1]]
         return at, f, b
-
-
-class EulerStep(Ekf):
-    """One step a sample, along the heading at its start."""
-
-    def motion(self, pose: Array, u: Array, dt: float) -> tuple[Array, Array, Array]:
-        """Return the pose after it, F and B."""
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        f, b = np.eye(3), dt * np.array([[c, 0.0], [s, 0.0], [0.0, 1.0]])
-        f[:2, 2] = -dt * u[0] * s, dt * u[0] * c
-        return pose + b @ u, f, b
-
-
-QUARTER = rotation(0.5 * np.pi)
-
-
-class Invariant(Ekf):
-    """Right-invariant errors (Barrau 2016): p is of a turn of the world and of displaced points."""
-
-    traced = False
-    kind = "other"
-
-    def __init__(self, log: Log) -> None:
-        """Start with the prior's covariance in these coordinates."""
-        super().__init__(log)
-        self.p = self.changed(self.p, -1.0)
-
-    def basis(self, sign: float) -> Array:
-        """Return T, by which additive errors are those of p (sign 1), or its inverse (-1)."""
-        t = np.eye(len(self.x))
-        for rows in (self.v[:2], *self.index.values()):
-            t[rows, 2] = sign * QUARTER @ self.x[rows]
-        return t
-
-    def changed(self, p: Array, sign: float) -> Array:
-        """Return the covariance of additive errors (1), or that of p (-1)."""
-        t = self.basis(sign)
-        return t @ p @ t.T
-
-    def carry(self, f: Array, q: Array) -> None:
-        """The error stays as it is; noise is added."""
-        noise = np.zeros_like(self.p)
-        noise[:3, :3] = q
-        self.p = self.p + self.changed(noise, -1.0)
-
-    def correct(self, h: Array, nu: Array, r: Array) -> None:
-        """Move the state along the group."""
-        h = h @ self.basis(1.0)
-        gain = self.gain(h, r)
-        xi = gain @ nu
-        turn, move = rotation(xi[2]), xi[2] or 1e-300
-        a, b = np.sin(move) / move, (1.0 - np.cos(move)) / move
-        v = np.array([[a, -b], [b, a]])
-        for rows in (self.v[:2], *self.index.values()):
-            self.x[rows] = turn @ self.x[rows] + v @ xi[rows]
-        self.x[2] += xi[2]
-        self.p = self.reduced(gain, h, r)
-        self.p = 0.5 * (self.p + self.p.T)
-
-    def initialise(self, k: int) -> None:
-        """In additive errors, and back."""
-        self.p = self.changed(self.p, 1.0)
-        super().initialise(k)
-        self.p = self.changed(self.p, -1.0)
-
-    def pose(self) -> tuple[Array, Array]:
-        """Return the additive errors' covariance."""
-        return self.x[:3], self.changed(self.p, 1.0)[:3, :3]
-
-    def joint(self) -> tuple[Array, Array]:
-        """Return the additive errors' covariance."""
-        return self.x, self.changed(self.p, 1.0)
-
-
-def inverse(pose: Array) -> Array:
-    """Return the world's origin as seen from a pose, or the other way round."""
-    return np.append(-rotation(-pose[2]) @ pose[:2], -pose[2])
-
-
-def differences(f: Any, x: Array) -> Array:
-    """Return the Jacobian of f by central differences."""
-    steps = 1e-6 * np.eye(len(x))
-    return np.column_stack([(f(x + e) - f(x - e)) / 2e-6 for e in steps])
-
-
-class Robocentric(Ekf):
-    """The state is the world's frame and the landmarks, as seen from the vehicle."""
-
-    traced = False
-    kind = "other"
-
-    def __init__(self, log: Log) -> None:
-        """Start with the world's frame as seen from the prior's pose."""
-        super().__init__(log)
-        j = differences(inverse, self.x)
-        self.x, self.p = inverse(self.x), j @ self.p @ j.T
-
-    def predict(self, number: int, dt: float, end_s: float) -> None:
-        """Compose all with the inverse of the step."""
-        u, noise = self.control(number)
-        d, _, b = self.motion(np.zeros(3), u, dt)
-        turn = rotation(-d[2])
-        f, g = np.eye(len(self.x)), np.zeros((len(self.x), 3))
-        for rows in (self.v[:2], *self.index.values()):
-            self.x[rows] = turn @ (self.x[rows] - d[:2])
-            f[np.ix_(rows, rows)], g[rows, :2] = turn, -turn
-            g[rows, 2] = -QUARTER @ self.x[rows]
-        self.x[2] -= d[2]
-        g[2, 2] = -1.0
-        self.p = f @ self.p @ f.T + g @ self.process(b, noise, dt) @ g.T
-
-    def expected(self, pose: Array, point: Array) -> tuple[Array, Array, Array]:
-        """Return what the vehicle's frame gives: the pose has no part in it."""
-        z, _, hl = super().expected(np.zeros(3), point)
-        return z, np.zeros((2, 3)), hl
-
-    def place(self, pose: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Return a new landmark in the vehicle's frame."""
-        point, _, gz = super().place(np.zeros(3), z)
-        return point, np.zeros((2, 3)), gz
-
-    def pose(self) -> tuple[Array, Array]:
-        """Return the vehicle in the world's frame."""
-        j = differences(inverse, self.x[:3])
-        return inverse(self.x[:3]), j @ self.p[:3, :3] @ j.T
-
-    def joint(self) -> tuple[Array, Array]:
-        """Return vehicle and landmarks in the world's frame."""
-
-        def seen(x: Array) -> Array:
-            at = inverse(x[:3])
-            points = x[3:].reshape(-1, 2) @ rotation(at[2]).T + at[:2]
-            return np.concatenate((at, points.ravel()))
-
-        j = differences(seen, self.x)
-        return seen(self.x), j @ self.p @ j.T
-
-
-SOUND: dict[str, type[Ekf]] = {
-    "textbook EKF": Ekf,
-    "Joseph form": Joseph,
-    "information form": Information,
-    "square root": SquareRoot,
-    "landmarks first": LandmarksFirst,
-    "decimated output": Decimated,
-    "until the last scan": UntilLastScan,
-    "single precision": Single,
-    "one by one, by row": ByRow,
-    "one by one, by label": ByLabel,
-    "one by one, backward": Backward,
-    "one by one, shuffled": Shuffled,
-    "iterated": Iterated,
-    "exact arc": Arc,
-    "Euler, 100 Hz": Euler,
-    "Euler, one step": EulerStep,
-    "unscented": Unscented,
-    "unscented, alpha 0.5": UnscentedHalf,
-    "unscented, kappa 3 - n": UnscentedThird,
-    "cubature": Cubature,
-    "right-invariant": Invariant,
-    "first estimates": FirstEstimates,
-    "robocentric": Robocentric,
-}
-SAME = ("Joseph form", "information form", "square root", "landmarks first", "decimated output")
-"""Those that must equal the textbook's to rounding."""

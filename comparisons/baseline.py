@@ -30,8 +30,7 @@ from comparisons.figures import current, finite, kept_fields
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.check import CheckResult
-from comparisons.report.models import Result
-from comparisons.report.result import metrics
+from comparisons.report.models import Result, metrics
 from comparisons.settings import configure, run_options
 from comparisons.statistics import Nis, NormalisedFigures
 

@@ -83,23 +83,21 @@ def run_options(values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
 def by_name(table: Iterable[Flag], values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
     """Return flags with values by their options' names, as `filter` or `smoother_association`.
 
-    Earlier names and values are read, with a note. Raises InputError for a name that no flag of
+    Earlier values are read, with a note. Raises InputError for a name that no flag of
     the table has.
     """
     known = {flag.name.rstrip("_"): flag for flag in table}
     found = []
     for name, value in values.items():
-        option = f"--{name.replace('_', '-')}"
-        now, new = option, value
+        new = value
         for one in RENAMED:
-            if option == (one.was_option or one.option):
-                now = one.option
-                new = one.values.get(value, value) if isinstance(value, str) else value
-        flag = known.get(now[2:].replace("-", "_"))
+            if one.option == f"--{name.replace('_', '-')}" and isinstance(value, str):
+                new = one.values.get(value, value)
+        flag = known.get(name.replace("-", "_"))
         if flag is None:
             raise InputError(f"option {name}: is unknown, expected some of {', '.join(known)}")
-        if (now, new) != (option, value):
-            note(f"{name}={value!r} is now {flag.name.rstrip('_')}={new!r}")
+        if new != value:
+            note(f"{name}={value!r} is now {name}={new!r}")
         found.append((flag, new))
     return found
 

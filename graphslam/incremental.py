@@ -9,11 +9,10 @@ from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 import gtsam
 import numpy as np
 
-from graphslam.arrays import Array, Index, Marginal
+from graphslam.arrays import Array, Marginal
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
-    from_values,
     last_poses,
     to_tangent,
     unwrap,
@@ -26,20 +25,7 @@ from graphslam.problem import SlamProblem
 RELINEARISE = 0.1
 """A variable is linearised anew when it has moved by this much [m or rad] ..."""
 RELINEARISE_EVERY = 10
-"""... which is looked at in every so many updates, and always where an estimate is taken."""
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """What was known at a pose: the joint mean and covariance of this pose and the landmarks.
-
-    landmark_index: (L',) the landmarks seen so far. marginal: of the pose and these, additive
-    global error.
-    """
-
-    pose: int
-    landmark_index: Index
-    marginal: Marginal
+"""... which is looked at in every so many updates, and always at the end."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +34,6 @@ class IncrementalEnd:
 
     values: gtsam.Values
     updates: int
-    checkpoints: tuple[Checkpoint, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,29 +114,22 @@ def _pieces(
         done = end
 
 
-def run_isam2(
-    problem: SlamProblem,
-    graph: gtsam.NonlinearFactorGraph,
-    checkpoints: Sequence[int] = (),
-) -> IncrementalEnd:
+def run_isam2(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> IncrementalEnd:
     """iSAM2, one update per pose with observations. graph: build_graph(problem).
 
-    checkpoints: poses at which the joint marginal is wanted. By QR, as odometry is often exact
-    enough to make Cholesky break down. Where an estimate is taken everything is linearised anew
-    until the error stays; iSAM2 by itself stops at its thresholds, up to a sigma away.
+    By QR, as odometry is often exact enough to make Cholesky break down. At the end everything is
+    linearised anew until the error stays; iSAM2 by itself stops at its thresholds, up to a sigma
+    away.
     """
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(RELINEARISE)
     parameters.relinearizeSkip = RELINEARISE_EVERY
     parameters.setFactorization("QR")
     isam, updates = gtsam.ISAM2(parameters), 0
-    taken: list[Checkpoint] = []
-    for piece in _pieces(problem, graph, _Known(isam.calculateEstimatePose2), checkpoints):
+    for piece in _pieces(problem, graph, _Known(isam.calculateEstimatePose2)):
         isam.update(piece.graph, piece.new)
         updates += 1
-        if piece.end - 1 in checkpoints:
-            taken.append(_checkpoint(problem, graph, _settled(isam), piece.end))
-    return IncrementalEnd(_settled(isam), updates, tuple(taken))
+    return IncrementalEnd(_settled(isam), updates)
 
 
 def _settled(isam: gtsam.ISAM2) -> gtsam.Values:
@@ -169,25 +147,6 @@ def _settled(isam: gtsam.ISAM2) -> gtsam.Values:
             break
         error = lower
     return values
-
-
-def _checkpoint(
-    problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, end: int
-) -> Checkpoint:
-    """The joint marginal of pose end - 1 and the landmarks seen until then."""
-    prefix = gtsam.NonlinearFactorGraph()
-    for row in np.flatnonzero(last_poses(problem) < end).tolist():
-        prefix.push_back(graph.at(row))
-    part = problem.prefix(end)
-    poses, landmarks = from_values(values, part)
-    landmark_index = np.flatnonzero(np.isfinite(landmarks[:, 0]))
-    kept = [POSE_KEY + end - 1, *(LANDMARK_KEY + landmark_index).tolist()]
-    size = Layout(1, len(landmark_index)).size
-    local = joint_marginal(prefix.linearize(values), kept, size)
-    mean = np.concatenate((poses[-1], landmarks[landmark_index].ravel()))
-    return Checkpoint(
-        end - 1, landmark_index, Marginal(mean, to_global(local.covariance, poses[-1, 2]))
-    )
 
 
 def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: int) -> LagEnd:

@@ -389,41 +389,22 @@ def audit(trace: str | Path, *, tolerance: float = 1e-6, progress: Progress | No
     return audit_trace(trace, tolerance, progress)
 
 
-def write_report(result: Comparison | ExternalCheck | Solution | Audit, folder: str | Path) -> None:
+def write_report(
+    result: Comparison | ExternalCheck | Solution | FrontEnd | DenseMapping | Audit,
+    folder: str | Path,
+) -> None:
     """Write the folder that the command line writes: JSON, estimates, pictures, `report.html`.
 
     Args:
-        result: Of `compare`, `check`, `solve` or `audit`.
+        result: Of `compare`, `check`, `solve`, `odometry`, `dense_map` or `audit`.
         folder: New or empty, or one that an earlier job has written, which is replaced.
 
     Raises:
         InputError: The folder holds other files, or cannot be written.
     """
-    from comparisons.audit.audit import Audit
-    from comparisons.pipeline.check import ExternalCheck
-    from comparisons.pipeline.compare import Comparison
-    from comparisons.report.folder import JobFolder, write_job_folder
+    from comparisons.report.job import report_of
 
-    if isinstance(result, Audit):
-        from comparisons.report.audit import write_audit
-
-        write_audit(result, Path(folder))
-        return
-    content: JobFolder
-    if isinstance(result, Comparison):
-        from comparisons.report.result import build_result
-        from comparisons.report.run import run_folder
-
-        content = run_folder(result, build_result(result))
-    elif isinstance(result, ExternalCheck):
-        from comparisons.report.check import build_check_result, check_folder
-
-        content = check_folder(result, build_check_result(result))
-    else:
-        from comparisons.report.solution import build_solution_result, solution_folder
-
-        content = solution_folder(result, build_solution_result(result))
-    write_job_folder(content, Path(folder))
+    report_of(result).write(Path(folder))
 
 
 def _read(log: Log | str | Path) -> Log:

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from comparisons.logs.log import Log
     from comparisons.pipeline.prepare import Progress
     from comparisons.pipeline.solve import Solution
-    from comparisons.report.folder import JobFolder
-    from comparisons.report.terminal import Summary
+    from comparisons.report.job import Report
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -55,17 +54,20 @@ class Outcome(str):
 class Judgement:
     """What was found on a log.
 
-    title: log and estimate. result: as `result.json` or `check.json` has it. summary: what the
-    command prints. content: what a report holds; folder: where it goes if the test fails; shown:
-    the same, in words.
+    title: log and estimate. report: of the job; folder: where it goes if the test fails; shown: the
+    same, in words.
     """
 
     title: str
-    result: Found
-    summary: Callable[[], Summary]
-    content: Callable[[], JobFolder]
+    report: Report[Any, Any]
     folder: Path
     shown: str
+
+    @property
+    def result(self) -> Found:
+        """What `result.json` or `check.json` has."""
+        found: Found = self.report.result
+        return found
 
     @property
     def outcome(self) -> Outcome:
@@ -110,15 +112,14 @@ class Judgement:
         from rich.console import Console
 
         from comparisons.errors import InputError
-        from comparisons.report.folder import write_job_folder
         from comparisons.report.terminal import print_summary
 
         buffer = io.StringIO()
         console = Console(file=buffer, width=100, color_system=None, soft_wrap=True)
-        print_summary(self.summary(), console, verbose=True)
+        print_summary(self.report.summary(), console, verbose=True)
         table = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
         try:
-            write_job_folder(self.content(), self.folder)
+            self.report.write(self.folder)
         except (InputError, OSError) as error:
             return f"{table}\nno report: {error}"
         return f"{table}\nreport: {self.shown}"
@@ -269,34 +270,23 @@ def _judge(
     folder = _folder(request.config, request.node, len(judged))
     root = request.config.rootpath
     place = folder.relative_to(root) if folder.is_relative_to(root) else folder
-    make = partial(Judgement, folder=folder, shown=str(place))
+    title = log.name
+    checked: object
     if isinstance(config, CheckConfig):
         from comparisons.estimates.external import read_external
         from comparisons.pipeline.check import check
-        from comparisons.report.check import build_check_result, check_folder, check_summary
 
+        title += f", estimate {config.estimate}"
         given = read_external(Path(config.estimate), config.times, config.trace)
         checked = check(log, given, config, solver=partial(_solved, kept))
-        graded = build_check_result(checked)
-        found = make(
-            title=f"{log.name}, estimate {config.estimate}",
-            result=graded,
-            summary=partial(check_summary, graded),
-            content=partial(check_folder, checked, graded),
-        )
     else:
         from comparisons.pipeline.compare import compare
-        from comparisons.report.result import build_result, run_summary
-        from comparisons.report.run import run_folder
 
-        comparison = _once(kept, log, config, lambda: compare(log, config))
-        result = build_result(comparison)
-        found = make(
-            title=log.name,
-            result=result,
-            summary=partial(run_summary, comparison, result),
-            content=partial(run_folder, comparison, result),
-        )
+        checked = _once(kept, log, config, lambda: compare(log, config))
+    from comparisons.report.job import report_of
+
+    report = report_of(checked)
+    found = Judgement(title=title, report=report, folder=folder, shown=str(place))
     judged.append(found)
     return found
 

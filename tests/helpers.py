@@ -19,10 +19,8 @@ from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
 from comparisons.pipeline.prepare import Prepared, prepare
-from comparisons.report.folder import write_job_folder
 from comparisons.report.models import Result
-from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
+from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_options
 from tests.ekf_reference.numerics import central_difference as central_difference
 from tests.ekf_reference.numerics import random_covariance as random_covariance
@@ -73,7 +71,7 @@ def assert_followed(found: Comparison, limit: float) -> None:
 
 def written(found: Comparison, folder: Path, result: Result | None = None) -> Path:
     """A run's folder, with all that a run writes."""
-    write_job_folder(run_folder(found, result or build_result(found)), folder)
+    RunReport(found, result or RunReport.build(found)).write(folder)
     return folder
 
 

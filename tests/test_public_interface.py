@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import inspect
+import json
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -364,16 +366,22 @@ def test_a_report_folder_is_written(results: dict[str, Any], tmp_path: Path) -> 
     (tmp_path / "other" / "mine.txt").write_text("mine")
     with pytest.raises(slamcheck.InputError, match="other"):
         slamcheck.write_report(results["Comparison"], tmp_path / "other")
+    with pytest.raises(TypeError, match="a Log has no report"):
+        slamcheck.write_report(results["Log"], tmp_path / "log")
 
 
 @pytest.mark.slow
-def test_scan_jobs_show_themselves() -> None:
+def test_scan_jobs_show_themselves_and_are_written(tmp_path: Path) -> None:
     pytest.importorskip("kiss_icp")
     log = slamcheck.load_log("scan-loop")
     for result in (slamcheck.dense_map(log, layer=["occupancy"]), slamcheck.odometry(log)):
         page = framed(result)
         assert "<svg" in page
         assert len(page) < 300_000
+        slamcheck.write_report(result, tmp_path / "out")
+        (file,) = (tmp_path / "out").glob("*.json")
+        assert "settings" in json.loads(file.read_text())
+        shutil.rmtree(tmp_path / "out")
 
 
 def test_one_version() -> None:

@@ -9,15 +9,7 @@ from typing import Annotated
 import typer
 
 from comparisons.cli.flags import OUTPUT, argument, set_parameters
-from comparisons.cli.support import (
-    AGREE,
-    DISAGREE,
-    UNVERIFIED,
-    chosen_output,
-    guarded,
-    print_result,
-    progress_bar,
-)
+from comparisons.cli.support import VERDICTS, chosen_output, guarded, print_result, progress_bar
 
 
 def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> None:
@@ -37,20 +29,20 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
         from comparisons.atomic import check_replaceable, folder_name
 
         folder = out or Path(f"slamcheck-audit-{folder_name(trace.stem)}")
-        from comparisons.report.audit import RESULT, audit_summary, write_audit
-
-        check_replaceable(folder, RESULT)
+        check_replaceable(folder, "audit.json")
         from comparisons.audit.audit import audit as audit_trace
 
         with progress_bar(chosen) as progress:
             found = audit_trace(trace, tolerance, progress)
             progress("report", 0, 0)
-            write_audit(found, folder)
-        print_result(audit_summary(found), folder / RESULT, chosen)
-        raise SystemExit(_CODES[found.verdict])
+            from comparisons.report.audit import AuditReport
+
+            report = AuditReport.of(found)
+            file = report.write(folder)
+        print_result(report.summary(), file, chosen)
+        raise SystemExit(VERDICTS[report.outcome])
 
 
-_CODES = {"sound": AGREE, "faulty": DISAGREE, "nothing checked": UNVERIFIED}
 _TOLERANCE = typer.Option(
     metavar="SIGMAS",
     min=0.0,

@@ -219,11 +219,11 @@ def _find(log: Log, config: RunConfig | CheckConfig) -> Found:
         if isinstance(config, CheckConfig):
             from comparisons.estimates.external import read_external
             from comparisons.pipeline.check import check
-            from comparisons.report.check import build_check_result
+            from comparisons.report.check import CheckReport
 
             given = read_external(Path(config.estimate), config.times, config.trace)
-            return build_check_result(check(log, given, config, progress))
+            return CheckReport.build(check(log, given, config, progress))
         from comparisons.pipeline.compare import compare as compare_estimators
-        from comparisons.report.result import build_result
+        from comparisons.report.run import RunReport
 
-        return build_result(compare_estimators(log, config, progress))
+        return RunReport.build(compare_estimators(log, config, progress))

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from comparisons.cli.flags import Given, from_flags
-from comparisons.cli.jobs import start_job
-from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
+from comparisons.cli.jobs import Job, do_job, start_job
 from comparisons.errors import InputError
 from comparisons.options.table import of_job
+
+if TYPE_CHECKING:
+    from comparisons.config import CheckConfig
+    from comparisons.pipeline.check import ExternalCheck
+    from comparisons.pipeline.prepare import Progress
 
 _SHOWN = "--estimate --require --min-coverage --association --gps --robust --seed"
 
@@ -27,30 +32,21 @@ def check(given: Given) -> None:
       slamcheck check my-log --estimate trajectory.tum
       slamcheck check my-log --estimate my-filter-output --require like
     """
-    with guarded(log_file=given.log_file):
-        with progress_bar(given.output) as progress:
-            from comparisons.config import CheckConfig
-            from comparisons.estimates.external import ExternalEstimate, read_external
 
-            handed_in: list[ExternalEstimate] = []
+    def work(progress: Progress) -> tuple[Job[CheckConfig], ExternalCheck]:
+        from comparisons.config import CheckConfig
+        from comparisons.estimates.external import ExternalEstimate, read_external
 
-            def read_first(config: CheckConfig) -> None:
-                if not config.estimate:
-                    raise InputError(
-                        "--estimate is missing: give a trajectory or an estimate's folder"
-                    )
-                estimate = Path(config.estimate)
-                handed_in.append(read_external(estimate, config.times, config.trace))
+        handed_in: list[ExternalEstimate] = []
 
-            job = start_job(given, CheckConfig, check=read_first)
-            from comparisons.pipeline.check import check as check_estimate
+        def read_first(config: CheckConfig) -> None:
+            if not config.estimate:
+                raise InputError("--estimate is missing: give a trajectory or an estimate's folder")
+            handed_in.append(read_external(Path(config.estimate), config.times, config.trace))
 
-            checked = check_estimate(job.log, handed_in[0], job.config, progress)
-            progress("report", 0, 0)
-            from comparisons.report.check import build_check_result, check_folder, check_summary
-            from comparisons.report.folder import write_job_folder
+        job = start_job(given, CheckConfig, check=read_first)
+        from comparisons.pipeline.check import check as check_estimate
 
-            result = build_check_result(checked, job.read)
-            write_job_folder(check_folder(checked, result), job.folder)
-        print_result(check_summary(result), job.folder / "check.json", given.output)
-        raise SystemExit(VERDICTS[checked.outcome])
+        return job, check_estimate(job.log, handed_in[0], job.config, progress)
+
+    do_job(given, work)

@@ -1,19 +1,21 @@
-"""What the jobs' commands share: from what was given to a configuration, a log and a folder."""
+"""What the jobs' commands share: from what was given to the folder, and to the exit code."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from comparisons.cli.flags import Given
+from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
 from comparisons.errors import InputError
 
 if TYPE_CHECKING:
     from comparisons.config import JobConfig
     from comparisons.logs.log import Log
-    from comparisons.pipeline.prepare import Clock
+    from comparisons.pipeline.prepare import Clock, Progress
 
 C = TypeVar("C", bound="JobConfig")
 
@@ -26,6 +28,43 @@ class Job(Generic[C]):
     config: C
     folder: Path
     read: Clock
+
+
+def do_job(
+    given: Given,
+    work: Callable[[Progress], tuple[Job[Any], object]],
+    after: Callable[[Any], None] = lambda found: None,
+) -> None:
+    """Work, write the report, print it and exit.
+
+    work: returns what it did and what it found. after: done with that, when all is printed.
+    """
+    with guarded(log_file=given.log_file):
+        with progress_bar(given.output) as progress:
+            job, found = work(progress)
+            progress("report", 0, 0)
+            from comparisons.report.job import report_of
+
+            report = report_of(found, job.read)
+            file = report.write(job.folder)
+        print_result(report.summary(), file, given.output)
+        after(found)
+        raise SystemExit(VERDICTS[report.outcome])
+
+
+def do_plain_job(given: Given, kind: str, work: str, base: Mapping[str, Any] | None = None) -> None:
+    """Do a job that is one function of log, configuration and progress.
+
+    kind: name of its configuration. work: `module:function`. Both are loaded here. base: see
+    read_job.
+    """
+
+    def done(progress: Progress) -> tuple[Job[Any], object]:
+        job = start_job(given, getattr(import_module("comparisons.config"), kind), base)
+        module, _, name = work.partition(":")
+        return job, getattr(import_module(module), name)(job.log, job.config, progress)
+
+    do_job(given, done)
 
 
 def start_job(

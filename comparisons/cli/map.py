@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from comparisons.cli.flags import Given, from_flags
-from comparisons.cli.jobs import start_job
-from comparisons.cli.support import AGREE, guarded, print_result, progress_bar
+from comparisons.cli.jobs import do_plain_job
 from comparisons.options.table import of_job
 
 _DEFAULT = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
@@ -24,19 +23,4 @@ def map_command(given: Given) -> None:
       slamcheck map dynamic-places --dynamic        with moved objects
       slamcheck map scan-slam --landmarks scans --layer sog
     """
-    with guarded(log_file=given.log_file):
-        with progress_bar(given.output) as progress:
-            from comparisons.config import MapConfig
-
-            job = start_job(given, MapConfig, base=_DEFAULT)
-            from comparisons.pipeline.dense_map import map_log
-
-            mapping = map_log(job.log, job.config, progress)
-            progress("report", 0, 0)
-            from comparisons.report.dense_map import build_map_result, map_folder, map_summary
-            from comparisons.report.folder import write_job_folder
-
-            result = build_map_result(mapping, job.read)
-            write_job_folder(map_folder(mapping, result), job.folder)
-        print_result(map_summary(result), job.folder / "map.json", given.output)
-        raise SystemExit(AGREE)
+    do_plain_job(given, "MapConfig", "comparisons.pipeline.dense_map:map_log", _DEFAULT)

@@ -44,7 +44,6 @@ _OPTIONS: dict[str, tuple[Any, str, str]] = {
         "Unit where a header names none, as bearing=deg or truth:yaw=deg; repeatable.",
     ),
     "imu": (_File, "FILE", "Yaw rates, in place of the odometry's."),
-    "degrees": (bool, "", ""),
 }
 
 
@@ -71,11 +70,6 @@ def new_log(folder: Path, **given: Any) -> None:
         from comparisons.logs.new_log import OPTIONS, UserFiles, build
 
         check_replaceable(folder)
-        if given["degrees"]:
-            raise InputError(
-                "--degrees turned every angle and rate; give the unit of each column in degrees, "
-                "as --unit bearing=deg"
-            )
         units = _units(given["unit"] or ())
         by_option = {column: given[_parameter(option)] for column, option in OPTIONS.items()}
         stated = {column: value for column, value in by_option.items() if value is not None}
@@ -153,12 +147,11 @@ def _parameter(option: str) -> str:
 def _option(name: str, kind: Any, metavar: str, text: str) -> inspect.Parameter:
     option = typer.Option(
         f"--{name.replace('_', '-')}",
-        metavar=metavar or None,
+        metavar=metavar,
         help=text,
         show_default=False,
-        hidden=not text,
     )
-    default = {Path: inspect.Parameter.empty, bool: False}.get(kind)
+    default = inspect.Parameter.empty if kind is Path else None
     keyword = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option])
 

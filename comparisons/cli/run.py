@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from comparisons.cli.flags import Given, from_flags
-from comparisons.cli.jobs import start_job
-from comparisons.cli.support import DISAGREE, VERDICTS, guarded, print_result, progress_bar
+from comparisons.cli.jobs import Job, do_job, start_job
 from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
+    from comparisons.config import RunConfig
     from comparisons.pipeline.compare import Comparison
+    from comparisons.pipeline.prepare import Progress
 
 LiveOption = Annotated[
     bool,
@@ -42,38 +43,29 @@ def run(given: Given) -> None:
       slamcheck run path/to/acfr_car_park --motion both --dense points
       slamcheck run slamcheck-simulated-loop/config.toml --out again
     """
-    with guarded(log_file=given.log_file):
-        live, record = bool(given.extra["live"]), given.extra["record"]
+    live, record = bool(given.extra["live"]), given.extra["record"]
+
+    def work(progress: Progress) -> tuple[Job[RunConfig], Comparison]:
         if live or record is not None:
             from comparisons.report.viewer import check_viewer
 
             check_viewer(live, record)
-        with progress_bar(given.output) as progress:
-            from comparisons.config import RunConfig
+        from comparisons.config import RunConfig
 
-            job = start_job(given, RunConfig)
-            from comparisons.pipeline.compare import compare
+        job = start_job(given, RunConfig)
+        from comparisons.pipeline.compare import compare
 
-            comparison = compare(job.log, job.config, progress)
-            progress("report", 0, 0)
-            from comparisons.report.folder import write_job_folder
-            from comparisons.report.result import build_result, run_summary
-            from comparisons.report.run import run_folder
+        comparison = compare(job.log, job.config, progress)
+        if record is not None:  # first: where that fails, no folder is left
+            from comparisons.report.viewer import record_run
 
-            result = build_result(comparison, job.read)
-            _record(comparison, record)  # first: where that fails, no folder is left
-            content = run_folder(comparison, result)
-            write_job_folder(content, job.folder, job.config.report.figures)
-        print_result(run_summary(comparison, result), job.folder / "result.json", given.output)
+            record_run(comparison, record)
+        return job, comparison
+
+    def show(comparison: Comparison) -> None:
         if live:
             from comparisons.report.viewer import show_run
 
             show_run(comparison)
-        raise SystemExit(DISAGREE if result.failed_on else VERDICTS[result.verdict])
 
-
-def _record(comparison: Comparison, record: Path | None) -> None:
-    if record is not None:
-        from comparisons.report.viewer import record_run
-
-        record_run(comparison, record)
+    do_job(given, work, show)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from comparisons.cli.flags import Given, from_flags
-from comparisons.cli.jobs import start_job
-from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
+from comparisons.cli.jobs import do_plain_job
 from comparisons.options.table import of_job
 
 
@@ -19,23 +18,4 @@ def solve(given: Given) -> None:
       slamcheck solve                               the bundled log
       slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
     """
-    with guarded(log_file=given.log_file):
-        with progress_bar(given.output) as progress:
-            from comparisons.config import SolveConfig
-
-            job = start_job(given, SolveConfig)
-            from comparisons.pipeline.solve import solve as solve_log
-
-            solution = solve_log(job.log, job.config, progress)
-            progress("report", 0, 0)
-            from comparisons.report.folder import write_job_folder
-            from comparisons.report.solution import (
-                build_solution_result,
-                solution_folder,
-                solution_summary,
-            )
-
-            result = build_solution_result(solution, job.read)
-            write_job_folder(solution_folder(solution, result), job.folder)
-        print_result(solution_summary(result), job.folder / "solution.json", given.output)
-        raise SystemExit(VERDICTS[result.verdict])
+    do_plain_job(given, "SolveConfig", "comparisons.pipeline.solve:solve")

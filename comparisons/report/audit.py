@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import cycle
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 from pydantic import Field
 
-from comparisons.atomic import LIST, fresh_folder
 from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import AlgebraGap, Audit, Verdict
 from comparisons.audit.spurious import Learnt, LearntDirection
-from comparisons.figures import Model, finite, json_text, package_versions
+from comparisons.figures import Model, finite, package_versions
 from comparisons.innovations import InnovationFigures, SensorInnovations
+from comparisons.report.folder import JobFolder
 from comparisons.report.html.page import PageContent, facts_of, write_page
+from comparisons.report.job import Report
 from comparisons.report.marks import (
     EKF_COLOUR,
     SCANS_COLOUR,
@@ -26,12 +28,14 @@ from comparisons.report.marks import (
     Panel,
     nis_panel,
 )
-from comparisons.report.picture import blank, draw_panel, save
+from comparisons.report.picture import blank, draw_panel
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.statistics import Averaged
 from comparisons.words import Row
 
-RESULT = "audit.json"
+if TYPE_CHECKING:
+    from comparisons.pipeline.prepare import Clock
+
 _STYLES: dict[Verdict, str] = {
     "sound": "agree",
     "faulty": "disagree",
@@ -125,29 +129,99 @@ class AuditResult(Model):
     files: list[str] = Field(default_factory=list)
 
 
-def build_audit_result(audit: Audit) -> AuditResult:
-    """Return the findings as they are stored."""
-    return AuditResult(
-        trace=audit.trace.name,
-        events=audit.counts.events,
-        updates=audit.counts.updates,
-        snapshots=audit.counts.snapshots,
-        remarks=list(audit.remarks),
-        blocks=dict(list(audit.blocks.items())[:200]),
-        tolerance=audit.tolerance,
-        verdict=audit.verdict,
-        findings=audit.findings,
-        largest_gap=audit.largest,
-        first_open=audit.first_open,
-        gaps=audit.gaps,
-        oracle_agreement=audit.agreement,
-        gains_compared=audit.gains,
-        sensors=[_sensor(one) for one in audit.sensors],
-        smoother=_averaged(audit.smoother),
-        nees=_averaged(audit.nees),
-        spurious=None if audit.spurious is None else audit.spurious.directions,
-        versions=package_versions(),
-    )
+class AuditReport(Report[Audit, AuditResult]):
+    """Report of `slamcheck audit`."""
+
+    @staticmethod
+    def build(audit: Audit, read: Clock | None = None) -> AuditResult:
+        """Return the findings as they are stored."""
+        return AuditResult(
+            trace=audit.trace.name,
+            events=audit.counts.events,
+            updates=audit.counts.updates,
+            snapshots=audit.counts.snapshots,
+            remarks=list(audit.remarks),
+            blocks=dict(list(audit.blocks.items())[:200]),
+            tolerance=audit.tolerance,
+            verdict=audit.verdict,
+            findings=audit.findings,
+            largest_gap=audit.largest,
+            first_open=audit.first_open,
+            gaps=audit.gaps,
+            oracle_agreement=audit.agreement,
+            gains_compared=audit.gains,
+            sensors=[_sensor(one) for one in audit.sensors],
+            smoother=_averaged(audit.smoother),
+            nees=_averaged(audit.nees),
+            spurious=None if audit.spurious is None else audit.spurious.directions,
+            versions=package_versions(),
+        )
+
+    def summary(self) -> Summary:
+        """Return what the command prints."""
+        audit = self.found
+        named = [one.text for one in audit.findings if not one.fault]
+        wrong = [one.text for one in audit.findings if one.fault]
+        headline = f"verdict: {audit.verdict}"
+        if wrong:
+            headline += f" ({len(wrong)} finding{'s' if len(wrong) > 1 else ''})"
+        counts = audit.counts
+        lines = [
+            (
+                "trace",
+                f"{counts.events:,} events, {counts.updates:,} updates, {counts.snapshots:,} "
+                f"snapshot{'s' if counts.snapshots != 1 else ''}",
+            ),
+            ("algebra", _algebra_line(audit)),
+            ("gains", _gains_line(audit)),
+            *(("sensor", _sensor_line(one)) for one in audit.sensors[:3]),
+        ]
+        for name, found in (("smoother", audit.smoother), ("NEES", audit.nees)):
+            if found is not None:
+                low, high = found.band
+                text = f"{found.mean:.3g} per degree of freedom ({low:.3g} to {high:.3g} expected)"
+                lines.append((name, text))
+        if audit.spurious is not None:
+            lines.append(("spurious", _spurious_line(audit.spurious)))
+        return Summary(
+            headline=headline,
+            style=STYLES[_STYLES[audit.verdict]],
+            reasons=[_LACKING] if audit.verdict == "nothing checked" else wrong,
+            remarks=[*audit.remarks, *named],
+            lines=lines,
+            rows=audit_rows(audit),
+        )
+
+    def page(self) -> PageContent:
+        """Return what stands on the page."""
+        audit = self.found
+        summary, panels = self.summary(), [one for one in audit_panels(audit) if one.curves]
+        return PageContent(
+            name=audit.trace.name,
+            headline=summary.headline.removeprefix("verdict: "),
+            colour=_STYLES[audit.verdict],
+            reasons=summary.reasons,
+            facts=facts_of(summary),
+            remarks=summary.remarks,
+            panels=panels,
+            curves_file="curves.png",
+            rows=summary.rows,
+        )
+
+    def folder(self) -> JobFolder:
+        """Return what is to be written: the result, the page, and a picture of the curves."""
+        panels = audit_panels(self.found)
+        return JobFolder(
+            name="audit",
+            result=self.result,
+            figures={"curves": audit_figure(panels)} if panels else {},
+            files={"report.html": partial(write_page, self.page())},
+        )
+
+    @property
+    def outcome(self) -> str:
+        """Return the word that decides the command's exit code."""
+        return _STYLES[self.found.verdict]
 
 
 def _averaged(one: Averaged | None) -> AveragedResult | None:
@@ -171,41 +245,6 @@ def _sensor(one: SensorInnovations) -> SensorResult:
         measured=len(gating.event),
         rejected=gating.count,
         nominal_rejected=None if gating.passes is None else 1.0 - gating.passes,
-    )
-
-
-def audit_summary(audit: Audit) -> Summary:
-    """Return what the command prints."""
-    named = [one.text for one in audit.findings if not one.fault]
-    wrong = [one.text for one in audit.findings if one.fault]
-    headline = f"verdict: {audit.verdict}"
-    if wrong:
-        headline += f" ({len(wrong)} finding{'s' if len(wrong) > 1 else ''})"
-    counts = audit.counts
-    lines = [
-        (
-            "trace",
-            f"{counts.events:,} events, {counts.updates:,} updates, {counts.snapshots:,} "
-            f"snapshot{'s' if counts.snapshots != 1 else ''}",
-        ),
-        ("algebra", _algebra_line(audit)),
-        ("gains", _gains_line(audit)),
-        *(("sensor", _sensor_line(one)) for one in audit.sensors[:3]),
-    ]
-    for name, found in (("smoother", audit.smoother), ("NEES", audit.nees)):
-        if found is not None:
-            low, high = found.band
-            text = f"{found.mean:.3g} per degree of freedom ({low:.3g} to {high:.3g} expected)"
-            lines.append((name, text))
-    if audit.spurious is not None:
-        lines.append(("spurious", _spurious_line(audit.spurious)))
-    return Summary(
-        headline=headline,
-        style=STYLES[_STYLES[audit.verdict]],
-        reasons=[_LACKING] if audit.verdict == "nothing checked" else wrong,
-        remarks=[*audit.remarks, *named],
-        lines=lines,
-        rows=audit_rows(audit),
     )
 
 
@@ -356,31 +395,3 @@ def audit_figure(panels: Sequence[Panel]) -> Figure:
         axis.set_xlabel(panel.x_label)
         axis.legend(fontsize=7, loc="best")
     return figure
-
-
-def write_audit(audit: Audit, folder: Path) -> None:
-    """Write audit.json, report.html and a picture of the curves. Raises InputError."""
-    result, panels = build_audit_result(audit), audit_panels(audit)
-    with fresh_folder(folder, RESULT) as work:
-        if panels:
-            save(audit_figure(panels), work / "curves.png")
-        write_page(audit_page(audit), work / "report.html")
-        files = sorted([*(p.name for p in work.iterdir()), RESULT, LIST])
-        found = result.model_copy(update={"files": files}).model_dump(mode="json")
-        (work / RESULT).write_text(json_text(found, indent=2) + "\n", encoding="utf-8")
-
-
-def audit_page(audit: Audit) -> PageContent:
-    """Return what stands on the page."""
-    summary, panels = audit_summary(audit), [one for one in audit_panels(audit) if one.curves]
-    return PageContent(
-        name=audit.trace.name,
-        headline=summary.headline.removeprefix("verdict: "),
-        colour=_STYLES[audit.verdict],
-        reasons=summary.reasons,
-        facts=facts_of(summary),
-        remarks=summary.remarks,
-        panels=panels,
-        curves_file="curves.png",
-        rows=summary.rows,
-    )

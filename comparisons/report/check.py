@@ -41,6 +41,7 @@ from comparisons.report.html.map import (
 )
 from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
+from comparisons.report.job import Report
 from comparisons.report.ladder import check_ladder
 from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.models import JobResult, SmootherResult
@@ -64,111 +65,6 @@ from comparisons.words import Row
 
 NOT_STATED = "not stated"
 """In place of what an estimate's poses know of the log."""
-
-
-def build_check_result(check: ExternalCheck, read: Clock | None = None) -> CheckResult:
-    """The findings, read being the time that reading log and estimate took."""
-    found, solution = check.agreement, check.solution
-    return CheckResult(
-        smoother=smoother_result(solution.result, solution.estimate),
-        association_by=solution.association_by,
-        information=check.given.information or NOT_STATED,
-        estimator=check.given.estimator,
-        absent=check.given.absent,
-        poses=len(found.time_s),
-        coverage=check.coverage.share,
-        uncovered_s=check.coverage.holes_s.tolist(),
-        rms_m=found.rms_m,
-        rms_heading_rad=found.rms_heading_rad,
-        outside=found.outside,
-        last_pose=found.last,
-        landmarks=found.landmarks,
-        estimate_sha256=dict(check.given.sha256),
-        consistency=external_consistency_result(check.consistency),
-        accuracy=check.accuracy,
-        smoother_accuracy=solution.accuracy,
-        trace=check.trace,
-        grade=check.grade.value,
-        required=check.grade.required,
-        nearest=_nearest(check.grade.by),
-        departure=check.departure,
-        verdict=check.outcome,
-        causes=check.causes,
-        remarks=list(check.remarks),
-        **about_job(solution.prepared, solution.prepared.clock.after(read), log=check.log),
-    )
-
-
-def check_summary(result: CheckResult) -> Summary:
-    """Return what the command prints: verdict and grade, gaps by the trace, agreement."""
-    truth, smoothed = result.consistency.truth, result.consistency.filter_against_smoother
-    agree = []
-    if result.landmarks:
-        count = sum(row.agrees for row in result.landmarks)
-        agree.append(f"{count} of {len(result.landmarks)} landmarks")
-    if result.last_pose is not None:
-        agree.append(pose_words(result.last_pose))
-    if len(agree) < 2:
-        agree.append(f"path {result.rms_m:.3f} m rms from smoother")
-    required = f" (required: {result.required})"
-    return Summary(
-        headline=f"verdict: {result.verdict}; grade: {_grade_words(result)}{required}",
-        style=STYLES[result.verdict],
-        causes=result.causes,
-        remarks=result.remarks,
-        steps=check_ladder(result),
-        lines=[
-            ("agreement", "; ".join(agree)),
-            *consistency_line(None, truth, smoothed),
-            *accuracy_line({"estimate": result.accuracy, "smoother": result.smoother_accuracy}),
-        ],
-        rows=[*_check_rows(result), *seconds_rows(result.seconds, result.cpu_s)],
-    )
-
-
-def check_folder(check: ExternalCheck, result: CheckResult) -> JobFolder:
-    """Return what is to be written."""
-    return JobFolder(
-        name="check",
-        result=result,
-        config=check.solution.prepared.config,
-        estimates={"smoother": check.solution.estimate},
-        figures={"map": check_figure(check)},
-        files={"report.html": partial(write_page, check_page(check, result))},
-    )
-
-
-def check_page(check: ExternalCheck, result: CheckResult) -> PageContent:
-    """Return what stands on the page."""
-    given, solution = check.given, check.solution
-    reported, panels = external_panels(check)
-    ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
-    map_content, marked = check_map(check, ours, theirs)
-    rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
-    grade = "no grade" if result.grade is None else _grade_words(result)
-    source = Path(str(result.config.get("estimate") or "arrays")).name
-    return PageContent(
-        job="check",
-        name=result.log.name,
-        headline=f"{result.verdict}, {grade}",
-        colour=result.verdict,
-        words=_verdict_words(result),
-        facts=_facts(result),
-        about=f"estimate: {source}; log: {result.log.format}, {result.log.duration_s:,.0f} s",
-        causes=result.causes,
-        remarks=result.remarks,
-        steps=check_ladder(result),
-        map=map_content,
-        reported=reported,
-        panels=panels,
-        rows=_check_rows(result),
-        landmarks=rows,
-        landmarks_note=note,
-        settings=setting_lines(solution.prepared.config, result.settings),
-        seconds=result.seconds,
-        cpu_s=result.cpu_s or {},
-        versions=result.versions,
-    )
 
 
 def _landmark_table(
@@ -480,3 +376,112 @@ class CheckResult(JobResult):
     departure: Departure | None
     verdict: Literal["agree", "disagree", "unverified"]
     causes: list[Cause]
+
+
+class CheckReport(Report[ExternalCheck, CheckResult]):
+    """Report of `slamcheck check`."""
+
+    @staticmethod
+    def build(check: ExternalCheck, read: Clock | None = None) -> CheckResult:
+        """The findings, read being the time that reading log and estimate took."""
+        found, solution = check.agreement, check.solution
+        return CheckResult(
+            smoother=smoother_result(solution.result, solution.estimate),
+            association_by=solution.association_by,
+            information=check.given.information or NOT_STATED,
+            estimator=check.given.estimator,
+            absent=check.given.absent,
+            poses=len(found.time_s),
+            coverage=check.coverage.share,
+            uncovered_s=check.coverage.holes_s.tolist(),
+            rms_m=found.rms_m,
+            rms_heading_rad=found.rms_heading_rad,
+            outside=found.outside,
+            last_pose=found.last,
+            landmarks=found.landmarks,
+            estimate_sha256=dict(check.given.sha256),
+            consistency=external_consistency_result(check.consistency),
+            accuracy=check.accuracy,
+            smoother_accuracy=solution.accuracy,
+            trace=check.trace,
+            grade=check.grade.value,
+            required=check.grade.required,
+            nearest=_nearest(check.grade.by),
+            departure=check.departure,
+            verdict=check.outcome,
+            causes=check.causes,
+            remarks=list(check.remarks),
+            **about_job(solution.prepared, solution.prepared.clock.after(read), log=check.log),
+        )
+
+    def summary(self) -> Summary:
+        """Return what the command prints: verdict and grade, gaps by the trace, agreement."""
+        result = self.result
+        truth, smoothed = result.consistency.truth, result.consistency.filter_against_smoother
+        agree = []
+        if result.landmarks:
+            count = sum(row.agrees for row in result.landmarks)
+            agree.append(f"{count} of {len(result.landmarks)} landmarks")
+        if result.last_pose is not None:
+            agree.append(pose_words(result.last_pose))
+        if len(agree) < 2:
+            agree.append(f"path {result.rms_m:.3f} m rms from smoother")
+        required = f" (required: {result.required})"
+        return Summary(
+            headline=f"verdict: {result.verdict}; grade: {_grade_words(result)}{required}",
+            style=STYLES[result.verdict],
+            causes=result.causes,
+            remarks=result.remarks,
+            steps=check_ladder(result),
+            lines=[
+                ("agreement", "; ".join(agree)),
+                *consistency_line(None, truth, smoothed),
+                *accuracy_line({"estimate": result.accuracy, "smoother": result.smoother_accuracy}),
+            ],
+            rows=[*_check_rows(result), *seconds_rows(result.seconds, result.cpu_s)],
+        )
+
+    def page(self) -> PageContent:
+        """Return what stands on the page."""
+        check, result = self.found, self.result
+        given, solution = check.given, check.solution
+        reported, panels = external_panels(check)
+        ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
+        map_content, marked = check_map(check, ours, theirs)
+        rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
+        grade = "no grade" if result.grade is None else _grade_words(result)
+        source = Path(str(result.config.get("estimate") or "arrays")).name
+        return PageContent(
+            job="check",
+            name=result.log.name,
+            headline=f"{result.verdict}, {grade}",
+            colour=result.verdict,
+            words=_verdict_words(result),
+            facts=_facts(result),
+            about=f"estimate: {source}; log: {result.log.format}, {result.log.duration_s:,.0f} s",
+            causes=result.causes,
+            remarks=result.remarks,
+            steps=check_ladder(result),
+            map=map_content,
+            reported=reported,
+            panels=panels,
+            rows=_check_rows(result),
+            landmarks=rows,
+            landmarks_note=note,
+            settings=setting_lines(solution.prepared.config, result.settings),
+            seconds=result.seconds,
+            cpu_s=result.cpu_s or {},
+            versions=result.versions,
+        )
+
+    def folder(self) -> JobFolder:
+        """Return what is to be written."""
+        check = self.found
+        return JobFolder(
+            name="check",
+            result=self.result,
+            config=check.solution.prepared.config,
+            estimates={"smoother": check.solution.estimate},
+            figures={"map": check_figure(check)},
+            files={"report.html": partial(write_page, self.page())},
+        )

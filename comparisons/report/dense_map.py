@@ -19,6 +19,7 @@ from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figur
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import estimate_map
 from comparisons.report.html.page import PageContent, write_page
+from comparisons.report.job import Report
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
 from comparisons.report.marks import EKF_COLOUR
 from comparisons.report.models import EkfResult, JobResult
@@ -135,56 +136,98 @@ class MapResult(JobResult):
     dynamic: DynamicResult | None
 
 
-def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapResult:
-    """The findings, read being the time that reading the log took."""
-    m = mapping
-    before = m.dense.before
-    return MapResult(
-        ekf=ekf_result(m.ekf, m.prepared.ekf),
-        accuracy=assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled),
-        scan_landmarks=len(m.ekf.estimate.pose_landmarks),
-        regions=len(m.placed.triangle),
-        first_condition=FirstCondition.of(m.dense),
-        resolution_m=m.dense.options.resolution_m,
-        returns=_returns(m.dense.dense),
-        layers={
-            name: LayerResult(
-                samples=len(s.point), occupied=int(np.count_nonzero(s.occupancy > OCCUPIED))
+class MapReport(Report[DenseMapping, MapResult]):
+    """Report of `slamcheck map`."""
+
+    @staticmethod
+    def build(mapping: DenseMapping, read: Clock | None = None) -> MapResult:
+        """The findings, read being the time that reading the log took."""
+        m = mapping
+        before = m.dense.before
+        return MapResult(
+            ekf=ekf_result(m.ekf, m.prepared.ekf),
+            accuracy=assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled),
+            scan_landmarks=len(m.ekf.estimate.pose_landmarks),
+            regions=len(m.placed.triangle),
+            first_condition=FirstCondition.of(m.dense),
+            resolution_m=m.dense.options.resolution_m,
+            returns=_returns(m.dense.dense),
+            layers={
+                name: LayerResult(
+                    samples=len(s.point), occupied=int(np.count_nonzero(s.occupancy > OCCUPIED))
+                )
+                for name, s in m.layers.items()
+            },
+            surface_errors=dict(m.errors),
+            closing=None
+            if before is None
+            else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
+            dynamic=_dynamic(m),
+            remarks=_remarks(m),
+            **about_job(m.prepared, m.dense.clock.after(read, m.prepared.clock), m.prepared.ekf),
+        )
+
+    def summary(self) -> Summary:
+        """Return what the command prints: what the map holds, and how good it is."""
+        result = self.result
+        returns = result.returns
+        fused = returns.fused + returns.late
+        errors = [
+            f"{name} {error.median_m:.3f} m"
+            for name, error in result.surface_errors.items()
+            if math.isfinite(error.median_m)
+        ]
+        layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
+        return Summary(
+            headline=f"map: {fused:,} of {returns.returns:,} scan returns in "
+            f"{result.regions:,} regions",
+            style="bold",
+            remarks=result.remarks,
+            lines=[
+                ("occupied", f"{', '.join(layers)} samples"),
+                *(
+                    [("surfaces", f"median distance to true ones: {', '.join(errors)}")]
+                    * bool(errors)
+                ),
+                *accuracy_line({"EKF": result.accuracy}),
+            ],
+            rows=_map_rows(result),
+        )
+
+    def page(self) -> PageContent:
+        """Return what stands on the page; the map has the first layer's occupied cells."""
+        m = self.found
+        name, samples = next(iter(m.layers.items()))
+        cloud = (f"{name}: occupied", samples.point[samples.occupancy > OCCUPIED])
+        drawn = estimate_map(m.log, "EKF", EKF_COLOUR, m.ekf.estimate, cloud=cloud)
+        return job_page(self.result, self.summary(), "map", drawn, m.prepared.config)
+
+    def folder(self) -> JobFolder:
+        """Return what is to be written: the map, and each layer in several formats.
+
+        Layers as clouds need Open3D: raises MissingLibraryError. Without regions there are none.
+        """
+        mapping = self.found
+        figures = {"map": dense_map_figure(mapping)}
+        dynamic = mapping.dense.dense.dynamic
+        if dynamic is not None:
+            figures["dynamic-map"] = dynamic_figure(mapping, dynamic)
+        files: dict[str, Callable[[Path], object]] = {
+            "report.html": partial(write_page, self.page())
+        }
+        if len(mapping.placed.triangle):
+            files["regions.csv"] = lambda path: path.write_text(
+                regions_csv(mapping), encoding="utf-8"
             )
-            for name, s in m.layers.items()
-        },
-        surface_errors=dict(m.errors),
-        closing=None
-        if before is None
-        else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
-        dynamic=_dynamic(m),
-        remarks=_remarks(m),
-        **about_job(m.prepared, m.dense.clock.after(read, m.prepared.clock), m.prepared.ekf),
-    )
-
-
-def map_summary(result: MapResult) -> Summary:
-    """Return what the command prints: what the map holds, and how good it is."""
-    returns = result.returns
-    fused = returns.fused + returns.late
-    errors = [
-        f"{name} {error.median_m:.3f} m"
-        for name, error in result.surface_errors.items()
-        if math.isfinite(error.median_m)
-    ]
-    layers = [f"{name} {layer.occupied:,}" for name, layer in result.layers.items()]
-    return Summary(
-        headline=f"map: {fused:,} of {returns.returns:,} scan returns in "
-        f"{result.regions:,} regions",
-        style="bold",
-        remarks=result.remarks,
-        lines=[
-            ("occupied", f"{', '.join(layers)} samples"),
-            *([("surfaces", f"median distance to true ones: {', '.join(errors)}")] * bool(errors)),
-            *accuracy_line({"EKF": result.accuracy}),
-        ],
-        rows=_map_rows(result),
-    )
+            files |= _layer_files(mapping)
+        return JobFolder(
+            name="map",
+            result=self.result,
+            config=mapping.prepared.config,
+            estimates={"ekf": mapping.ekf.estimate},
+            figures=figures,
+            files=files,
+        )
 
 
 def _map_rows(result: MapResult) -> list[Row]:
@@ -217,40 +260,6 @@ def _map_rows(result: MapResult) -> list[Row]:
             Row("Moving objects", "landmarks in these places", f"{len(moving.landmarks)}"),
         ]
     return [*rows, *seconds_rows(result.seconds, result.cpu_s)]
-
-
-def map_page(mapping: DenseMapping, result: MapResult) -> PageContent:
-    """Return what stands on the page; the map has the first layer's occupied cells."""
-    m = mapping
-    name, samples = next(iter(m.layers.items()))
-    cloud = (f"{name}: occupied", samples.point[samples.occupancy > OCCUPIED])
-    drawn = estimate_map(m.log, "EKF", EKF_COLOUR, m.ekf.estimate, cloud=cloud)
-    return job_page(result, map_summary(result), "map", drawn, m.prepared.config)
-
-
-def map_folder(mapping: DenseMapping, result: MapResult) -> JobFolder:
-    """Return what is to be written: the map, and each layer in several formats.
-
-    Layers as clouds need Open3D: raises MissingLibraryError. Without regions there are none.
-    """
-    figures = {"map": dense_map_figure(mapping)}
-    dynamic = mapping.dense.dense.dynamic
-    if dynamic is not None:
-        figures["dynamic-map"] = dynamic_figure(mapping, dynamic)
-    files: dict[str, Callable[[Path], object]] = {
-        "report.html": partial(write_page, map_page(mapping, result))
-    }
-    if len(mapping.placed.triangle):
-        files["regions.csv"] = lambda path: path.write_text(regions_csv(mapping), encoding="utf-8")
-        files |= _layer_files(mapping)
-    return JobFolder(
-        name="map",
-        result=result,
-        config=mapping.prepared.config,
-        estimates={"ekf": mapping.ekf.estimate},
-        figures=figures,
-        files=files,
-    )
 
 
 def _layer_files(mapping: DenseMapping) -> dict[str, Callable[[Path], object]]:

@@ -35,36 +35,36 @@ class JobFolder:
     """What goes into it.
 
     name: of the result's file, without suffix. result: a model with `files`, the names of all that
-    the folder holds, which are filled in last. estimates: by folder. figures: by name without
-    suffix. files: others by name, each written by a function that is given its path, in the end.
+    the folder holds, which are filled in last. config: None of a job that no file repeats.
+    estimates: by folder. figures: by name without suffix, in formats as picture.save takes them.
+    files: others by name, each written by a function that is given its path, in the end.
     """
 
     name: str
     result: BaseModel
-    config: JobConfig
+    config: JobConfig | None = None
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     figures: Mapping[str, Figure] = field(default_factory=dict)
+    formats: Collection[str] = ()
     files: Mapping[str, Callable[[Path], object]] = field(default_factory=dict)
 
 
-def write_job_folder(content: JobFolder, folder: Path, formats: Collection[str] = ()) -> None:
-    """Write everything. Raises InputError.
-
-    formats: of the pictures; see picture.save. The result's file names all others.
-    """
-    with fresh_folder(folder, CONFIG) as work:
+def write_job_folder(content: JobFolder, folder: Path) -> None:
+    """Write everything; the result's file names all others. Raises InputError."""
+    file = f"{content.name}.json"
+    with fresh_folder(folder, file if content.config is None else CONFIG) as work:
         for name, estimate in content.estimates.items():
             (work / name).mkdir()
             write_estimate(estimate, work / name)
-        _save(content.figures, work, formats)
-        (work / CONFIG).write_text(content.config.toml(), encoding="utf-8")
+        _save(content.figures, work, content.formats)
+        if content.config is not None:
+            (work / CONFIG).write_text(content.config.toml(), encoding="utf-8")
         for name, write in content.files.items():
             write(work / name)
-        result = work / f"{content.name}.json"
         found = content.result.model_dump(mode="json")
         files = sorted(p.relative_to(work).as_posix() for p in work.rglob("*") if p.is_file())
-        found["files"] = sorted([*files, result.name, LIST])
-        result.write_text(json_text(found, indent=2) + "\n", encoding="utf-8")
+        found["files"] = sorted([*files, file, LIST])
+        (work / file).write_text(json_text(found, indent=2) + "\n", encoding="utf-8")
 
 
 def _save(figures: Mapping[str, Figure], folder: Path, formats: Collection[str]) -> None:

@@ -14,7 +14,7 @@ from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.finding import ConsistencyResult
 from comparisons.checks.qualifiers import TruthGap
 from comparisons.checks.spurious import SpuriousHeadingResult
-from comparisons.figures import Model
+from comparisons.figures import Model, stored
 from comparisons.report.settings import SettingsResult
 
 
@@ -301,3 +301,25 @@ class SolutionResult(JobResult):
     pose_graph: PoseGraphResult | None = None
     verdict: Literal["verified", "unverified"]
     reasons: list[str]
+
+
+def metrics(result: Result) -> dict[str, float | None]:
+    """The figures of a run that a baseline keeps, by name; None where a log has no such figure."""
+    found: dict[str, float | None] = {}
+    for part, model in (
+        ("agreement", result.agreement),
+        ("ekf", result.ekf),
+        ("smoother", result.smoother),
+    ):
+        for name, value in stored(model).items():
+            if isinstance(value, bool) or name in ("iterations", "rank", "distance_sigma"):
+                continue
+            if value is None or isinstance(value, int | float):
+                found[f"{part}.{name}"] = value
+    if result.accuracy is not None:
+        for name, figures in (
+            ("ekf", result.accuracy.ekf),
+            ("smoother", result.accuracy.smoother),
+        ):
+            found |= {f"accuracy.{name}.{key}": v for key, v in vars(figures).items()}
+    return found

@@ -12,23 +12,12 @@ from html import escape
 
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import ExternalCheck
-from comparisons.pipeline.compare import Comparison
-from comparisons.pipeline.dense_map import DenseMapping
-from comparisons.pipeline.odometry import FrontEnd
-from comparisons.pipeline.solve import Solution
-from comparisons.report.check import build_check_result, check_page
-from comparisons.report.dense_map import build_map_result, map_page
 from comparisons.report.html.map import MapContent, estimate_map, known_points
 from comparisons.report.html.page import PageContent, page
+from comparisons.report.job import report_of
 from comparisons.report.marks import SMOOTHER_COLOUR
-from comparisons.report.odometry import build_front_end_result, front_end_page
-from comparisons.report.panels import consistency_panels
-from comparisons.report.result import build_result
 from comparisons.report.rows import log_rows
-from comparisons.report.run import run_page
 from comparisons.report.sections import log_result
-from comparisons.report.solution import build_solution_result, solution_page
 
 
 def html(result: object) -> str:
@@ -47,32 +36,7 @@ def framed(document: str) -> str:
 @singledispatch
 def content_of(result: object) -> PageContent:
     """Return what stands on a result's page."""
-    raise TypeError(f"a {type(result).__name__} is shown by nobody")
-
-
-@content_of.register
-def _(comparison: Comparison) -> PageContent:
-    return run_page(comparison, consistency_panels(comparison), build_result(comparison), ())
-
-
-@content_of.register
-def _(check: ExternalCheck) -> PageContent:
-    return check_page(check, build_check_result(check))
-
-
-@content_of.register
-def _(solution: Solution) -> PageContent:
-    return solution_page(solution, build_solution_result(solution))
-
-
-@content_of.register
-def _(front_end: FrontEnd) -> PageContent:
-    return front_end_page(front_end, build_front_end_result(front_end))
-
-
-@content_of.register
-def _(mapping: DenseMapping) -> PageContent:
-    return map_page(mapping, build_map_result(mapping))
+    return report_of(result).page()
 
 
 @content_of.register

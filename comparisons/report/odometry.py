@@ -27,6 +27,7 @@ from comparisons.report.figures.odometry import front_end_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import Track, estimate_map
 from comparisons.report.html.page import PageContent, write_page
+from comparisons.report.job import Report
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import JobResult, SmootherResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
@@ -82,100 +83,102 @@ class FrontEndResult(JobResult):
     reasons: list[str]
 
 
-def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> FrontEndResult:
-    """The findings, read being the time that reading the log took."""
-    f = front_end
-    reasons = [why for why in (f.motion.lacks, f.graph.optimality.lacks) if why]
-    return FrontEndResult(
-        odometry=scan_odometry_result(f.motion, seconds=f.prepared.clock.seconds["odometry"]),
-        loops=LoopResult(
-            tried=len(f.closed.attempts),
-            closed=len(f.closed.loop_closures.first),
-            reasons=by_reason(a.outcome for a in f.closed.attempts if a.outcome != "accepted"),
-        ),
-        graph=smoother_result(f.graph, f.estimate),
-        landmarks=len(f.estimate.landmark),
-        gps=f.prepared.config.front_end.gps,
-        increments=f.increments,
-        wheels=f.accuracy_wheels,
-        scan_odometry=f.accuracy_odometry,
-        scan_graph=f.accuracy_graph,
-        verdict="unverified" if reasons else "verified",
-        reasons=reasons,
-        remarks=_remarks(f),
-        **about_job(f.prepared, f.prepared.clock.after(read)),
-    )
+class FrontEndReport(Report[FrontEnd, FrontEndResult]):
+    """Report of `slamcheck odometry`."""
 
-
-def front_end_summary(result: FrontEndResult) -> Summary:
-    """Return what the command prints: outcome, scans, loop closures and accuracy."""
-    o = result.odometry
-    each = {
-        "wheels": result.wheels,
-        "scans": result.scan_odometry,
-        "scans with loops": result.scan_graph,
-    }
-    return Summary(
-        headline=f"verdict: {result.verdict}",
-        style=STYLES[result.verdict],
-        reasons=result.reasons,
-        remarks=result.remarks,
-        lines=[
-            ("scans", f"{o.used:,} of {o.scans:,} scans used, {o.breaks} restarts"),
-            ("loops", f"{result.loops.closed} closed of {result.loops.tried} tried"),
-            *accuracy_line(each),
-        ],
-        rows=[
-            *log_rows(result.log),
-            *settings_rows(result.settings),
-            *scan_odometry_rows(o, result.increments),
-            Row("Loop closure", "pairs of poses tried", f"{result.loops.tried:,}"),
-            Row("Loop closure", "pairs of poses closed", f"{result.loops.closed:,}"),
-            *smoother_rows(result.graph),
-            *accuracy_rows("the wheels", result.wheels),
-            *accuracy_rows("scan odometry", result.scan_odometry),
-            *accuracy_rows("the scan graph", result.scan_graph),
-            *seconds_rows(result.seconds, result.cpu_s),
-        ],
-    )
-
-
-def front_end_page(front_end: FrontEnd, result: FrontEndResult) -> PageContent:
-    """Return what stands on the page."""
-    f, path = front_end, partial(Track, time_s=front_end.time_s)
-    others = [path(name="scan odometry", colour=EKF_COLOUR, dashes="5 3", pose=f.odometry)]
-    if f.wheels is not None:
-        others.append(path(name="wheels", colour=TRUTH_COLOUR, dashes="2 2", pose=f.wheels))
-    cloud = ("scans", f.map_points()[:, :2])
-    drawn = estimate_map(f.log, "scan graph", SMOOTHER_COLOUR, f.estimate, *others, cloud=cloud)
-    return job_page(result, front_end_summary(result), "odometry", drawn, f.prepared.config)
-
-
-def front_end_folder(front_end: FrontEnd, result: FrontEndResult) -> JobFolder:
-    """Return what is to be written. A map as a cloud needs Open3D: raises MissingLibraryError."""
-    f, cloud = front_end, front_end.prepared.config.cloud
-    points, problem = f.map_points(), f.graph.problem
-    files: dict[str, Callable[[Path], object]] = {
-        "odometry.tum": _tum(f.time_s, f.odometry),
-        "report.html": partial(write_page, front_end_page(f, result)),
-    }
-    if f.wheels is not None:
-        files["wheels.tum"] = _tum(f.time_s, f.wheels)
-    if holds(problem):
-        contents = G2oContents(
-            problem, f.estimate.pose, f.estimate.landmark, landmark_ids=f.estimate.landmark_id
+    @staticmethod
+    def build(front_end: FrontEnd, read: Clock | None = None) -> FrontEndResult:
+        """The findings, read being the time that reading the log took."""
+        f = front_end
+        reasons = [why for why in (f.motion.lacks, f.graph.optimality.lacks) if why]
+        return FrontEndResult(
+            odometry=scan_odometry_result(f.motion, seconds=f.prepared.clock.seconds["odometry"]),
+            loops=LoopResult(
+                tried=len(f.closed.attempts),
+                closed=len(f.closed.loop_closures.first),
+                reasons=by_reason(a.outcome for a in f.closed.attempts if a.outcome != "accepted"),
+            ),
+            graph=smoother_result(f.graph, f.estimate),
+            landmarks=len(f.estimate.landmark),
+            gps=f.prepared.config.front_end.gps,
+            increments=f.increments,
+            wheels=f.accuracy_wheels,
+            scan_odometry=f.accuracy_odometry,
+            scan_graph=f.accuracy_graph,
+            verdict="unverified" if reasons else "verified",
+            reasons=reasons,
+            remarks=_remarks(f),
+            **about_job(f.prepared, f.prepared.clock.after(read)),
         )
-        files["graph.g2o"] = lambda path: write_g2o(path, contents)
-    if cloud is not None:
-        files[f"map.{cloud}"] = lambda path: write_cloud(path, points)
-    return JobFolder(
-        name="odometry",
-        result=result,
-        config=f.prepared.config,
-        estimates={"graph": f.estimate},
-        figures={"map": front_end_figure(f, points)},
-        files=files,
-    )
+
+    def summary(self) -> Summary:
+        """Return what the command prints: outcome, scans, loop closures and accuracy."""
+        result = self.result
+        o = result.odometry
+        each = {
+            "wheels": result.wheels,
+            "scans": result.scan_odometry,
+            "scans with loops": result.scan_graph,
+        }
+        return Summary(
+            headline=f"verdict: {result.verdict}",
+            style=STYLES[result.verdict],
+            reasons=result.reasons,
+            remarks=result.remarks,
+            lines=[
+                ("scans", f"{o.used:,} of {o.scans:,} scans used, {o.breaks} restarts"),
+                ("loops", f"{result.loops.closed} closed of {result.loops.tried} tried"),
+                *accuracy_line(each),
+            ],
+            rows=[
+                *log_rows(result.log),
+                *settings_rows(result.settings),
+                *scan_odometry_rows(o, result.increments),
+                Row("Loop closure", "pairs of poses tried", f"{result.loops.tried:,}"),
+                Row("Loop closure", "pairs of poses closed", f"{result.loops.closed:,}"),
+                *smoother_rows(result.graph),
+                *accuracy_rows("the wheels", result.wheels),
+                *accuracy_rows("scan odometry", result.scan_odometry),
+                *accuracy_rows("the scan graph", result.scan_graph),
+                *seconds_rows(result.seconds, result.cpu_s),
+            ],
+        )
+
+    def page(self) -> PageContent:
+        """Return what stands on the page."""
+        f, path = self.found, partial(Track, time_s=self.found.time_s)
+        others = [path(name="scan odometry", colour=EKF_COLOUR, dashes="5 3", pose=f.odometry)]
+        if f.wheels is not None:
+            others.append(path(name="wheels", colour=TRUTH_COLOUR, dashes="2 2", pose=f.wheels))
+        cloud = ("scans", f.map_points()[:, :2])
+        drawn = estimate_map(f.log, "scan graph", SMOOTHER_COLOUR, f.estimate, *others, cloud=cloud)
+        return job_page(self.result, self.summary(), "odometry", drawn, f.prepared.config)
+
+    def folder(self) -> JobFolder:
+        """Return what is to be written. Raises MissingLibraryError: a cloud needs Open3D."""
+        f, cloud = self.found, self.found.prepared.config.cloud
+        points, problem = f.map_points(), f.graph.problem
+        files: dict[str, Callable[[Path], object]] = {
+            "odometry.tum": _tum(f.time_s, f.odometry),
+            "report.html": partial(write_page, self.page()),
+        }
+        if f.wheels is not None:
+            files["wheels.tum"] = _tum(f.time_s, f.wheels)
+        if holds(problem):
+            contents = G2oContents(
+                problem, f.estimate.pose, f.estimate.landmark, landmark_ids=f.estimate.landmark_id
+            )
+            files["graph.g2o"] = lambda path: write_g2o(path, contents)
+        if cloud is not None:
+            files[f"map.{cloud}"] = lambda path: write_cloud(path, points)
+        return JobFolder(
+            name="odometry",
+            result=self.result,
+            config=f.prepared.config,
+            estimates={"graph": f.estimate},
+            figures={"map": front_end_figure(f, points)},
+            files=files,
+        )
 
 
 def _tum(time_s: np.ndarray, pose: np.ndarray) -> Callable[[Path], object]:

@@ -1,8 +1,10 @@
-"""The folder that a run leaves: result.json, the page, all estimates, and figures on request."""
+"""What `slamcheck run` reports: result.json, what is printed, and its folder with a page."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,11 @@ import numpy as np
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
 from comparisons.checks.agreement import BlockAgreement
+from comparisons.checks.check import value_of
+from comparisons.checks.position_gate import PositionsFinding
+from comparisons.figures import stored
 from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.prepare import Clock
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.heat_map import heat_maps
 from comparisons.report.html.map import (
@@ -23,16 +29,26 @@ from comparisons.report.html.map import (
 )
 from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
+from comparisons.report.job import Report
 from comparisons.report.ladder import ladder
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.models import Result
-from comparisons.report.panels import (
-    ConsistencyPanels,
-    consistency_panels,
-    further_estimates,
+from comparisons.report.models import SCHEMA, Result
+from comparisons.report.panels import ConsistencyPanels, consistency_panels, further_estimates
+from comparisons.report.rows import (
+    AGREEING_RATIOS,
+    agreeing,
+    block_rows,
+    ekf_rows,
+    gap_rows,
+    log_rows,
+    pose_words,
+    seconds_rows,
+    smoother_rows,
 )
-from comparisons.report.result import finding_lines, run_rows
-from comparisons.report.settings import setting_lines
+from comparisons.report.sections import about_job, ekf_result, smoother_result
+from comparisons.report.settings import setting_lines, settings_rows
+from comparisons.report.terminal import STYLES, Summary
+from comparisons.words import Row
 from ekf_reference.core.state import correlation_coefficients
 
 if TYPE_CHECKING:
@@ -47,34 +63,160 @@ _WORDS = {
 }
 
 
-def run_folder(comparison: Comparison, result: Result) -> JobFolder:
-    """Return what is to be written."""
-    c, config, panels = comparison, comparison.prepared.config, consistency_panels(comparison)
-    found = c.findings.values()
-    own = {name: figure for one in found for name, figure in one.figures().items()}
+class RunReport(Report[Comparison, Result]):
+    """Report of `slamcheck run`: both estimators on one log."""
 
-    def write(path: Path) -> None:
-        pictures = [path.with_name(f"{name}.png") for name in own]
-        write_page(run_page(comparison, panels, result, pictures), path)
+    @staticmethod
+    def build(comparison: Comparison, read: Clock | None = None) -> Result:
+        """Return the findings of a run, read being the time that reading the log took."""
+        c, fixes = comparison, value_of(comparison.findings, PositionsFinding)
+        entries = {
+            key: entry if key in Result.model_fields else stored(entry)
+            for found in c.findings.values()
+            for key, entry in found.entries.items()
+        }
+        return Result(
+            schema_version=SCHEMA,
+            ekf=ekf_result(c.ekf, c.prepared.ekf, fixes),
+            smoother=smoother_result(c.smoother, c.smoothed),
+            agreement=replace(
+                c.agreement,
+                algebra_limit_sigma=c.gaps.algebra_rounding.sigma,
+                model_limit_sigma=c.gaps.model_rounding.sigma,
+            ),
+            verdict=c.verdict.outcome,
+            summary=c.verdict.summary,
+            qualifiers=list(c.verdict.qualifiers),
+            inconsistent=None if c.verdict.inconsistent is None else list(c.verdict.inconsistent),
+            failed_on=list(c.verdict.failed_on),
+            not_checked=dict(c.absent),
+            causes=c.verdict.causes,
+            remarks=list(c.verdict.remarks),
+            **about_job(c.prepared, c.prepared.clock.after(read), c.prepared.ekf),
+            **entries,
+        )
 
-    files: dict[str, Callable[[Path], object]] = {"report.html": write}
-    if config.report.trace:
-        from comparisons.audit.run_trace import write_run
-        from comparisons.estimates.trace_file import TRACE
+    @cached_property
+    def panels(self) -> ConsistencyPanels:
+        """Curves over time."""
+        return consistency_panels(self.found)
 
-        files[f"ekf/{TRACE}"] = lambda path: write_run(comparison.ekf, path)
-    return JobFolder(
-        name="result",
-        result=result,
-        config=config,
-        estimates={
-            "ekf": c.ekf.estimate,
-            "smoother": c.smoothed,
-            **{name: estimate for one in found for name, estimate in one.estimates.items()},
-        },
-        figures={**(_figures(comparison, panels) if config.report.figures else {}), **own},
-        files=files,
-    )
+    @property
+    def outcome(self) -> str:
+        """Return the word that decides the command's exit code."""
+        return "disagree" if self.result.failed_on else self.result.verdict
+
+    def summary(self) -> Summary:
+        """Return what the command prints."""
+        result = self.result
+        gaps = result.agreement
+        landmarks = [*gaps.landmarks, *gaps.pose_landmarks]
+        agree = sum(row.agrees for row in landmarks)
+        failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
+        qualified = result.verdict == "agree" and result.qualifiers
+        return Summary(
+            headline=f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}",
+            style=STYLES["unverified" if qualified else result.verdict],
+            causes=result.causes,
+            remarks=result.remarks,
+            steps=ladder(result),
+            lines=[
+                (
+                    "agreement",
+                    f"{agree} of {len(landmarks)} landmarks "
+                    f"({gaps.landmark_difference_rms_m:.3f} m rms); {pose_words(gaps.pose)}",
+                ),
+                *finding_lines(self.found),
+            ],
+            rows=[*run_rows(self.found, result), *seconds_rows(result.seconds, result.cpu_s)],
+        )
+
+    def page(self, pictures: Sequence[Path] = ()) -> PageContent:
+        """Return what stands on the page. pictures: files of those that have been drawn."""
+        result, panels = self.result, self.panels
+        c, a = self.found, result.agreement.landmarks
+        ekf, found = c.ekf.estimate, c.findings.values()
+        marked = farthest(np.array([block.distance_sigma for block in c.agreement.landmarks]))
+        labelled = c.prepared.labelled
+        errors = landmark_errors(ekf.landmark_id, ekf.landmark, c.log, labelled=labelled)
+        names = ekf.names
+        rows = [LandmarkRow(str(a[i].id), names[i], a[i], errors[i]) for i in marked.tolist()]
+        scan = [row for one in found for row in one.landmarks()]
+        rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
+        inconsistent = "; ".join(result.inconsistent or ())
+        qualified = result.verdict == "agree" and result.qualifiers
+        return PageContent(
+            job="run",
+            name=result.log.name,
+            headline=result.headline,
+            colour="unverified" if qualified else result.verdict,
+            words=_WORDS[result.verdict],
+            facts=[
+                *_facts(result, [*a, *scan]),
+                *(
+                    (name[:1].upper() + name[1:], words)
+                    for name, words in finding_lines(c)
+                    if not (inconsistent and name == "consistency")  # a note says it
+                ),
+            ],
+            about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
+            notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
+            causes=result.causes,
+            remarks=result.remarks,
+            steps=ladder(result),
+            map=run_map(c, marked),
+            reported=panels.reported,
+            panels=panels.every,
+            curves_file="consistency.png" if c.prepared.config.report.figures else "",
+            rows=run_rows(c, result),
+            pictures=pictures,
+            sections=[
+                heat_maps(
+                    "Correlation coefficients",
+                    {
+                        name: correlation_coefficients(estimate.joint_covariance)
+                        for name, estimate in (("EKF", ekf), ("smoother", c.smoothed))
+                    },
+                ),
+                *(section for one in found for section in one.sections()),
+            ],
+            landmarks=rows,
+            landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
+            settings=setting_lines(c.prepared.config, result.settings, c.prepared.ekf),
+            seconds=result.seconds,
+            cpu_s=result.cpu_s or {},
+            versions=result.versions,
+        )
+
+    def folder(self) -> JobFolder:
+        """Return what is to be written."""
+        c, config = self.found, self.found.prepared.config
+        found = c.findings.values()
+        own = {name: figure for one in found for name, figure in one.figures().items()}
+
+        def write(path: Path) -> None:
+            pictures = [path.with_name(f"{name}.png") for name in own]
+            write_page(self.page(pictures), path)
+
+        files: dict[str, Callable[[Path], object]] = {"report.html": write}
+        if config.report.trace:
+            from comparisons.audit.run_trace import write_run
+            from comparisons.estimates.trace_file import TRACE
+
+            files[f"ekf/{TRACE}"] = lambda path: write_run(c.ekf, path)
+        return JobFolder(
+            name="result",
+            result=self.result,
+            config=config,
+            estimates={
+                "ekf": c.ekf.estimate,
+                "smoother": c.smoothed,
+                **{name: estimate for one in found for name, estimate in one.estimates.items()},
+            },
+            formats=config.report.figures,
+            figures={**(_figures(c, self.panels) if config.report.figures else {}), **own},
+            files=files,
+        )
 
 
 def _figures(comparison: Comparison, panels: ConsistencyPanels) -> dict[str, Figure]:
@@ -89,63 +231,34 @@ def _figures(comparison: Comparison, panels: ConsistencyPanels) -> dict[str, Fig
     }
 
 
-def run_page(
-    comparison: Comparison, panels: ConsistencyPanels, result: Result, pictures: Sequence[Path]
-) -> PageContent:
-    """Return what stands on the page. pictures: files of those that have been drawn."""
-    c, a = comparison, result.agreement.landmarks
-    ekf, found = c.ekf.estimate, c.findings.values()
-    marked = farthest(np.array([block.distance_sigma for block in c.agreement.landmarks]))
-    labelled = c.prepared.labelled
-    errors = landmark_errors(ekf.landmark_id, ekf.landmark, c.log, labelled=labelled)
-    names = ekf.names
-    rows = [LandmarkRow(str(a[i].id), names[i], a[i], errors[i]) for i in marked.tolist()]
-    scan = [row for one in found for row in one.landmarks()]
-    rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
-    inconsistent = "; ".join(result.inconsistent or ())
-    qualified = result.verdict == "agree" and result.qualifiers
-    return PageContent(
-        job="run",
-        name=result.log.name,
-        headline=result.headline,
-        colour="unverified" if qualified else result.verdict,
-        words=_WORDS[result.verdict],
-        facts=[
-            *_facts(result, [*a, *scan]),
-            *(
-                (name[:1].upper() + name[1:], words)
-                for name, words in finding_lines(c)
-                if not (inconsistent and name == "consistency")  # a note says it
-            ),
-        ],
-        about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
-        notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
-        causes=result.causes,
-        remarks=result.remarks,
-        steps=ladder(result),
-        map=run_map(comparison, marked),
-        reported=panels.reported,
-        panels=panels.every,
-        curves_file="consistency.png" if c.prepared.config.report.figures else "",
-        rows=run_rows(comparison, result),
-        pictures=pictures,
-        sections=[
-            heat_maps(
-                "Correlation coefficients",
-                {
-                    name: correlation_coefficients(estimate.joint_covariance)
-                    for name, estimate in (("EKF", ekf), ("smoother", c.smoothed))
-                },
-            ),
-            *(section for one in found for section in one.sections()),
-        ],
-        landmarks=rows,
-        landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
-        settings=setting_lines(c.prepared.config, result.settings, c.prepared.ekf),
-        seconds=result.seconds,
-        cpu_s=result.cpu_s or {},
-        versions=result.versions,
-    )
+def run_rows(comparison: Comparison, result: Result) -> list[Row]:
+    """Return log, evidence and gaps, then what the checks found, and what they lack."""
+    gaps = result.agreement
+    return [
+        *log_rows(result.log),
+        *settings_rows(result.settings),
+        *ekf_rows(result.ekf),
+        *smoother_rows(result.smoother),
+        *gap_rows(ladder(result)),
+        *agreeing(gaps.landmarks, "EKF"),
+        Row(
+            "Map, EKF and smoother",
+            "difference of the landmarks (rms)",
+            f"{gaps.landmark_difference_rms_m:.3f} m",
+        ),
+        *block_rows("Last pose", "EKF", gaps.pose, AGREEING_RATIOS),
+        *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
+        *(row for found in comparison.findings.values() for row in found.rows()),
+        *(
+            Row("Not checked", name.replace("_", " "), why)
+            for name, why in comparison.absent.items()
+        ),
+    ]
+
+
+def finding_lines(comparison: Comparison) -> list[tuple[str, str]]:
+    """Return the lines of the summary that findings have, a name and words each."""
+    return [found.line for found in comparison.findings.values() if found.line is not None]
 
 
 def _facts(result: Result, landmarks: Sequence[BlockAgreement]) -> list[tuple[str, str]]:

@@ -23,8 +23,7 @@ from comparisons.errors import InputError, printable
 from comparisons.figures import current
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
-from comparisons.report.models import Result
-from comparisons.report.result import metrics
+from comparisons.report.models import Result, metrics
 
 Cell = str | float | None
 Row = tuple[str, list[Cell]]

@@ -18,6 +18,7 @@ from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import Track, estimate_map
 from comparisons.report.html.page import PageContent, write_page
+from comparisons.report.job import Report
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
@@ -32,29 +33,108 @@ LARGEST_DRAWN = 150
 """Variables of the largest graph that is drawn as dot."""
 
 
-def build_solution_result(solution: Solution, read: Clock | None = None) -> SolutionResult:
-    """Return the findings, read being the time that reading the log took."""
-    s, lacks, misfit = solution, solution.lacks, misfit_remarks(solution.result.optimality)
-    return SolutionResult(
-        association_by=s.association_by,
-        landmarks=len(s.estimate.landmark),
-        measurements_used=int(np.count_nonzero(s.landmark_index >= 0)),
-        gps=s.prepared.ekf.gps,
-        smoother=smoother_result(s.result, s.estimate),
-        accuracy=s.accuracy,
-        dead_reckoning=s.accuracy_dead_reckoned,
-        association=s.association,
-        association_check=s.association_check,
-        pose_graph=_pose_graph(s),
-        verdict="verified" if s.verified else "unverified",
-        reasons=lacks,
-        remarks=[
-            *([FRAME] if s.log.prior.open else []),
-            *s.frames,
-            *([] if s.misread else [one for one in misfit if one not in lacks]),
-        ],
-        **about_job(s.prepared, s.prepared.clock.after(read)),
-    )
+class SolutionReport(Report[Solution, SolutionResult]):
+    """Report of `slamcheck solve`."""
+
+    @staticmethod
+    def build(solution: Solution, read: Clock | None = None) -> SolutionResult:
+        """Return the findings, read being the time that reading the log took."""
+        s, lacks, misfit = solution, solution.lacks, misfit_remarks(solution.result.optimality)
+        return SolutionResult(
+            association_by=s.association_by,
+            landmarks=len(s.estimate.landmark),
+            measurements_used=int(np.count_nonzero(s.landmark_index >= 0)),
+            gps=s.prepared.ekf.gps,
+            smoother=smoother_result(s.result, s.estimate),
+            accuracy=s.accuracy,
+            dead_reckoning=s.accuracy_dead_reckoned,
+            association=s.association,
+            association_check=s.association_check,
+            pose_graph=_pose_graph(s),
+            verdict="verified" if s.verified else "unverified",
+            reasons=lacks,
+            remarks=[
+                *([FRAME] if s.log.prior.open else []),
+                *s.frames,
+                *([] if s.misread else [one for one in misfit if one not in lacks]),
+            ],
+            **about_job(s.prepared, s.prepared.clock.after(read)),
+        )
+
+    def summary(self) -> Summary:
+        """Return what the command prints: outcome, map, evidence and accuracy."""
+        result = self.result
+        measurements, smoother = result.log.records["measurements"], result.smoother
+        tested = f"chi-square {rounded(smoother.chi2)}"
+        if smoother.dof:
+            low, high = smoother.chi2_band
+            tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
+        accuracy = {"smoother": result.accuracy, "odometry": result.dead_reckoning}
+        used = "measurements used for the map"
+        return Summary(
+            headline=f"verdict: {result.verdict}",
+            style=STYLES[result.verdict],
+            reasons=result.reasons,
+            remarks=result.remarks,
+            lines=[
+                (
+                    "map",
+                    f"{result.landmarks:,} landmarks from {result.measurements_used:,} of "
+                    f"{measurements:,} measurements (association: {result.association_by})",
+                ),
+                ("optimum", f"{tested}, {smoother.poses:,} poses"),
+                *accuracy_line(accuracy),
+            ],
+            rows=[
+                *log_rows(result.log),
+                *settings_rows(result.settings),
+                Row("Map", "landmarks", f"{result.landmarks:,}"),
+                Row("Map", used, f"{result.measurements_used:,} of {measurements:,}"),
+                Row("Map", "association", result.association_by),
+                *_pose_graph_rows(result),
+                *smoother_rows(smoother),
+                *accuracy_rows("the smoother", result.accuracy),
+                *accuracy_rows("dead reckoning", result.dead_reckoning),
+                *association_rows(result.association, "the smoother"),
+                *(result.association_check.rows() if result.association_check else ()),
+                *seconds_rows(result.seconds, result.cpu_s),
+            ],
+        )
+
+    def page(self) -> PageContent:
+        """Return what stands on the page."""
+        s = self.found
+        reckoned = Track(
+            name="dead reckoning",
+            colour=TRUTH_COLOUR,
+            dashes="2 2",
+            time_s=s.estimate.time_s,
+            pose=s.dead_reckoned,
+        )
+        drawn = estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
+        return job_page(self.result, self.summary(), "solve", drawn, s.prepared.config)
+
+    def folder(self) -> JobFolder:
+        """Return what is to be written."""
+        estimate, smoothed = self.found.estimate, self.found.result
+        contents = G2oContents(
+            smoothed.problem, estimate.pose, estimate.landmark, landmark_ids=estimate.landmark_id
+        )
+        files: dict[str, Callable[[Path], object]] = {
+            "report.html": partial(write_page, self.page())
+        }
+        if holds(smoothed.problem):
+            files["graph.g2o"] = lambda path: write_g2o(path, contents)
+        if smoothed.values.size() <= LARGEST_DRAWN:
+            files["graph.dot"] = lambda path: smoothed.graph.saveGraph(str(path), smoothed.values)
+        return JobFolder(
+            name="solution",
+            result=self.result,
+            config=self.found.prepared.config,
+            estimates={"smoother": estimate},
+            figures={"map": solution_figure(self.found)},
+            files=files,
+        )
 
 
 def _pose_graph(solution: Solution) -> PoseGraphResult | None:
@@ -68,46 +148,6 @@ def _pose_graph(solution: Solution) -> PoseGraphResult | None:
     )
 
 
-def solution_summary(result: SolutionResult) -> Summary:
-    """Return what the command prints: outcome, map, evidence and accuracy."""
-    measurements, smoother = result.log.records["measurements"], result.smoother
-    tested = f"chi-square {rounded(smoother.chi2)}"
-    if smoother.dof:
-        low, high = smoother.chi2_band
-        tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
-    accuracy = {"smoother": result.accuracy, "odometry": result.dead_reckoning}
-    used = "measurements used for the map"
-    return Summary(
-        headline=f"verdict: {result.verdict}",
-        style=STYLES[result.verdict],
-        reasons=result.reasons,
-        remarks=result.remarks,
-        lines=[
-            (
-                "map",
-                f"{result.landmarks:,} landmarks from {result.measurements_used:,} of "
-                f"{measurements:,} measurements (association: {result.association_by})",
-            ),
-            ("optimum", f"{tested}, {smoother.poses:,} poses"),
-            *accuracy_line(accuracy),
-        ],
-        rows=[
-            *log_rows(result.log),
-            *settings_rows(result.settings),
-            Row("Map", "landmarks", f"{result.landmarks:,}"),
-            Row("Map", used, f"{result.measurements_used:,} of {measurements:,}"),
-            Row("Map", "association", result.association_by),
-            *_pose_graph_rows(result),
-            *smoother_rows(smoother),
-            *accuracy_rows("the smoother", result.accuracy),
-            *accuracy_rows("dead reckoning", result.dead_reckoning),
-            *association_rows(result.association, "the smoother"),
-            *(result.association_check.rows() if result.association_check else ()),
-            *seconds_rows(result.seconds, result.cpu_s),
-        ],
-    )
-
-
 def _pose_graph_rows(result: SolutionResult) -> list[Row]:
     graph = result.pose_graph
     if graph is None:
@@ -118,40 +158,3 @@ def _pose_graph_rows(result: SolutionResult) -> list[Row]:
         Row("Pose graph", "chi-square of dead reckoning", f"{graph.initial_chi2:.6g}"),
         Row("Pose graph", "chi-square at the optimum", f"{result.smoother.chi2:.6g}"),
     ]
-
-
-def solution_page(solution: Solution, result: SolutionResult) -> PageContent:
-    """Return what stands on the page."""
-    s = solution
-    reckoned = Track(
-        name="dead reckoning",
-        colour=TRUTH_COLOUR,
-        dashes="2 2",
-        time_s=s.estimate.time_s,
-        pose=s.dead_reckoned,
-    )
-    drawn = estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
-    return job_page(result, solution_summary(result), "solve", drawn, s.prepared.config)
-
-
-def solution_folder(solution: Solution, result: SolutionResult) -> JobFolder:
-    """Return what is to be written."""
-    estimate, smoothed = solution.estimate, solution.result
-    contents = G2oContents(
-        smoothed.problem, estimate.pose, estimate.landmark, landmark_ids=estimate.landmark_id
-    )
-    files: dict[str, Callable[[Path], object]] = {
-        "report.html": partial(write_page, solution_page(solution, result))
-    }
-    if holds(smoothed.problem):
-        files["graph.g2o"] = lambda path: write_g2o(path, contents)
-    if smoothed.values.size() <= LARGEST_DRAWN:
-        files["graph.dot"] = lambda path: smoothed.graph.saveGraph(str(path), smoothed.values)
-    return JobFolder(
-        name="solution",
-        result=result,
-        config=solution.prepared.config,
-        estimates={"smoother": estimate},
-        figures={"map": solution_figure(solution)},
-        files=files,
-    )

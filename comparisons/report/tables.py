@@ -23,10 +23,10 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import Solution
-from comparisons.report.check import build_check_result
+from comparisons.report.check import CheckReport
 from comparisons.report.folder import leaves
 from comparisons.report.ladder import check_ladder, ladder
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -167,7 +167,7 @@ def comparison_tables(c: Comparison) -> Tables:
         return [_landmark(block) for block in c.agreement.landmarks]
 
     return {
-        "gaps": lambda: [asdict(step) for step in ladder(build_result(c))],
+        "gaps": lambda: [asdict(step) for step in ladder(RunReport.build(c))],
         "landmarks": landmarks,
         "nees": lambda: _nees({"ekf": c.consistency.ekf, "smoother": c.consistency.smoother}),
         "nis": lambda: _nis(c.consistency.sensors),
@@ -185,7 +185,7 @@ def check_tables(c: ExternalCheck) -> Tables:
         return [_landmark(block) for block in found.landmarks]
 
     return {
-        "gaps": lambda: [asdict(step) for step in check_ladder(build_check_result(c))],
+        "gaps": lambda: [asdict(step) for step in check_ladder(CheckReport.build(c))],
         "poses": lambda: pose_columns(given.time_s, given.pose, given.pose_covariance),
         "landmarks": landmarks,
         "nees": lambda: _nees(

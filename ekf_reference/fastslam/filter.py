@@ -306,12 +306,6 @@ class FastSlam:
         covariance += np.einsum("nl,nli,nlj->lij", part, apart, apart)
         return MixtureMap(maps.number[column], mean, covariance, share)
 
-    def best_map(self) -> tuple[NDArray[np.int64], Array, Array]:
-        """Return numbers (L,), means (L, 2) and covariances (L, 2, 2) of the likeliest particle."""
-        best, maps = int(self.log_weight.argmax()), self.maps
-        column = np.flatnonzero(maps.evidence[best] > 0.0)
-        return maps.number[column], maps.mean[best, column], maps.covariance[best, column]
-
     def state(self) -> SavedFilter:
         """Return a copy of all that changes, from which `restore` goes on to the bit."""
         return SavedFilter(

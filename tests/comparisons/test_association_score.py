@@ -15,7 +15,7 @@ from comparisons.checks.association import (
 )
 from comparisons.logs.log import Landmarks, Log, Truth
 from comparisons.pipeline.compare import Modified
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.known import SurveyedLandmarks
 from ekf_reference.core.ekf import Ekf
@@ -148,4 +148,4 @@ def test_searches_that_were_cut_off_are_counted_and_said() -> None:
     assert found[4000].ekf.cut_off == 0 == len(reported[4000])
     assert found[2].ekf.cut_off > 10
     assert f"in {found[2].ekf.cut_off:,} scans" in reported[2][0]
-    assert build_result(found[2]).ekf.cut_off == found[2].ekf.cut_off
+    assert RunReport.build(found[2]).ekf.cut_off == found[2].ekf.cut_off

@@ -25,7 +25,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check_external
 from comparisons.pipeline.solve import solve
 from comparisons.report.models import SolutionResult
-from comparisons.report.solution import build_solution_result
+from comparisons.report.solution import SolutionReport
 from tests.commands import slamcheck
 from tests.helpers import present, simulated, without_labels
 
@@ -107,7 +107,7 @@ def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) 
     """The wrong one: the noise is six times what the log states."""
     good = solve(simulated(0), SolveConfig(association="own"))
     assert good.verified
-    result = build_solution_result(good)
+    result = SolutionReport.build(good)
     assert len(present(result.association_check).variants) == 4
     bad = simulated(1, loops=1, noise_scale=6.0)
     write_log_folder(bad, tmp_path / "noisy")

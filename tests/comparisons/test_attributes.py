@@ -13,7 +13,7 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from comparisons.settings import run_config
 from ekf_reference.association.attributes import RememberedAttributes
 from ekf_reference.core.ekf import Ekf
@@ -55,11 +55,11 @@ def test_landmarks_remember_what_their_measurements_told() -> None:
 def test_both_estimators_follow_an_association_by_attributes() -> None:
     log, _ = with_diameters(loop_s=10.0)
     comparison = compared(log, ekf=ON)
-    result = build_result(comparison)
+    result = RunReport.build(comparison)
     assert result.ekf.attributes == "on"
     gaps = result.agreement.algebra_gap_sigma, result.agreement.model_gap_sigma
     assert all(gap is not None and gap < 1e-6 for gap in gaps)
-    off = build_result(compared(log, association="nn"))
+    off = RunReport.build(compared(log, association="nn"))
     assert off.ekf.attributes == "off"
 
 

@@ -38,9 +38,9 @@ from comparisons.figures import current
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.check import CheckResult, build_check_result
-from comparisons.report.models import EkfResult, Result
-from comparisons.report.result import build_result, metrics
+from comparisons.report.check import CheckReport, CheckResult
+from comparisons.report.models import EkfResult, Result, metrics
+from comparisons.report.run import RunReport
 from comparisons.settings import run_config
 from tests.commands import refused, slamcheck, works
 from tests.helpers import compared, present, simulated
@@ -53,7 +53,7 @@ def comparison() -> Comparison:
 
 @pytest.fixture(scope="module")
 def result(comparison: Comparison) -> Result:
-    return build_result(comparison)
+    return RunReport.build(comparison)
 
 
 @pytest.fixture(scope="module")
@@ -64,14 +64,14 @@ def estimate(comparison: Comparison) -> Estimate:
 
 @pytest.fixture(scope="module")
 def checked(estimate: Estimate) -> CheckResult:
-    return build_check_result(check(simulated(loop_s=20.0), ExternalEstimate.of(estimate)))
+    return CheckReport.build(check(simulated(loop_s=20.0), ExternalEstimate.of(estimate)))
 
 
 @pytest.fixture(scope="module")
 def bare(estimate: Estimate) -> CheckResult:
     """The same without covariances and landmarks."""
     given = ExternalEstimate(time_s=estimate.time_s, pose=estimate.pose, information="filtered")
-    return build_check_result(check(simulated(loop_s=20.0), given))
+    return CheckReport.build(check(simulated(loop_s=20.0), given))
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_repetitions_tell_the_noise_floor(result: Result) -> None:
 
 
 def test_another_log_is_not_compared(kept: Baseline) -> None:
-    other = build_result(compared(simulated(seed=1, loop_s=20.0)))
+    other = RunReport.build(compared(simulated(seed=1, loop_s=20.0)))
     with pytest.raises(InputError, match="save a new baseline"):
         compare_with(kept, other)
 

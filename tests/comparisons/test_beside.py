@@ -25,8 +25,8 @@ from comparisons.pipeline import beside
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.pipeline.solve import solve
-from comparisons.report.result import build_result
-from comparisons.report.solution import build_solution_result
+from comparisons.report.run import RunReport
+from comparisons.report.solution import SolutionReport
 from comparisons.settings import run_config
 from tests.helpers import first_seconds, present, simulated
 
@@ -270,7 +270,7 @@ def test_a_run_with_its_own_association_is_the_same_to_the_bit(
         monkeypatch.setattr(beside, "cores", lambda cores=cores: cores)
         found.append(compare(log, config))
     assert seen == [False, False, True, True]  # F1 with F2, and S'
-    here, there = (_text(build_result(one)) for one in found)
+    here, there = (_text(RunReport.build(one)) for one in found)
     assert here == there
     assert here["own_association"]["landmarks"] > 3
     assert list(found[0].seconds) == list(found[1].seconds)
@@ -289,7 +289,7 @@ def test_a_solution_is_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> N
         monkeypatch.setattr(beside, "cores", lambda cores=cores: cores)
         solution = solve(log, SolveConfig(association="own"))
         names = [one.name for one in present(solution.association_check).variants]
-        texts.append(_text(build_solution_result(solution)))
+        texts.append(_text(SolutionReport.build(solution)))
     assert seen == [False, True]
     assert texts[0] == texts[1]
     assert names == ["reversed time", "shifted borders", "looser settings", "stricter settings"]

@@ -20,9 +20,8 @@ from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.pipeline.check import ExternalCheck, check
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.check import build_check_result, check_folder, check_page, check_summary
+from comparisons.report.check import CheckReport
 from comparisons.report.figures.check import check_figure
-from comparisons.report.folder import write_job_folder
 from comparisons.report.html.page import page
 from comparisons.report.ladder import EXTERNAL, SMOOTHER, check_ladder
 from comparisons.report.marks import Panel
@@ -62,7 +61,7 @@ def overconfident(given: ExternalEstimate) -> ExternalEstimate:
 
 
 def html(found: ExternalCheck) -> str:
-    return page(check_page(found, build_check_result(found)))
+    return page(CheckReport.of(found).page())
 
 
 def named(panels: tuple[Panel, ...], curve: str) -> list[Panel]:
@@ -94,7 +93,7 @@ def test_everything_that_was_handed_in_is_on_the_page() -> None:
 
 def test_the_ladder_starts_at_the_estimate() -> None:
     """With covariances and map: to the reference that it equals, and to the smoother."""
-    result = build_check_result(sound())
+    result = CheckReport.build(sound())
     reference, optimum = check_ladder(result)
     assert (reference.above, reference.below) == (EXTERNAL, "reference EKF")
     assert present(reference.sigma) < 1e-6
@@ -113,13 +112,13 @@ def test_the_ladder_starts_at_the_estimate() -> None:
 def test_a_wrong_estimate_fails_where_it_is_wrong() -> None:
     """Of a path that is five times too long neither the filter nor the optimum is near."""
     stretched = replace(bare(filtered()), pose=filtered().pose * (5.0, 5.0, 1.0))
-    result = build_check_result(check(run().log, stretched))
+    result = CheckReport.build(check(run().log, stretched))
     steps = check_ladder(result)
     assert result.grade == "wrong"
     assert [step.state for step in steps] == ["fails", "fails"]
     optimum_named = {cause.gap for cause in result.causes} & {"optimum"}
     assert optimum_named
-    sound = check_ladder(build_check_result(check(run().log, bare(filtered()))))
+    sound = check_ladder(CheckReport.build(check(run().log, bare(filtered()))))
     assert "fails" not in [step.state for step in sound]
 
 
@@ -198,8 +197,8 @@ def test_without_labels_there_is_no_band() -> None:
 
 def test_what_was_not_handed_in_is_left_out_with_a_word(tmp_path: Path) -> None:
     found = check(run().log, bare(filtered()))
-    result = build_check_result(found)
-    write_job_folder(check_folder(found, result), tmp_path / "out")
+    result = CheckReport.build(found)
+    CheckReport(found, result).write(tmp_path / "out")
     written = json.loads((tmp_path / "out" / "check.json").read_text())
     assert {"map.png", "report.html"} < set(written["files"])
     assert written["consistency"]["truth"] is None
@@ -252,7 +251,7 @@ def test_one_far_away_does_not_hide_the_map() -> None:
 
 
 def test_what_log_and_estimate_are_called_is_text() -> None:
-    result = build_check_result(sound())
+    result = CheckReport.build(sound())
     hostile = result.model_copy(
         update={
             "config": {"estimate": HOSTILE},
@@ -260,7 +259,7 @@ def test_what_log_and_estimate_are_called_is_text() -> None:
             "remarks": [HOSTILE],
         }
     )
-    text = page(check_page(sound(), hostile))
+    text = page(CheckReport(sound(), hostile).page())
     assert text.count("<script") == 2
     assert "<img" not in text
 
@@ -289,7 +288,7 @@ def test_a_long_estimate_leaves_a_page_of_less_than_5_mb() -> None:
         peers=tuple(peers),
         consistency=replace(c, time_s=time_s, difference=c.difference[row], smoothed=smoothed),
     )
-    assert len(page(check_page(long, build_check_result(found)))) < 2_500_000
+    assert len(page(CheckReport(long, CheckReport.build(found)).page())) < 2_500_000
 
 
 def shifted(given: ExternalEstimate, since: int) -> ExternalEstimate:
@@ -304,11 +303,11 @@ def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
     """In the text, on the page's and the picture's map, and on every curve."""
     since = 60
     found = check(run().log, shifted(filtered(), since))
-    left, result = present(found.departure), build_check_result(found)
+    left, result = present(found.departure), CheckReport.build(found)
     assert left.time_s == filtered().time_s[since]
     assert left.place == tuple(found.given.pose[since, :2])
     said = f"first departure: the poses leave the reference EKF at {left.time_s:.9g} s"
-    summary = check_summary(result)
+    summary = CheckReport(found, result).summary()
     assert summary.remarks[0].startswith(said)
     assert "first departure" in [row.quantity for row in summary.rows]
     text = html(found)
@@ -322,7 +321,7 @@ def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
     axis = check_figure(found).axes[0]
     drawn = [line for line in axis.lines if line.get_label() == "first departure"]
     assert drawn[0].get_xydata() == pytest.approx(np.array([left.place]))
-    write_job_folder(check_folder(found, result), tmp_path / "out")
+    CheckReport(found, result).write(tmp_path / "out")
     written = json.loads((tmp_path / "out" / "check.json").read_text())
     assert written["departure"]["time_s"] == left.time_s
 
@@ -344,8 +343,8 @@ def test_the_files_that_were_judged_are_named_by_their_hashes(tmp_path: Path) ->
     ]  # fmt: skip
     for name, found in given.sha256.items():
         assert found == hashlib.sha256((folder / name).read_bytes()).hexdigest()
-    assert build_check_result(check(run().log, given)).estimate_sha256 == given.sha256
-    assert build_check_result(sound()).estimate_sha256 == {}
+    assert CheckReport.build(check(run().log, given)).estimate_sha256 == given.sha256
+    assert CheckReport.build(sound()).estimate_sha256 == {}
     write_trajectory(Trajectory(given.time_s, given.pose), tmp_path / "a.txt", "kitti")
     assert sorted(read_external(tmp_path / "a.txt").sha256) == ["a.txt", "times.txt"]
 

@@ -15,7 +15,7 @@ from comparisons.checks.registry import CHECKS
 from comparisons.figures import kept_fields, meanings
 from comparisons.logs.log import Log, Truth
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.result import build_result, run_rows
+from comparisons.report.run import RunReport, run_rows
 from tests.commands import refused, works
 from tests.helpers import compared, simulated
 
@@ -64,7 +64,7 @@ def test_a_check_finds_or_says_what_the_log_lacks(
 
 def test_what_is_found_and_what_is_not_stand_in_result_and_table() -> None:
     c = compared(bare(simulated()))
-    result = build_result(c)
+    result = RunReport.build(c)
     kept = json.loads(result.model_dump_json())
     assert kept["not_checked"] == dict(c.absent)
     entries = {key for found in c.findings.values() for key in found.entries}

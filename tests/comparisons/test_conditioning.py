@@ -17,9 +17,7 @@ from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, RelativePoses
 from comparisons.pipeline.compare import REQUIRED, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
-from comparisons.report.folder import write_job_folder
-from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
+from comparisons.report.run import RunReport
 from comparisons.settings import configure
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import Correction, KalmanState
@@ -143,7 +141,7 @@ def test_extensions_show_a_filter_that_breaks_down(name: str, tmp_path: Path) ->
     c = compare_prepared(prepare(log, config, required=REQUIRED, also=(broken,)))
     assert c.ekf.breakdown
     assert len(c.ekf.estimate.time_s) < len(c.prepared.timeline.epoch_time_s)
-    write_job_folder(run_folder(c, build_result(c)), tmp_path / "out", ("png",))
+    RunReport.of(c).write(tmp_path / "out")
     assert "broke down" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 

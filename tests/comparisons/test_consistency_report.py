@@ -28,7 +28,7 @@ from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
-from comparisons.report.result import build_result, run_rows, run_summary
+from comparisons.report.run import RunReport, run_rows
 from comparisons.statistics import Band, NormalisedFigures
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
@@ -122,7 +122,7 @@ def never(name: str) -> float:
 
 
 def test_result_and_rows(comparison: Comparison) -> None:
-    result = build_result(comparison)
+    result = RunReport.build(comparison)
     found = json.loads(result.model_dump_json(), parse_constant=never)["consistency"]
     assert found["ekf"]["pose"]["dof"] == 3
     assert found["ekf"]["distances"]["dof"] == 60
@@ -130,7 +130,9 @@ def test_result_and_rows(comparison: Comparison) -> None:
     assert found["filter_against_smoother"]["epochs"] == len(comparison.ekf.timeline.epoch_time_s)
     groups = {row.group.partition(" (")[0] for row in run_rows(comparison, result)}
     assert {"EKF NEES", "Innovations of measurements", "EKF", "Smoother"} < groups
-    (line,) = (text for label, text in run_summary(comparison, result).lines if label[0] == "c")
+    (line,) = (
+        text for label, text in RunReport(comparison, result).summary().lines if label[0] == "c"
+    )
     if not result.inconsistent:
         assert re.fullmatch(
             r"per dof, expect 1: NEES pose \S+, map \S+; NIS \S+; vs smoother \S+", line
@@ -144,7 +146,7 @@ def test_a_broken_covariance_gives_no_nan() -> None:
             self._covariance[0, 1] += 1e-3
 
     c = compared(first_seconds(simulated(seed=2), 10.0), Modified(with_state(Ruined)))
-    text = build_result(c).model_dump_json()
+    text = RunReport.build(c).model_dump_json()
     found = json.loads(text, parse_constant=never)["consistency"]
     for part in (found["ekf"]["pose"], found["filter_against_smoother"]):
         assert "asymmetric" in part["unusable"]

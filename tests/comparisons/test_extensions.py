@@ -11,7 +11,7 @@ from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.pipeline.compare import compare
-from comparisons.report.result import build_result, run_rows
+from comparisons.report.run import RunReport, run_rows
 from comparisons.settings import configure, run_config
 from comparisons.words import Row
 from tests.comparisons.test_startup import loaded
@@ -41,7 +41,7 @@ def test_a_toy_adds_a_source_a_finding_a_row_and_a_figure(tmp_path: Path) -> Non
     assert found.verdict.outcome == "agree"
     assert station.result.measurements > 10
     assert station.result.ekf_m == pytest.approx((30.0, 20.0), abs=0.5)
-    result = build_result(found)
+    result = RunReport.build(found)
     row = Row("Docking", "measurements", str(station.result.measurements))
     assert row in run_rows(found, result)
     folder = written(found, tmp_path / "run")

@@ -28,7 +28,7 @@ from comparisons.extensions.fastslam.stretches import StretchComparison, draw_pa
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
 from comparisons.pipeline.compare import Comparison, compare
-from comparisons.report.result import build_result, run_summary
+from comparisons.report.run import RunReport
 from tests.helpers import present
 
 
@@ -64,14 +64,14 @@ def stretches(comparison: Comparison) -> StretchComparison:
 
 
 def summary_lines(comparison: Comparison) -> Sequence[tuple[str, str]]:
-    return run_summary(comparison, build_result(comparison)).lines
+    return RunReport(comparison, RunReport.build(comparison)).summary().lines
 
 
 @pytest.mark.slow
 def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     found = comparison.find(FastSlamFinding)
     assert found.check.agrees is True
-    result = json.loads(build_result(comparison).model_dump_json())["fastslam"]
+    result = json.loads(RunReport.build(comparison).model_dump_json())["fastslam"]
     assert (result["particles"], result["clouds"]) == (40, 48)
     assert result["verdict"] == "agree"
     assert len(result["stretches"]) == 6

@@ -1,7 +1,4 @@
-"""Faults without a trace: each planted one is named, and a sound filter has none.
-
-Held against filters written elsewhere in benchmarks/trust_strangers.py.
-"""
+"""Faults without a trace: each planted one is named, and a sound filter has none."""
 
 from __future__ import annotations
 

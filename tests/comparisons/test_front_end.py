@@ -26,12 +26,8 @@ from comparisons.logs.readers.scan_odometry import no_measurements
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.odometry import run_front_end
 from comparisons.report.models import Result
-from comparisons.report.odometry import (
-    FrontEndResult,
-    build_front_end_result,
-    front_end_summary,
-)
-from comparisons.report.result import build_result
+from comparisons.report.odometry import FrontEndReport, FrontEndResult
+from comparisons.report.run import RunReport
 from graphslam.g2o import read_g2o
 from tests.commands import refused, works
 from tests.helpers import compared, present
@@ -140,7 +136,7 @@ def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
     assert three.smoother.agrees
     assert three.inconsistent_source == ""
     assert three.loops > 10
-    extra = present(Result.model_validate_json(build_result(c).model_dump_json()).model_extra)
+    extra = present(Result.model_validate_json(RunReport.build(c).model_dump_json()).model_extra)
     assert extra["three_way"]["ekf"]["landmarks"] == 34
     assert extra["scan_odometry"]["used"] == 248
     assert extra["increments"]["against"] == "truth"
@@ -161,7 +157,7 @@ def test_scans_surer_than_they_may_be_are_remarked_upon(
         return replace(motion, covariance=0.1 * motion.covariance)
 
     monkeypatch.setattr("comparisons.extensions.scan_motion.extension.run_scan_odometry", boasting)
-    result = build_result(compared(scan_loop, motion="scan"))
+    result = RunReport.build(compared(scan_loop, motion="scan"))
     assert any("too small" in remark for remark in result.remarks)
 
 
@@ -212,11 +208,12 @@ def test_the_car_park_without_wheels_is_unverified_where_scans_are_lost(shared_d
     lost = ScanFailure(3, 0.6, "too few points")
     for guessed, failures in itertools.product((False, True), ((), (lost,))):
         motion = replace(f.motion, guessed=guessed, failures=failures)
-        result = build_front_end_result(replace(f, motion=motion))
+        report = FrontEndReport.of(replace(f, motion=motion))
+        result = report.result
         wrong = bool(failures) and not guessed
         assert result.verdict == ("unverified" if wrong else "verified")
         assert ["were lost without the wheels" in why for why in result.reasons] == [True] * wrong
-        assert front_end_summary(result).reasons == result.reasons
+        assert report.summary().reasons == result.reasons
 
 
 @pytest.mark.slow

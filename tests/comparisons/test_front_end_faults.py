@@ -28,7 +28,7 @@ from comparisons.pipeline.compare import Modified
 from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.odometry import run_front_end
 from comparisons.pipeline.solve import solve
-from comparisons.report.odometry import build_front_end_result
+from comparisons.report.odometry import FrontEndReport
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
 from tests.comparisons.test_front_end import three_of
@@ -304,7 +304,7 @@ def test_scans_between_relative_poses_are_named_by_their_time() -> None:
 def test_what_was_left_out_is_told() -> None:
     log = with_scans(short(), slice(10, 50))
     front_end = run_front_end(replace(log, odometry=first_seconds(log, 15.0).odometry))
-    remarks = build_front_end_result(front_end).remarks
+    remarks = FrontEndReport.build(front_end).remarks
     last_s = front_end.motion.time_s[-1]
     scans = np.count_nonzero(present(log.scans).time_s > last_s)
     seen = np.count_nonzero(log.measurements.time_s > last_s)

@@ -19,13 +19,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
-from comparisons.report.folder import write_job_folder
-from comparisons.report.solution import (
-    FRAME,
-    build_solution_result,
-    solution_folder,
-    solution_summary,
-)
+from comparisons.report.solution import FRAME, SolutionReport
 from comparisons.report.terminal import brief
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from graphslam.increments import dead_reckoned
@@ -81,7 +75,7 @@ def test_landmarks_keep_their_numbers(tmp_path: Path, surveyed: int) -> None:
     log = open_log(str(tmp_path / "loop.g2o"))
     solution = solve(log)
     assert set(solution.estimate.landmark_id.tolist()) == set(ids.tolist())
-    write_job_folder(solution_folder(solution, build_solution_result(solution)), tmp_path / "out")
+    SolutionReport.of(solution).write(tmp_path / "out")
     assert vertices(tmp_path / "out" / "graph.g2o") == vertices(tmp_path / "loop.g2o")
 
 
@@ -142,11 +136,11 @@ def test_a_solution_is_solved_again_to_the_bit(tmp_path: Path) -> None:
     """From its own graph.g2o, and from a log folder; one pair of poses has no edge forward."""
     text = CLOSED_ELSEWHERE.replace("EDGE_SE2 20 30 1 0 1.5", "EDGE_SE2 30 20 -0.1 1.1 -1.5")
     first = solve(open_log(str(pose_graph(tmp_path / "closed.g2o", text + LANDMARK))))
-    result = build_solution_result(first)
+    result = SolutionReport.build(first)
     assert result.pose_graph is not None
     assert (result.pose_graph.loop_closures, result.pose_graph.unmeasured) == (3, 1)
     assert result.pose_graph.initial_chi2 > result.smoother.chi2
-    write_job_folder(solution_folder(first, result), tmp_path / "solved")
+    SolutionReport(first, result).write(tmp_path / "solved")
     write_log_folder(first.log, tmp_path / "log")
     for place in ("solved/graph.g2o", "log"):
         again = solve(open_log(str(tmp_path / place)))
@@ -208,7 +202,7 @@ def test_positions_fix_the_frame_and_not_a_guess(tmp_path: Path) -> None:
         for name, start in (("right", poses), ("half", half))
     )
     for one in (right, other):
-        result = build_solution_result(one)
+        result = SolutionReport.build(one)
         assert result.verdict == "verified"
         assert result.smoother.dof == 3 * (24 + 10) + 2 * 9 - 3 * 25
         assert result.gps == "on"
@@ -219,7 +213,7 @@ def test_positions_fix_the_frame_and_not_a_guess(tmp_path: Path) -> None:
     held = open_log(str(turned_start(tmp_path, "one", half, 1)))
     assert not held.prior.open
     assert held.provenance["frame"].startswith("pose 0 is held at its vertex")
-    kept = build_solution_result(solve(held))
+    kept = SolutionReport.build(solve(held))
     assert (kept.gps, kept.remarks) == ("off", [])
 
 
@@ -239,7 +233,7 @@ def test_poses_alone_need_no_closure(tmp_path: Path) -> None:
     (tmp_path / "chain.g2o").write_text("".join(bare))
     fixed, alone = (solve(open_log(str(tmp_path / f"{name}.g2o"))) for name in ("fixed", "chain"))
     assert fixed.verified
-    assert build_solution_result(fixed).remarks == [FRAME]
+    assert SolutionReport.build(fixed).remarks == [FRAME]
     assert fixed.result.optimality.chi_square.dof == 2 * 9 - 3
     assert alone.verified
     assert np.abs(alone.estimate.pose - alone.dead_reckoned).max() < 1e-9
@@ -256,7 +250,7 @@ def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:
     ):
         write_g2o(tmp_path / "rounds.g2o", G2oContents(one, np.zeros((49, 3)), np.zeros((0, 2))))
         solution = solve(open_log(str(tmp_path / "rounds.g2o")))
-        result = build_solution_result(solution)
+        result = SolutionReport.build(solution)
         assert result.verdict == ("unverified" if reason else "verified")
         assert result.reasons[:1] == ([] if not reason else solution.lacks[:1])
         assert "".join(result.reasons).startswith(reason)
@@ -265,11 +259,12 @@ def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:
     doubtful = replace(
         solution, misread=None, result=replace(solution.result, optimality=optimality)
     )
-    result = build_solution_result(doubtful)
+    report = SolutionReport.of(doubtful)
+    result = report.result
     assert result.reasons == [optimality.lacks]
     [note] = result.remarks
     assert "is too low" in note
-    shown = brief(solution_summary(result))
+    shown = brief(report.summary())
     assert shown[1].text.strip() in optimality.lacks
 
 
@@ -292,7 +287,7 @@ def misread(problem: SlamProblem) -> SlamProblem:
 
 def test_a_small_chi_square_is_not_told_as_zero() -> None:
     path = Path(gtsam.__file__).parent / "Data" / "noisyToyGraph.txt"
-    [remark] = build_solution_result(solve(open_log(str(path)))).remarks
+    [remark] = SolutionReport.build(solve(open_log(str(path)))).remarks
     assert remark.startswith("chi-square 0.14 for 6 degrees of freedom is too low (band 0.")
 
 

@@ -15,7 +15,7 @@ from comparisons.config import EkfConfig, RunConfig
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.compare import compare
-from comparisons.report.result import build_result, run_rows
+from comparisons.report.run import RunReport, run_rows
 from ekf_reference.core.geometry import Array as EkfArray
 from ekf_reference.models.position import Streak
 from tests.comparisons.test_positions import with_fixes
@@ -132,7 +132,7 @@ def test_streaks_are_counted() -> None:
 def test_the_report_says_what_was_rejected_in_streaks() -> None:
     log = slipped()
     c = compare(log, RunConfig(ekf=EkfConfig.of(gps="on")))
-    result = build_result(c)
+    result = RunReport.build(c)
     assert result.ekf.longest_streak == result.ekf.fixes_in_streaks == result.ekf.fixes_rejected
     assert any("in series of 5 or more" in remark for remark in result.remarks)
     rows = {row.quantity: row.value for row in run_rows(c, result) if row.group == "EKF"}

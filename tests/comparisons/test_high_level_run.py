@@ -25,7 +25,7 @@ from comparisons.figures import stored
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_config, run_options
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.scan_landmarks.high_level import SearchOptions
@@ -76,7 +76,7 @@ def test_at_least_three_are_found_and_kept_and_the_estimates_agree(seed: int) ->
     assert len(found.ekf.estimate.pose_landmarks) == np.count_nonzero(made.landmark_index >= 0)
     assert made.looks["seen"] > 20
     assert_followed(found, 1e-6)
-    assert (build_result(found).model_extra or {})["high_level"] == stored(made)
+    assert (RunReport.build(found).model_extra or {})["high_level"] == stored(made)
     assert made.kept <= made.found == len(made.landmark_index)
 
 

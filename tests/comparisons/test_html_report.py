@@ -27,8 +27,7 @@ from comparisons.report.html.tables import settings
 from comparisons.report.marks import Panel
 from comparisons.report.models import Result
 from comparisons.report.panels import consistency_panels
-from comparisons.report.result import build_result, run_rows
-from comparisons.report.run import run_page
+from comparisons.report.run import RunReport, run_rows
 from comparisons.report.settings import SettingLine, setting_lines, settings_result
 from comparisons.words import SETTINGS, Row
 from tests.helpers import altered, compared, present, simulated, written
@@ -70,7 +69,7 @@ class Reader(HTMLParser):
 
 def drawn(comparison: Comparison, result: Result) -> str:
     """The page, without pictures."""
-    return page(run_page(comparison, consistency_panels(comparison), result, []))
+    return page(RunReport(comparison, result).page())
 
 
 def read(path: Path) -> Reader:
@@ -106,7 +105,7 @@ def test_what_a_log_says_is_text(report: Path) -> None:
 
 
 def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
-    result = build_result(comparison)
+    result = RunReport.build(comparison)
     cause = Cause(gap="<b>x</b>", evidence=HOSTILE, hint=HOSTILE)
     reported = result.model_copy(update={"causes": [cause], "remarks": [HOSTILE]})
     text = drawn(comparison, reported)
@@ -119,7 +118,7 @@ def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
 @pytest.mark.parametrize("kind", sorted(EXPLANATIONS))
 def test_a_cause_comes_with_what_it_means(comparison: Comparison, kind: str) -> None:
     cause = Cause(gap=kind, evidence="measured", hint="look")
-    text = drawn(comparison, build_result(comparison).model_copy(update={"causes": [cause]}))
+    text = drawn(comparison, RunReport.build(comparison).model_copy(update={"causes": [cause]}))
     known = EXPLANATIONS[kind]
     card = text[text.index('class="cause"') : text.index('id="gaps"')]
     places = [card.index(escape(part)) for part in (known.title, "measured", "look", known.meaning)]
@@ -142,7 +141,7 @@ def test_settings_that_differ_come_first(comparison: Comparison) -> None:
     assert sorted(line.setting for line in lines) == sorted(line.setting for line in usual)
     written = set(re.findall(r"^(\w+) = ", config.toml(), re.MULTILINE))
     assert written <= {line.setting.rpartition(".")[2] for line in lines}
-    text = drawn(comparison, build_result(comparison))
+    text = drawn(comparison, RunReport.build(comparison))
     assert "All are at their defaults." in text
     assert all(f"<b>{line.setting}</b>" in text for line in usual)
 
@@ -194,7 +193,7 @@ def contrast(first: str, second: str) -> float:
 
 
 def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -> None:
-    plain = build_result(comparison).model_copy(
+    plain = RunReport.build(comparison).model_copy(
         update={"verdict": "agree", "qualifiers": [], "inconsistent": []}
     )
     reported = plain.model_copy(
@@ -211,7 +210,7 @@ def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -
 
 def test_figures_are_those_of_the_terminal(comparison: Comparison, report: Path) -> None:
     text = report.read_text(encoding="utf-8")
-    rows = run_rows(comparison, build_result(comparison))
+    rows = run_rows(comparison, RunReport.build(comparison))
     assert {"Log", "EKF", "Smoother"} < {row.group for row in rows}
     for row in rows:
         mark = {True: "in", False: "out", None: ""}[row.inside]
@@ -236,7 +235,7 @@ def test_of_many_landmarks_the_farthest_apart_are_shown(
 ) -> None:
     monkeypatch.setattr(map_page, "MOST_LANDMARKS", 5)
     blocks = comparison.agreement.landmarks
-    text = drawn(comparison, build_result(comparison))
+    text = drawn(comparison, RunReport.build(comparison))
     distance = np.array([block.distance_sigma for block in blocks])
     farthest = comparison.ekf.estimate.landmark_id[np.argsort(-distance)[:5]].tolist()
     rows = re.findall(r'<tr data-key="(\d+)"', text)
@@ -258,7 +257,7 @@ def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -
     found.estimates = {"third": third, "plain": comparison.smoothed}
     found.titles = {"third": "a third <i>"}
     more = replace(comparison, findings={**comparison.findings, "x": found})
-    text = drawn(more, build_result(comparison))
+    text = drawn(more, RunReport.build(comparison))
     assert 'data-name="a third &lt;i&gt; trajectory"' in text
     assert 'data-name="plain landmarks"' in text
     count = len(comparison.smoothed.landmark)
@@ -270,7 +269,7 @@ def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -
     assert set(apart) == {"EKF", "a third <i>", "plain"}
     assert set(apart["a third <i>"]) == {5}
     assert set(apart["plain"]) == {0}
-    assert "distance from the smoother" not in drawn(comparison, build_result(comparison))
+    assert "distance from the smoother" not in drawn(comparison, RunReport.build(comparison))
 
 
 @pytest.mark.slow
@@ -298,7 +297,9 @@ def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> N
     grown = altered(c, "ekf.estimate", long(c.ekf.estimate))
     grown = altered(grown, "gaps.smoothed", long(c.smoothed))
     grown = altered(grown, "gaps.agreement.landmarks", blocks)
-    text = page(run_page(grown, panels, build_result(grown), []))
+    report = RunReport.of(grown)
+    vars(report)["panels"] = panels
+    text = page(report.page())
     assert len(text) < 4_000_000
 
 
@@ -350,7 +351,7 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     worse = altered(c.consistency, "ekf.poses.error", gone[1:] * poses.error)
     worse = altered(worse, "ekf.poses.sigma", gone[1:] * poses.sigma)
     broken = replace(broken, findings={**c.findings, "consistency": ConsistencyFinding(worse)})
-    text = drawn(broken, build_result(c))
+    text = drawn(broken, RunReport.build(c))
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
     assert len(places) > 100
     assert not [place for place in places if re.search("nan|inf", place)]

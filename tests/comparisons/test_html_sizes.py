@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from comparisons.checks.causes import Cause
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from tests.comparisons.browser import noted
 from tests.helpers import compared, simulated, written
 
@@ -54,7 +54,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with a cause and its own association, whose branch is the narrowest of the ladder."""
     found = compared(simulated(seed=2, loop_s=20.0), smoother_association="own")
     cause = Cause(gap="model", evidence="a number 1234567.8901 " * 20, hint="look " * 30)
-    result = build_result(found).model_copy(update={"causes": [cause], "verdict": "disagree"})
+    result = RunReport.build(found).model_copy(update={"causes": [cause], "verdict": "disagree"})
     return written(found, tmp_path_factory.mktemp("run") / "report", result) / "report.html"
 
 

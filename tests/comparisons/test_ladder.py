@@ -24,7 +24,7 @@ from comparisons.report.ladder import (
     ladder,
 )
 from comparisons.report.models import Result
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from tests.helpers import compared, present, simulated
 
 
@@ -35,7 +35,7 @@ def comparison() -> Comparison:
 
 @pytest.fixture(scope="module")
 def result(comparison: Comparison) -> Result:
-    return build_result(comparison)
+    return RunReport.build(comparison)
 
 
 def caused(result: Result, gap: str) -> Result:

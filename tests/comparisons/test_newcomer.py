@@ -90,7 +90,7 @@ def test_a_filter_of_short_euler_steps_is_equal(folder: Path, tmp_path: Path, tr
 @pytest.mark.parametrize("traced", [True, False])
 def test_euler_steps_may_differ_in_number(tmp_path: Path, traced: bool) -> None:
     """Scans between the samples split these into parts of any length."""
-    simulate(Course("apart", duration_s=20.0, stamps="apart"), SEED, tmp_path / "log")
+    simulate(Course("apart", duration_s=20.0, apart=True), SEED, tmp_path / "log")
     Euler(read_log(tmp_path / "log")).run().write(tmp_path / "mine", traced=traced)
     found = slamcheck.check(slamcheck.load_log(tmp_path / "log"), tmp_path / "mine", require="like")
     assert (found.outcome, found.grade.value) == ("agree", "equal"), found.causes

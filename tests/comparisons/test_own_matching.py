@@ -25,7 +25,7 @@ from comparisons.extensions.own_matching.page import matching_differences
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.figures import stored
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from ekf_reference.scan_matching.alignment_covariance import ScanAlignment, scan_align
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from graphslam.graph_builder import to_tangent
@@ -145,7 +145,7 @@ def test_an_offset_of_one_landmark_is_named(
 @pytest.mark.slow
 def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     c = matched()
-    result, own = build_result(c), c.find(OwnMatchingFinding).own
+    result, own = RunReport.build(c), c.find(OwnMatchingFinding).own
     assert (result.model_extra or {})["own_matching"] == stored(own)
     assert own.agrees
     assert own.reasons["initialised"] == len(c.ekf.estimate.pose_landmarks)

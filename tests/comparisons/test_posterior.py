@@ -21,7 +21,7 @@ from comparisons.extensions.posterior.check import (
 )
 from comparisons.extensions.posterior.extension import PosteriorFinding
 from comparisons.pipeline.compare import Comparison, compare
-from comparisons.report.result import build_result, run_rows
+from comparisons.report.run import RunReport, run_rows
 from comparisons.settings import run_config
 from graphslam.chain_diagnostics import Estimated, chain_evidence
 from graphslam.sampling import Judgement, PosteriorDraws
@@ -46,7 +46,7 @@ def judgement(coverage: float, least: float) -> Judgement:
 
 def test_a_short_run_has_an_entry_and_rows() -> None:
     found = short()
-    result = build_result(found)
+    result = RunReport.build(found)
     entry = json.loads(result.model_dump_json())["posterior"]
     assert entry["converged"]
     assert entry["draws"] == 8000

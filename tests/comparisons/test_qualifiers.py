@@ -27,7 +27,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline import second_association
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from comparisons.settings import run_config
 from comparisons.trace.events import Sensor
 from tests.commands import slamcheck, works
@@ -216,11 +216,11 @@ def test_a_shared_mistake_shows_in_verdict_and_result(sound: Comparison) -> None
     wrong = compared(shifted_truth(sound.log, 1.0))
     assert wrong.verdict.outcome == "agree"
     assert TRUTH_GAP in wrong.verdict.qualifiers
-    result = build_result(wrong)
+    result = RunReport.build(wrong)
     assert result.headline.startswith("agree, truth gap")
     assert present(result.truth_gap).stands
     assert present(result.truth_gap).distances[0].error_m == pytest.approx(1.0, abs=0.5)
-    assert not build_result(sound).truth_gap.stands  # type: ignore[union-attr]
+    assert not RunReport.build(sound).truth_gap.stands  # type: ignore[union-attr]
 
 
 def test_a_map_that_is_nowhere_near_is_a_gap(sound: Comparison) -> None:

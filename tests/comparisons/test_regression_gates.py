@@ -19,7 +19,7 @@ from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check
-from comparisons.report.check import build_check_result
+from comparisons.report.check import CheckReport
 from tests.comparisons.test_cli import python
 from tests.helpers import compared, simulated
 
@@ -99,7 +99,7 @@ def project(folder: Path, log: Log, right: Estimate) -> None:
     (folder / "mine").mkdir()
     write_estimate(right, folder / "mine")
     (folder / "late.tum").write_text(late(right))
-    result = build_check_result(check(log, ExternalEstimate.of(right)))
+    result = CheckReport.build(check(log, ExternalEstimate.of(right)))
     write_baseline(build_baseline([result], CheckConfig()), folder / "mine.json")
 
 

@@ -23,9 +23,8 @@ from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import check_free, default_folder, write_job_folder
 from comparisons.report.marks import ellipses
 from comparisons.report.models import Result
-from comparisons.report.result import build_result
 from comparisons.report.rows import seconds_rows
-from comparisons.report.run import run_folder
+from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_config
 from tests.helpers import compared, present, random_covariance, simulated
 
@@ -84,7 +83,7 @@ def test_figures_that_do_not_exist_are_null(comparison: Comparison) -> None:
     gaps = comparison.gaps
     agreement = replace(gaps.agreement, algebra_gap_covariance=float("inf"))
     broken = replace(comparison, gaps=replace(gaps, agreement=agreement))
-    text = build_result(broken).model_dump_json()
+    text = RunReport.build(broken).model_dump_json()
     assert '"algebra_gap_covariance":null' in text
     assert "Infinity" not in text
 
@@ -230,9 +229,7 @@ def test_a_folder_of_another_run_is_refused(comparison: Comparison, tmp_path: Pa
     """Settings, log and job decide; pictures and where the log lies do not."""
     folder = tmp_path / "run"
     config = run_config(seed=1).at_log("0" * 64)
-    write_job_folder(
-        replace(run_folder(comparison, build_result(comparison)), config=config), folder
-    )
+    write_job_folder(replace(RunReport.of(comparison).folder(), config=config), folder)
     same = run_config(seed=1, figures=["pdf"]).at_log("0" * 64, "elsewhere")
     check_free(folder, same)
     others = {
@@ -303,7 +300,7 @@ def test_processor_time_stands_beside_wall_time(comparison: Comparison) -> None:
     spent = clock.after()
     assert spent["seconds"]["waiting"] >= 0.2
     assert spent["cpu_s"]["waiting"] < 0.1
-    result = build_result(comparison, clock)
+    result = RunReport.build(comparison, clock)
     assert list(present(result.cpu_s)) == list(result.seconds)
     old = json.loads(result.model_dump_json(by_alias=True))
     del old["cpu_s"]

@@ -13,7 +13,7 @@ from comparisons.extensions.dense_maps.extension import DenseMapsFinding
 from comparisons.pipeline.compare import Comparison, run_filter
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.pipeline.prepare import prepare
-from comparisons.report.dense_map import build_map_result, regions_csv
+from comparisons.report.dense_map import MapReport, regions_csv
 from comparisons.settings import run_config
 from ekf_reference.core.landmark_types import POSE
 from tests.helpers import compared, present
@@ -76,7 +76,7 @@ def test_map_and_run_keep_the_same_map() -> None:
 
 @pytest.mark.slow
 def test_it_is_told_by_the_scan_landmarks_names() -> None:
-    result = build_map_result(mapped())
+    result = MapReport.build(mapped())
     assert result.scan_landmarks == len(mapped().ekf.estimate.pose_landmarks)
     median_m = present(result.surface_errors["occupancy"].median_m)
     assert median_m < 0.4

@@ -35,7 +35,7 @@ from comparisons.figures import stored
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison, Modified, run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_config, run_options
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
@@ -147,7 +147,7 @@ def test_the_short_drive_agrees_to_rounding_and_is_honest() -> None:
 @pytest.mark.slow
 def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     c = drawn()
-    result, slam = build_result(c), c.find(ScanLandmarksFinding).result
+    result, slam = RunReport.build(c), c.find(ScanLandmarksFinding).result
     assert (result.model_extra or {})["scan_slam"] == stored(slam)
     assert slam.scans == len(LogScans(log()))
     assert len(slam.landmarks) == len(c.ekf.estimate.pose_landmarks)

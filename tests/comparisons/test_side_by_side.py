@@ -15,7 +15,7 @@ from rich.console import Console
 
 from comparisons.errors import InputError
 from comparisons.report.models import Result
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from comparisons.report.side_by_side import (
     Row,
     print_side_by_side,
@@ -35,7 +35,7 @@ ROWS: list[Row] = [
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return build_result(compared(simulated(loop_s=10.0)))
+    return RunReport.build(compared(simulated(loop_s=10.0)))
 
 
 def folder(place: Path, name: str, content: dict[str, Any] | str) -> Path:

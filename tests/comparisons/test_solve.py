@@ -35,10 +35,9 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.readers.scan_odometry import no_measurements
 from comparisons.logs.scans import Scans
 from comparisons.pipeline.solve import solve
-from comparisons.report.folder import write_job_folder
 from comparisons.report.models import Result, SolutionResult
-from comparisons.report.result import build_result
-from comparisons.report.solution import build_solution_result, solution_folder
+from comparisons.report.run import RunReport
+from comparisons.report.solution import SolutionReport
 from graphslam.g2o import read_g2o
 from tests.commands import slamcheck, works
 from tests.comparisons.test_known_landmarks import with_survey
@@ -86,7 +85,7 @@ def test_what_is_not_proven_has_its_exit_code(tmp_path: Path) -> None:
 def test_a_small_graph_is_drawn(tmp_path: Path) -> None:
     solution = solve(simulated(0, loop_s=2.0))
     assert solution.result.values.size() < 50
-    write_job_folder(solution_folder(solution, build_solution_result(solution)), tmp_path / "small")
+    SolutionReport.of(solution).write(tmp_path / "small")
     assert "graph {" in (tmp_path / "small" / "graph.dot").read_text()
 
 
@@ -151,7 +150,7 @@ def test_both_associations_are_compared() -> None:
     assert own.agreement > 0.9
     assert own.pose.distance_sigma < 1.0
     assert comparison.verdict.outcome == "agree"
-    result = build_result(comparison)
+    result = RunReport.build(comparison)
     again = Result.model_validate_json(result.model_dump_json())
     assert (again.model_extra or {})["own_association"]["landmarks"] == 60
 

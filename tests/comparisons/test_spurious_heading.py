@@ -20,7 +20,7 @@ from comparisons.checks.spurious import SpuriousFinding, spurious_rows
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.html.curves import panel_data
 from comparisons.report.panels import consistency_panels
-from comparisons.report.result import build_result, run_rows
+from comparisons.report.run import RunReport, run_rows
 from comparisons.trace.events import Event, Update
 from comparisons.trace.reader import Trace
 from tests.comparisons.test_known_landmarks import with_survey
@@ -47,7 +47,7 @@ def with_information(information: float) -> Learnt:
 
 def test_a_run_says_how_its_information_grew() -> None:
     c = sound()
-    found, result = learnt(c), build_result(c).spurious_heading
+    found, result = learnt(c), RunReport.build(c).spurious_heading
     assert result is not None
     time_s, information = found.curve(HEADING)
     assert found.of(HEADING).information > 1.0
@@ -139,7 +139,7 @@ def test_run_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
 def test_surveyed_landmarks_tell_the_heading() -> None:
     c = compared(with_survey(simulated(seed=2, loop_s=30.0)))
     assert c.spurious is None
-    assert build_result(c).spurious_heading is None
+    assert RunReport.build(c).spurious_heading is None
     assert consistency_panels(c).learnt is None
 
 
@@ -170,7 +170,7 @@ def test_the_curve_starts_where_something_was_learnt() -> None:
 
 def test_the_page_has_its_figures() -> None:
     c = sound()
-    result = build_result(c)
+    result = RunReport.build(c)
     rows = [row for row in run_rows(c, result) if row.group.startswith("Heading learnt")]
     named = ["standard deviation", "grew fastest", "most by one update"]
     assert [row.quantity for row in rows] == named

@@ -158,7 +158,8 @@ def test_stamps_since_1970_are_taken_as_the_filter_had_them(
 ) -> None:
     """Floats tell 0.24 us of them, which is more than rounding of an estimate."""
     log = tmp_path / "log"
-    simulate(Course("since-1970", duration_s=6.0, stamps="epoch"), 1, log)
+    course = Course("since-1970", duration_s=6.0, apart=True, start_ns=1_700_000_000_123_456_789)
+    simulate(course, 1, log)
     assert since_1970(log, tmp_path / "mine", whole=whole) == "equal"
     if whole:
         monkeypatch.setattr("comparisons.logs.log_folder.origin", lambda first_s: 0)

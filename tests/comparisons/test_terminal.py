@@ -17,11 +17,11 @@ from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
-from comparisons.report.check import build_check_result, check_summary
+from comparisons.report.check import CheckReport
 from comparisons.report.ladder import Step
-from comparisons.report.result import build_result, run_summary
 from comparisons.report.rows import gap_rows
-from comparisons.report.solution import build_solution_result, solution_summary
+from comparisons.report.run import RunReport
+from comparisons.report.solution import SolutionReport
 from comparisons.report.terminal import (
     MOST,
     WIDTH,
@@ -124,22 +124,21 @@ def test_real_outcomes_keep_their_width() -> None:
     log = first_seconds(simulated(seed=1), 20.0)
     named = replace(log, name="a log whose name is as long as a whole line of a terminal " * 2)
     c = compared(named)
-    result = build_result(c)
-    agree = run_summary(c, result)
+    result = RunReport.build(c)
+    agree = RunReport(c, result).summary()
     assert faults(brief(agree, "out")) == []
     assert [step.gap for step in agree.steps] == ["algebra", "model", "linearisation", "truth"]
     assert [name for name, _ in agree.lines] == ["agreement", "consistency", "accuracy"]
     far = result.model_copy(update={"verdict": "disagree", "causes": FULL.causes})
-    assert faults(brief(run_summary(c, far), "out")) == []
-    unverified = run_summary(c, result.model_copy(update={"verdict": "unverified"}))
+    assert faults(brief(RunReport(c, far).summary(), "out")) == []
+    unverified = RunReport(c, result.model_copy(update={"verdict": "unverified"})).summary()
     assert unverified.style == "bold yellow"
     given = ExternalEstimate.of(c.ekf.estimate)
     for shift, outcome in ((0.0, "agree; grade: equal"), (5.0, "disagree; grade: wrong")):
         moved = replace(given, pose=given.pose + shift)
-        found = build_check_result(check(named, moved, CheckConfig()))
-        lines = brief(check_summary(found), "out")
+        lines = brief(CheckReport.of(check(named, moved, CheckConfig())).summary(), "out")
         assert faults(lines, f"verdict: {outcome}") == []
-    solved = solution_summary(build_solution_result(solve(named, SolveConfig())))
+    solved = SolutionReport.of(solve(named, SolveConfig())).summary()
     assert faults(brief(solved, "out"), "verdict: verified") == []
 
 

@@ -16,9 +16,7 @@ from comparisons.estimates.folder import read_estimate, read_landmarks
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import check
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.folder import write_job_folder
-from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
+from comparisons.report.run import RunReport
 from tests.helpers import compared
 
 NAMES = ["oak, old", "<b>elm</b>", *(f"post {k}" for k in range(40))]
@@ -44,7 +42,7 @@ def run(log: Log) -> Comparison:
 
 
 def test_a_report_has_the_names(run: Comparison, tmp_path: Path) -> None:
-    write_job_folder(run_folder(run, build_result(run)), tmp_path / "out")
+    RunReport.of(run).write(tmp_path / "out")
     for name in ("ekf", "smoother"):
         lines = (tmp_path / "out" / name / "landmarks.csv").read_text().splitlines()
         assert lines[1].startswith('"oak, old",')

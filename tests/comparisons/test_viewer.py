@@ -14,9 +14,7 @@ from comparisons.config import ReportConfig
 from comparisons.errors import InputError
 from comparisons.pipeline.compare import Comparison
 from comparisons.report import viewer
-from comparisons.report.folder import write_job_folder
-from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
+from comparisons.report.run import RunReport
 from tests.helpers import compared, first_seconds, simulated
 
 PACKAGE = "rerun"
@@ -85,11 +83,11 @@ def test_without_rerun_one_line_says_what_to_install(
 def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     comparison: Comparison, tmp_path: Path
 ) -> None:
-    folder, result = tmp_path / "run", build_result(comparison)
+    folder, result = tmp_path / "run", RunReport.build(comparison)
     config = comparison.prepared.config
     asked = config.model_copy(update={"report": ReportConfig(figures=("pdf",))})
     drawn = replace(comparison, prepared=replace(comparison.prepared, config=asked))
-    write_job_folder(run_folder(drawn, result), folder, ("pdf",))
+    RunReport(drawn, result).write(folder)
     pictures = {p.stem for p in folder.glob("*.png")}
     assert (
         pictures == {p.stem for p in folder.glob("*.pdf")} == {"map", "correlation", "consistency"}
@@ -98,7 +96,7 @@ def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     assert all(text.startswith(b"%PDF-") and b"/Type3" not in text for text in said.values())
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert files == {*listed_files(folder), LIST}
-    write_job_folder(run_folder(drawn, result), folder, ("pdf",))
+    RunReport(drawn, result).write(folder)
     assert said == {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
-    write_job_folder(run_folder(comparison, result), folder)
+    RunReport(comparison, result).write(folder)
     assert not [*folder.glob("*.pdf"), *folder.glob("*.png")]

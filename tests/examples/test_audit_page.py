@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from comparisons.audit.audit import audit
-from comparisons.report.audit import audit_summary
+from comparisons.report.audit import AuditReport
 from comparisons.report.terminal import print_summary
 from examples.audit.__main__ import FILTERS, main
 from tests.examples.test_audit_filters import needs
@@ -30,7 +30,8 @@ def printed(command: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> s
     assert words[:2] == ["slamcheck", "audit"]
     text = StringIO()
     out = f"slamcheck-audit-{Path(words[2]).stem}"
-    print_summary(audit_summary(audit(folder / words[2])), Console(file=text), out, verbose=False)
+    summary = AuditReport.of(audit(folder / words[2])).summary()
+    print_summary(summary, Console(file=text), out, verbose=False)
     return text.getvalue()
 
 

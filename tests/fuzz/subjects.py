@@ -37,7 +37,7 @@ from comparisons.logs.readers import read_log
 from comparisons.pipeline.solve import solve
 from comparisons.report import side_by_side
 from comparisons.report.models import Result
-from comparisons.report.result import build_result
+from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_config, run_options
 from comparisons.trace.reader import RAW, VERSION
 from graphslam.g2o import G2oContents, write_g2o
@@ -177,7 +177,7 @@ def trajectory_file(format_name: str) -> Subject:
 
 @functools.cache
 def small_result() -> str:
-    return build_result(compared(simulated(loop_s=10.0))).model_dump_json(indent=1)
+    return RunReport.build(compared(simulated(loop_s=10.0))).model_dump_json(indent=1)
 
 
 def result_file(folder: Path) -> None:

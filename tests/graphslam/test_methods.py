@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from graphslam import marginals
 from graphslam.arrays import Marginal
 from graphslam.graph_builder import build_graph, last_poses
-from graphslam.incremental import run_fixed_lag, run_isam2
+from graphslam.incremental import run_fixed_lag
 from graphslam.initialisation import extension
 from graphslam.marginals import SingularProblemError, eliminate
 from graphslam.observability import explain_singularity
@@ -20,7 +20,7 @@ from graphslam.optimisers import OPTIMISERS
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, smooth
 from tests.graphslam import worlds
-from tests.graphslam.numerics import angle, relative_error
+from tests.graphslam.numerics import relative_error
 
 
 @pytest.fixture(scope="module")
@@ -158,46 +158,6 @@ def test_unknown_choices_are_named(wrong: dict[str, str]) -> None:
     [name] = wrong
     with pytest.raises(ValueError, match=name):
         SmootherOptions(**wrong)  # type: ignore[arg-type]
-
-
-@pytest.mark.slow
-def test_checkpoints_are_as_sure_as_they_should_be() -> None:
-    """NEES of pose and landmarks at five prefixes, 50 seeds, inside two-sided 99.8 % bands."""
-    fractions, seeds = np.array((0.2, 0.4, 0.6, 0.8, 1.0)), 50
-    total, freedom = np.zeros(len(fractions)), np.zeros(len(fractions))
-    for seed in range(seeds):
-        world = worlds.loop(seed, poses=60)
-        problem = world.problem
-        stops = [int(f * (problem.pose_count - 1)) for f in fractions]
-        end = run_isam2(problem, build_graph(problem), stops)
-        for i, checkpoint in enumerate(end.checkpoints):
-            places = world.landmarks[checkpoint.landmark_index].ravel()
-            true = np.concatenate((world.poses[checkpoint.pose], places))
-            error = checkpoint.marginal.mean - true
-            error[2] = angle(error[2])
-            total[i] += float(error @ np.linalg.solve(checkpoint.marginal.covariance, error))
-            freedom[i] += len(error)
-    spread = 3.1 * np.sqrt(2.0 * freedom)
-    assert np.all(np.abs(total - freedom) < spread), total / freedom
-    # A smoother that were surer than it may be, its sigmas 10 % too small, would be caught.
-    assert np.any(np.abs(total / 0.81 - freedom) > spread)
-
-
-def test_checkpoints_equal_the_batch_of_their_prefix(problem: SlamProblem) -> None:
-    stop = problem.pose_count // 2
-    [checkpoint] = run_isam2(problem, build_graph(problem), [stop]).checkpoints
-    part = problem.prefix(stop + 1)
-    landmark_index = np.unique(part.measurement_landmark)
-    part = replace(
-        part,
-        measurement_landmark=np.searchsorted(landmark_index, part.measurement_landmark),
-        landmark_count=len(landmark_index),
-    )
-    batch = smooth(part, {}).marginal()
-    assert np.array_equal(checkpoint.landmark_index, landmark_index)
-    sigma = np.sqrt(batch.covariance.diagonal())
-    assert np.max(np.abs(checkpoint.marginal.mean - batch.mean) / sigma) < 0.01
-    assert apart(checkpoint.marginal, batch) < 1e-3
 
 
 def singular(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> str:

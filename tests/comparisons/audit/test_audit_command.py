@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import slamcheck
-from comparisons.report.audit import AuditResult, audit_panels, build_audit_result
+from comparisons.report.audit import AuditReport, AuditResult, audit_panels
 from tests.commands import refused
 from tests.commands import slamcheck as command
 from tests.comparisons.audit.test_audit import once, stays
@@ -94,7 +94,7 @@ def test_in_python(tmp_path: Path) -> None:
     found = slamcheck.audit(faulty)
     assert not found.sound
     assert slamcheck.audit(faulty, tolerance=10.0).first_open is None
-    result = build_audit_result(found)
+    result = AuditReport.build(found)
     assert result.largest_gap is not None
     assert audit_panels(found)[0].title.startswith("log10 of the gap")
     with pytest.raises(slamcheck.InputError, match="no such file"):

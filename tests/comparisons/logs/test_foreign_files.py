@@ -19,7 +19,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.new_log import UserFiles, build
 from comparisons.logs.readers import read_log
 from comparisons.pipeline.solve import solve
-from comparisons.report.solution import build_solution_result
+from comparisons.report.solution import SolutionReport
 from graphslam.g2o import write_g2o
 from tests.comparisons.logs.rawlogs import rawlog
 from tests.comparisons.logs.test_scan_readers import carmen
@@ -232,7 +232,7 @@ def outcome(read: Callable[[Path], Log], expected: str, folder: Path) -> str:
         return compared(log, gps="off" if log.positions is None else "on").verdict.outcome
     solution = solve(log)
     assert np.isfinite(solution.estimate.pose).all()
-    return "solved" if expected == "solved" else build_solution_result(solution).verdict
+    return "solved" if expected == "solved" else SolutionReport.build(solution).verdict
 
 
 @pytest.mark.parametrize("name", FILES)
