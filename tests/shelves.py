@@ -226,6 +226,7 @@ SHELVES = {
                 "test_check_external.py",
                 "test_check_page.py",
                 "test_external_trace.py",
+                "test_fingerprints.py",
                 "test_grades.py",
                 "test_known_landmarks.py",
                 "test_newcomer.py",

@@ -24,7 +24,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import Named, RelativePoses, own_integration
 from comparisons.pipeline.estimate_motion import in_words
 from comparisons.pipeline.prepare import Prepared, Progress
-from comparisons.pipeline.references import ORDERS, filter_named
+from comparisons.pipeline.references import KINDS, ORDERS, filter_named
 from ekf_reference.core.ekf import Ekf
 
 _DIVERGED = 1.0
@@ -65,8 +65,9 @@ def fingerprints(
     """Return the faults that explain an estimate, the nearest first.
 
     given: its poses at the reference's times, and no others. sound: what it is most like of what
-    has no fault. Each fault is tried with each integration and order of updates, until a run leaves
-    the estimate. One that reproduces it to rounding ends the search.
+    has no fault. Each fault is tried with each integration and order of updates, and those of the
+    log's numbers in filters of other kinds, until a run leaves the estimate. One that reproduces it
+    to rounding ends the search.
     """
     found: dict[str, Fingerprint] = {}
     todo = [*_start(given, prepared.log), *catalogue(prepared.log), *families(prepared.log)]
@@ -78,10 +79,11 @@ def fingerprints(
         for steps, log in _integrated(prepared.log)
         for order, by in ORDERS.items()
     ]
+    kinds = [(f"it is {kind}", _Trial(given, prepared, sound, kind)) for kind in KINDS]
     for done, fault in enumerate(todo):
         progress("fingerprints", done, len(todo))
         exact: Fingerprint | None = None
-        for way, trial in trials:
+        for way, trial in (*trials, *(kinds if fault.plant is None else ())):
             one = trial.fitted(fault) if isinstance(fault, Family) else trial.of(fault)
             if one is None or (one.sigma > found.get(fault.what, one).sigma and not one.whole):
                 continue
@@ -128,16 +130,16 @@ def fault_cause(known: Sequence[Fingerprint], sound: Likeness) -> Cause:
 
 
 class _Trial:
-    """One filter, without a fault as yet. sound: as of `fingerprints`. order: of ORDERS."""
+    """One filter, without a fault as yet. sound: as of `fingerprints`. name: of FILTERS."""
 
     def __init__(
         self,
         given: ExternalEstimate,
         prepared: Prepared[SolveConfig],
         sound: Likeness,
-        order: str,
+        name: str,
     ) -> None:
-        self.given, self.prepared, self.sound, self.order = given, prepared, sound, order
+        self.given, self.prepared, self.sound, self.name = given, prepared, sound, name
         beside = Companion(given, sound)
         self._first, self._count = beside, beside.first(_POSES)
 
@@ -213,7 +215,7 @@ class _Trial:
             slope = (other - now) / _STEP
             along = float(slope @ now)
             if along**2 < _ALONG**2 * (slope @ slope) * (now @ now) or not along:
-                return None
+                break  # rounding is left, or another fault
             step = float(np.clip(-along / (slope @ slope), -_MOST_STEP, _MOST_STEP))
             at, now = at + step, self._left(member(at + step))
             if abs(step) < _STEP**2 or now is None or np.abs(now).max() <= 1e-3 * NEAR:
@@ -232,7 +234,7 @@ class _Trial:
         log = self.prepared.log if fault.feed is None else fault.feed(self.prepared.log)
         other = replace(self.prepared, log=log)
         with np.errstate(all="ignore"):  # a fault may make it diverge
-            return filter_named(self.order, other, self.given.time_s, started)
+            return filter_named(self.name, other, self.given.time_s, started)
 
 
 def _integrated(log: Log) -> Iterator[tuple[str, Log]]:

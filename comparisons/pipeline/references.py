@@ -83,6 +83,14 @@ _VARIANTS: tuple[tuple[str, type[Ekf]], ...] = (
     ("an unscented Kalman filter with wide sigma points", WideUnscentedEkf),
 )
 FILTERS = (EKF, *dict(_VARIANTS))
+KINDS = (
+    "an iterated EKF",
+    "a first-estimates EKF",
+    "a right-invariant EKF",
+    "an unscented Kalman filter",
+    "an unscented Kalman filter with wide sigma points",
+)
+"""Of these, filters of other equations that strangers write."""
 
 
 def reference_ekf(

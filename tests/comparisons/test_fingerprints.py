@@ -23,7 +23,7 @@ from comparisons.faults.fault import Fault
 from comparisons.fingerprints.search import fingerprints
 from comparisons.pipeline.check import check
 from comparisons.pipeline.prepare import no_progress
-from comparisons.pipeline.references import APART, EKF, filter_named, variants
+from comparisons.pipeline.references import APART, EKF, KINDS, filter_named, variants
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import NewLandmarks
@@ -38,8 +38,8 @@ def solution() -> Solution:
     return solve(of_speeds_and_yaw_rates(6.0))
 
 
-def tried(solution: Solution, fault: Fault) -> Reference | None:
-    """The reference filter with a fault; None where it breaks down."""
+def tried(solution: Solution, fault: Fault, name: str = EKF) -> Reference | None:
+    """A filter with a fault; None where it breaks down."""
     prepared = solution.prepared
     if fault.feed is not None:
         prepared = replace(prepared, log=fault.feed(prepared.log))
@@ -49,11 +49,11 @@ def tried(solution: Solution, fault: Fault) -> Reference | None:
             fault.plant(ekf)
         return NoObserver()
 
-    return filter_named(EKF, prepared, solution.estimate.time_s, started)
+    return filter_named(name, prepared, solution.estimate.time_s, started)
 
 
-def run(solution: Solution, fault: Fault) -> Reference:
-    return present(tried(solution, fault))
+def run(solution: Solution, fault: Fault, name: str = EKF) -> Reference:
+    return present(tried(solution, fault, name))
 
 
 def handed_in(reference: Reference) -> ExternalEstimate:
@@ -91,11 +91,11 @@ FITTED = (
 )
 
 
-def assert_named(solution: Solution, fault: Fault) -> None:
-    given = handed_in(run(solution, fault))
+def assert_named(solution: Solution, fault: Fault, name: str = EKF, way: str = "") -> None:
+    given = handed_in(run(solution, fault, name))
     sound = likeness(given, run(solution, Fault("none")), labelled=True)
     found = fingerprints(given, solution.prepared, sound, no_progress)
-    assert [(one.fault, one.exact) for one in found] == [(fault.what, True)]
+    assert [(one.fault, one.way, one.exact) for one in found] == [(fault.what, way, True)]
 
 
 @pytest.mark.parametrize("words", PLANTED)
@@ -105,12 +105,21 @@ def test_a_planted_fault_is_named(solution: Solution, words: str) -> None:
     assert_named(solution, faults[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", FITTED)
 def test_a_number_is_fitted(solution: Solution, words: str) -> None:
     """To four digits, of a number that nobody would try."""
     found = [one for one in families(solution.log) if one.what.startswith(words)]
     assert len(found) == 1
     assert_named(solution, found[0].member(2.345))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_of_a_filter_of_another_kind_is_named(solution: Solution, kind: str) -> None:
+    """Whose sound filter is farther from it than the reference EKF is from most faults."""
+    (noise,) = (one for one in families(solution.log) if one.what.startswith("R is {}"))
+    assert_named(solution, noise.member(2.345), kind, f"it is {kind}")
 
 
 def test_a_fault_may_leave_a_motion_without_full_rank(tmp_path: Path) -> None:
@@ -183,6 +192,7 @@ def test_what_no_sound_filter_does_is_beyond_their_spread(
     assert not within_spread(near, sound, labelled=True)
 
 
+@pytest.mark.slow
 def test_a_mean_of_two_sound_filters_is_like_them(solution: Solution) -> None:
     """What is twenty times as far is not."""
     by_name = {one.name: one for one in sound_filters(solution)}
