@@ -65,6 +65,8 @@ BENCHMARKS = (
         "steering sign; 1 of 1 caught, 1 with the right first cause$; "
         ".*0 of 2 flagged, 0.0 to 84.2 %",
     ),
+    Benchmark("suboptimal --crossing --states 100 150", slice(2, None), "100 ; 150 "),
+    Benchmark("suboptimal --size 200x20 --gains 0 0.5", slice(2, None), r"0e\+00; 5e-01"),
     Benchmark("trust_bands --quick", slice(2, None), "; ".join((r".*\| yes \|$",) * 9)),
     Benchmark(
         "audit_speed --events 3000 --rounds 1 --keep FOLDER/a.trace --audit",

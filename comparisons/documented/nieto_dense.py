@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from comparisons.documented.row import Documented
+from comparisons.documented.row import AnyBut, Documented
 
 CAR_PARK = {"log.format": ("acfr-car-park",)}
-OTHERS = {"log.format": (None, "simulated")}
+OTHERS = {"log.format": AnyBut(("acfr-car-park",))}
 _FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
 _BY = " (benchmarks/dense_maps.py)"
 
@@ -165,6 +165,10 @@ ROWS = (
         unit="m",
         at="dense_maps.d_min_m",
         when=OTHERS,
+        defaults=(
+            "ekf_reference.dense.layers.particles:Particles.d_min_m",
+            "ekf_reference.dense.layers.gaussians:Gaussians.d_min_m",
+        ),
     ),
     Documented(
         place="N 6.5, Fig. 6.14",

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any
 
 import ekf_reference
-from comparisons.documented.row import Documented, Value, shown
+from comparisons.documented.row import AnyBut, Documented, Value, shown
 from comparisons.documented.rows import GROUPS, ROWS
 
 _HEAD = """\
@@ -39,7 +39,9 @@ _SPLIT = """
 _OURS = """
 ## Constants that no document states
 
-All other numbers of `ekf_reference`: defaults of fields and constants of modules. They are ours.
+All other numbers of `ekf_reference`: constants of modules, and defaults of fields and of arguments,
+which runs may replace by settings. Of a constant set of options only what differs from the defaults
+is listed. They are ours.
 
 | where | value |
 |---|---|
@@ -72,7 +74,11 @@ def _table(rows: list[Documented], *, why: bool) -> Iterator[str]:
 
 
 def _under(row: Documented) -> str:
-    words = [f"{path} {' or '.join(map(shown, values))}" for path, values in row.when.items()]
+    words = []
+    for path, values in row.when.items():
+        listed = values.values if isinstance(values, AnyBut) else values
+        word = "not " if isinstance(values, AnyBut) else ""
+        words.append(f"{path} {word}{' or '.join(map(shown, listed))}")
     return f" ({'; '.join(words)})" if words else ""
 
 
@@ -93,7 +99,7 @@ def _by_name(at: str, value: float) -> str:
 
 def undocumented() -> list[tuple[str, float]]:
     """Return numbers of `ekf_reference` that no row is about, with their values."""
-    known = {row.at for row in ROWS} | {one for row in ROWS for one in (*row.also, *row.defaults)}
+    known = {one.replace("()", "") for row in ROWS for one in (row.at, *row.also, *row.defaults)}
     found = []
     for info in pkgutil.walk_packages(ekf_reference.__path__, "ekf_reference."):
         module = import_module(info.name)
@@ -103,18 +109,29 @@ def undocumented() -> list[tuple[str, float]]:
 
 def _numbers(module: ModuleType) -> Iterator[tuple[str, float]]:
     """Numbers that a module itself defines; zero and below, and infinity, set nothing."""
-    name = module.__name__
     for node in ast.parse(inspect.getsource(module)).body:
-        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            key = node.targets[0].id
-            if key.isupper() and _is_number(value := getattr(module, key)):
-                yield f"{name}:{key}", value
-        elif isinstance(node, ast.ClassDef) and dataclasses.is_dataclass(
-            kind := getattr(module, node.name)
-        ):
-            for one in dataclasses.fields(kind):
-                if _is_number(default := one.default):
-                    yield f"{name}:{node.name}.{one.name}", float(default)  # type: ignore[arg-type]
+        if isinstance(node, ast.Assign):
+            names = [one.id for one in ast.walk(node.targets[0]) if isinstance(one, ast.Name)]
+        else:
+            names = [node.name] if isinstance(node, ast.ClassDef | ast.FunctionDef) else []
+        for key in names:
+            if key.isupper() or not isinstance(node, ast.Assign):
+                for path, value in _within(getattr(module, key)).items():
+                    if _is_number(value):
+                        yield f"{module.__name__}:{'.'.join(filter(None, (key, path)))}", value
+
+
+def _within(thing: Any) -> dict[str, Any]:
+    """A constant, or the defaults of what has some; of an instance the fields that have others."""
+    if dataclasses.is_dataclass(thing):
+        usual = {one.name: one.default for one in dataclasses.fields(thing)}
+        if isinstance(thing, type):
+            return usual
+        return {k: v for k, v in vars(thing).items() if _is_number(usual[k]) and v != usual[k]}
+    made = vars(thing).get("__init__") if isinstance(thing, type) else thing
+    if not inspect.isfunction(made):
+        return {"": thing}
+    return {k: one.default for k, one in inspect.signature(made).parameters.items()}
 
 
 def _is_number(value: Any) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from comparisons.config import merge
-from comparisons.documented.row import Documented, same, setting_default
+from comparisons.documented.row import AnyBut, Documented, same, setting_default
 from comparisons.documented.rows import ROWS
 from comparisons.extensions.registry import EXTENSIONS
 
@@ -77,7 +77,8 @@ def applies(row: Documented, given: Mapping[str, Any]) -> bool:
         asked = _plain(read(given, path))
         if asked is None:
             asked = _format(given) if path == "log.format" else setting_default(path)
-        if not any(same(asked, one) for one in values):
+        listed = values.values if isinstance(values, AnyBut) else values
+        if isinstance(values, AnyBut) == any(same(asked, one) for one in listed):
             return False
     return True
 

@@ -17,6 +17,13 @@ PRESETS = {"G": "guivant-2002", "M": "misono-2007", "N": "nieto-2005"}
 """Of each document, by the letter that its places begin with."""
 
 
+@dataclass(frozen=True)
+class AnyBut:
+    """All values of a setting but these."""
+
+    values: tuple[Value, ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Documented:
     """A constant that a document states.
@@ -25,7 +32,8 @@ class Documented:
     value: the document's, in SI units and radians. unit: of it. at: where the runs' value stands:
     a setting of a run, as `dense_maps.longest_edge_m`, which the document's preset sets to its
     value; or code, as `package.module:Class.field` or `package.module:function().name`.
-    when: settings, each with the values under which the preset sets this one. reason: why runs use
+    when: settings, each with the values under which the preset sets this one, or AnyBut those.
+    reason: why runs use
     another value, with the measured figure; empty exactly where they use the document's. absent:
     what runs use where the setting is absent, in words, exactly where it may be. defaults: code
     with a default of the same constant, which runs replace. also: further code that has the
@@ -38,7 +46,7 @@ class Documented:
     value: Value
     at: str
     unit: str = ""
-    when: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
+    when: Mapping[str, tuple[Value, ...] | AnyBut] = field(default_factory=dict)
     reason: str = ""
     absent: str = ""
     defaults: tuple[str, ...] = ()

@@ -75,7 +75,9 @@ def build_map(
     made: Mapping[str, Layer] = {
         "points": Points(size),
         "occupancy": OccupancyGrid(size, grid_model(config), coarsening=config.coarsening),
-        "particles": Particles(np.random.default_rng(0), d_min_m=config.d_min_m),
+        "particles": Particles(
+            np.random.default_rng(0), model=grid_model(config), d_min_m=config.d_min_m
+        ),
         "sog": Gaussians(config.d_min_m),
     }
     waiting = DelayedInitialisation(capacity=bounds.capacity, patience=bounds.patience)
