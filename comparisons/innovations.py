@@ -50,9 +50,10 @@ class Windows:
 
 @dataclass(frozen=True)
 class Gating:
-    """Measurements (k,) with a valid S. event, rejected: (k,). passes: share that sound ones do."""
+    """Measurements (k,) with a valid S: event, time_s, rejected. passes: share of sound ones."""
 
     event: Index
+    time_s: Array
     rejected: Mask
     passes: float | None
 
@@ -60,6 +61,32 @@ class Gating:
     def count(self) -> int:
         """How many were rejected."""
         return int(np.count_nonzero(self.rejected))
+
+    @property
+    def instants(self) -> tuple[Index, Index, Index]:
+        """Rows at which instants begin, and of each how many were measured and rejected.
+
+        Measurements of an instant share the state's error, and so what becomes of them.
+        """
+        starts = np.flatnonzero(np.diff(self.time_s, prepend=np.nan) != 0.0)
+        ones = np.column_stack((np.ones(len(self.event), np.intp), self.rejected.astype(np.intp)))
+        measured, rejected = np.add.reduceat(ones, starts, axis=0).T if len(starts) else ones.T
+        return starts, measured, rejected
+
+    def longest(self) -> tuple[int, int, int]:
+        """Return the longest series of instants that were rejected as a whole.
+
+        Returns:
+            Its first row, the one behind its last, and how many instants it has; none without any.
+        """
+        starts, measured, rejected = self.instants
+        steps = np.diff(np.concatenate(([0], (measured == rejected).astype(np.int8), [0])))
+        first, end = np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)
+        if not len(first):
+            return 0, 0, 0
+        at = int(np.argmax(end - first))
+        ends = np.append(starts, len(self.event))
+        return int(ends[first[at]]), int(ends[end[at]]), int(end[at] - first[at])
 
     @property
     def band(self) -> tuple[float, float] | None:
@@ -109,7 +136,8 @@ class SensorInnovations(InnovationFigures):
     """The measurements (n,) of a sensor that were used and have a valid S, with their figures.
 
     event, time_s: (n,). squared: (n,) NIS, of dof (n,) entries each. components: (n, c) whitened,
-    with their names; None where measurements differ in size.
+    with their names; None where measurements differ in size. least: of the expected NIS, what a
+    gate within batches leaves at least; 1 where its effect is undone.
     """
 
     windows: Windows
@@ -120,6 +148,7 @@ class SensorInnovations(InnovationFigures):
     dof: Index
     components: Array | None
     names: tuple[str, ...]
+    least: float = 1.0
 
 
 class InnovationLog:
@@ -179,10 +208,14 @@ class InnovationLog:
         row, gate = np.repeat(np.arange(len(size)), size), self._sensor.gate
         squared: Array = np.bincount(row, values**2, len(size)).astype(np.float64)
         usable = np.isfinite(squared)
+        kept, least = usable & (used > 0), 1.0
         if gate is not None:
-            values = values * _lengthened(squared, size, gate)[row]
+            # Within a batch each is whitened given others, while the gate saw it alone.
+            alone = np.bincount(event)[event] == 1
+            values = values * np.where(alone, _lengthened(squared, size, gate), 1.0)[row]
             squared = np.bincount(row, values**2, len(size)).astype(np.float64)
-        kept = usable & (used > 0)
+            taken = (1.0 - _passed(size, gate)) * ~alone
+            least -= float(taken[kept].sum()) / max(int(kept.sum()), 1)
         event, time_s = event[kept], rows[judged, 2][kept]
         squared, dof = squared[kept], size[kept]
         components, names = None, self._sensor.components
@@ -196,13 +229,19 @@ class InnovationLog:
             whiteness=tuple(_whiteness(components, names, time_s, landmark[kept])),
             windows=_windows(event, time_s, squared, dof),
             unusable=int(np.count_nonzero(~usable)),
-            gating=Gating(rows[judged, 1].astype(np.intp)[usable], used[usable] == 0, gate),
+            gating=Gating(
+                rows[judged, 1].astype(np.intp)[usable],
+                rows[judged, 2][usable],
+                used[usable] == 0,
+                gate,
+            ),
             event=event,
             time_s=time_s,
             squared=squared,
             dof=dof,
             components=components,
             names=names if components is not None else (),
+            least=least,
         )
 
 
@@ -239,6 +278,13 @@ def _lengthened(nis: Array, dof: Index, gate: float) -> Array:
     found: Array = np.ones(len(nis))
     some = (nis > 0.0) & (passed < 1.0)
     found[some] = np.sqrt(2.0 * gammaincinv(0.5 * dof[some], passed[some]) / nis[some])
+    return found
+
+
+def _passed(dof: Index, gate: float) -> Array:
+    """Of NIS of dof (n,) that sound measurements have, the share that those have which pass."""
+    limit = gammaincinv(0.5 * dof, gate)
+    found: Array = gammainc(0.5 * dof + 1.0, limit) / gate
     return found
 
 

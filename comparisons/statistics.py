@@ -39,6 +39,8 @@ Of 40 numbers at 10 lags, 0.6 % of white series have a p-value below 0.1 %; at 2
 ROUNDING = 1e-6
 """Largest algebra and model gap, in sigma and in covariance, that rounding explains, unless a wide
 prior explains more."""
+SINGULAR = 1e-11
+"""Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
 DENSE = 2000
 """States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 
@@ -300,12 +302,13 @@ def independent(values: Array) -> float:
     return n / max(2.0 * float(lasting.sum()) - 1.0, 1.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Averaged:
     """Squared errors per degree of freedom: 1 is right.
 
     band: that 95 % of sound runs keep, by the effective number of independent ones. p_value: the
-    same, two-sided. count: how many. worst: number of the one that is largest.
+    same, two-sided. count: how many. worst: number of the one that is largest. dof: degrees of
+    freedom of all independent ones together.
     """
 
     mean: float
@@ -313,6 +316,7 @@ class Averaged:
     p_value: float
     count: int
     worst: int
+    dof: float
 
 
 def averaged(squared: Array, dof: Index, number: Index) -> Averaged | None:
@@ -333,6 +337,7 @@ def averaged(squared: Array, dof: Index, number: Index) -> Averaged | None:
         p_value=two_sided(mean * count * each, count * each),
         count=len(per),
         worst=int(number[some][np.argmax(per)]),
+        dof=count * each,
     )
 
 

@@ -13,8 +13,9 @@ from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index
 from comparisons.audit.faults import (
     PLAIN,
     WITH_GAIN,
@@ -30,13 +31,14 @@ from comparisons.audit.faults import (
 from comparisons.audit.replay import (
     Fused,
     Layout,
+    LongFormReplay,
     Replay,
     Unlike,
     apart,
     check_gain,
     largest_pair,
 )
-from comparisons.statistics import ROUNDING, units
+from comparisons.statistics import ROUNDING, SINGULAR, covariance_gap, units
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -61,12 +63,21 @@ _STEPS, _CLOSE = 8, 1e-9
 """Of a number's fit: how many at most, and relative to the number, where it ends."""
 _SHARE = 1e-4
 """Of the difference that a known error must not leave unexplained."""
+_PART = 0.01
+"""Likewise, of one that only shows along a direction of which the filter is certain."""
 _REMEMBERED = 64
 """Events before a snapshot whose matrices may have been used in place of a later one's."""
 _SMALL = 0.01
 """A correction, in radians, below which a reset may as well be the identity."""
 _SINGLE = 1e-3
 """Sigmas of what rounding leaves of covariances in single precision."""
+_OF_DOUBLE, _OF_SINGLE = 1e-9, 2.0**-23
+"""Of a covariance in products of two sigmas, along any direction, as rounding; in single precision
+so much by entry."""
+_FORMS = 10.0
+"""Rounding is at most so many times what two forms of the update differ by."""
+_SLIGHT = 1e-3
+"""Products of two sigmas by which a covariance may be off and explain no figure of consistency."""
 _LOST = 64 * float(np.finfo(float).eps)
 """Of an estimate's numbers, as rounding."""
 _OF_EVENTS = ("noise", "covariance", "algebra", "correction", "gain")
@@ -78,8 +89,8 @@ class Finding:
     """What the audit found.
 
     Attributes:
-        check: noise, algebra, covariance, correction, gain, innovations, smoother, nees or
-            spurious.
+        check: noise, algebra, covariance, correction, gain, precision, innovations, smoother, nees
+            or spurious.
         fault: whether it makes the trace faulty; what is only named does not.
         text: the finding as a sentence.
         event: number of the event where it is first seen.
@@ -149,6 +160,7 @@ class AlgebraCheck:
         self._resets = _Resets()
         self._last: Event
         self._numbers: dict[str, Array] = {}
+        self._proposed = False
 
     def take(self, event: Event, unsound: str = "") -> Fused | None:
         """Do an event, or compare a snapshot; return what an update came to, if that is known.
@@ -204,11 +216,12 @@ class AlgebraCheck:
     def add(self, finding: Finding, kind: str, weight: float = 0.0) -> None:
         """Keep the first finding of a kind, and count the others.
 
-        weight: of a finding that is not of one event; what weighs more goes first.
+        weight: of a finding that is not of one event; what weighs more goes first. Negative of one
+        event's that is slight.
         """
         key = f"{finding.check}|{finding.sensor}|{kind}"
-        first, seen_s, count, _ = self._found.get(key, (finding, self._last.time_s, 0, weight))
-        self._found[key] = first, seen_s, count + 1, weight
+        first, seen_s, count, most = self._found.get(key, (finding, self._last.time_s, 0, weight))
+        self._found[key] = first, seen_s, count + 1, max(most, weight)
 
     def end(self) -> None:
         """Accept what was found since the last snapshot, and of the trace as a whole."""
@@ -222,15 +235,17 @@ class AlgebraCheck:
     def findings(self, *, timed: bool = False) -> tuple[Finding, ...]:
         """Return findings, faults first, those of one event's algebra before the others by weight.
 
-        timed: with the time at which each is first seen, where events have times.
+        What is slight goes last. timed: with the time at which each is first seen, where events
+        have times.
         """
         found, never = [], float("inf")
         for first, seen_s, count, weight in self._found.values():
             at = f" (at {seen_s:.6g} s)" if timed and seen_s is not None else ""
             more = f"; and {count - 1:,} more" if count > 1 else ""
-            event = never if first.event is None else first.event
             of_one_event = first.check in _OF_EVENTS
-            order = not first.fault, not of_one_event, -weight, event, first.check != "covariance"
+            event = first.event if of_one_event and first.event is not None else never
+            late = not of_one_event or weight < 0.0
+            order = not first.fault, late, -weight, event, first.check != "covariance"
             found.append((order, replace(first, text=first.text + at + more)))
         return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
@@ -246,7 +261,10 @@ class AlgebraCheck:
         self.gains += 1
         sigma: Array = np.sqrt(np.maximum(self.replay.covariance.diagonal(), 0.0))
         layout = self.replay.layout
-        for one in check_gain(event, fused, sigma, layout, self.tolerance):
+        unlike = check_gain(event, fused, sigma, layout, self.tolerance)
+        if unlike:
+            self.note_precision(event.number, event.gain, event.correction)
+        for one in unlike:
             what = (self._name(event, before, one) if one.kind else None) or one.what
             text = f"{name_of(event)} {what}"
             check = "correction" if one.fault else "gain"
@@ -295,9 +313,12 @@ class AlgebraCheck:
                 self.replay.covariance, self.known = 0.5 * (recorded + recorded.T), True
                 self._restart()
             return
-        wrong = not float(apart(recorded, right).max()) <= self.tolerance
+        wrong = self._differs(recorded, right)
+        if wrong and self._start is not None:
+            wrong = self._differs_from_before(self._start, recorded, at)
         if wrong and not (not whole and self._broken >= set(snapshot.blocks)):
-            self._localise(snapshot)
+            slight = bool(apart(recorded, right).max() < _SLIGHT)
+            self._localise(snapshot, -1.0 if slight else 0.0)
         else:
             self._confirm(None)
             # What an earlier error has made invalid is no second one.
@@ -309,15 +330,52 @@ class AlgebraCheck:
             if whole:
                 self.replay.covariance = 0.5 * (recorded + recorded.T)
         if whole or self._start is not None:
-            self._restart()
+            self._restart(recorded if whole else None)
 
-    def _restart(self) -> None:
-        """Begin an interval between snapshots."""
+    def _differs(self, recorded: Array, right: Array, rounding: float = 0.0) -> bool:
+        """Whether two covariances are apart by more than the tolerance, along any direction.
+
+        rounding: along any direction, in products of two sigmas, if it is more than usual.
+        """
+        scale = np.outer(unit := units(recorded, right), unit)
+        off = (recorded - right) / scale
+        largest = float(np.abs(off).max())
+        if not largest <= self.tolerance:
+            return True
+        usual = len(off) * _OF_SINGLE if _is_single(recorded) else _OF_DOUBLE
+        rounding = max(usual, rounding)
+        if len(off) * largest <= rounding:
+            return False
+        allowed = self.tolerance * right / scale + rounding * np.eye(len(off))
+        off = 0.5 * (off + off.T)
+        return not all(_definite(allowed + sign * off) for sign in (1.0, -1.0))
+
+    def _differs_from_before(self, start: Replay, recorded: Array, at: slice | Index) -> bool:
+        """Whether a snapshot differs from what the events make of the one before, as recorded.
+
+        Where it does not, what it differs by was rounding there, and the recursion goes on so.
+        """
+        again, other = start.copy(), LongFormReplay.of(start)
+        with np.errstate(all="ignore"):
+            for event in self._kept:
+                again.apply(event)
+                other.apply(event)
+            right = again.covariance[at][:, at]
+            forms = float(apart(right, other.covariance[at][:, at]).max())
+        if self._differs(recorded, right, _FORMS * forms):
+            return True
+        self.replay.covariance = again.covariance
+        return False
+
+    def _restart(self, recorded: Array | None = None) -> None:
+        """Begin an interval between snapshots. recorded: the snapshot, if it is of all blocks."""
         kept = self._kept
         self._recent.extend(kept[-_REMEMBERED:])
         if len(self._first) < _REMEMBERED:
             self._first += kept[:_REMEMBERED]
         self._start, self._kept = self.replay.copy(), []
+        if recorded is not None:
+            self._start.covariance = 0.5 * (recorded + recorded.T)
 
     def _invalid(self, snapshot: Snapshot, cause: Finding | None = None) -> None:
         """Add that a covariance is invalid. cause: what is known of where it became so."""
@@ -403,11 +461,19 @@ class AlgebraCheck:
             )
             self.add(finding, f"estimate after {type(last).__name__}")
 
-    def _localise(self, snapshot: Snapshot) -> None:
-        """Say where and how a snapshot became wrong."""
-        if self.tolerance < _SINGLE and self.sound and _is_single(snapshot.covariance):
-            text = f"covariances are in single precision: audit them with --tolerance {_SINGLE:g}"
-            self.add(Finding("covariance", False, text, snapshot.number), "single")
+    def note_precision(self, number: int, *matrices: Array | None) -> None:
+        """Propose another tolerance where what differs at an event is of single precision."""
+        if self._proposed or self.tolerance >= _SINGLE:
+            return
+        if any(matrix is not None and _is_single(matrix) for matrix in matrices):
+            self._proposed = True
+            text = f"the filter is in single precision: audit it with --tolerance {_SINGLE:g}"
+            self.add(Finding("precision", False, text, number), "single")
+
+    def _localise(self, snapshot: Snapshot, weight: float) -> None:
+        """Say where and how a snapshot became wrong. weight: negative where that is slight."""
+        if self.sound:
+            self.note_precision(snapshot.number, snapshot.covariance)
         if self._start is None or self._searched > MOST_SEARCHED:
             self._pending = []
             text = f"the covariance at event {snapshot.number} is not that of the events before it"
@@ -429,7 +495,7 @@ class AlgebraCheck:
             first, _ = self._pending[0]
             finding = replace(finding, event=first.event, sensor=first.sensor)
         self._confirm(finding.event)
-        self._add_cause(finding, cause.kind)
+        self._add_cause(finding, cause.kind, weight)
         if not cause.kind:
             self._invalid(snapshot, finding)
 
@@ -441,15 +507,15 @@ class AlgebraCheck:
             self.optimal = self.optimal and len(kept) == len(self._pending)
             self._pending = kept
 
-    def _add_cause(self, finding: Finding, kind: str) -> None:
+    def _add_cause(self, finding: Finding, kind: str, weight: float) -> None:
         """Keep a cause; the second event of a kind has the first as the one before it."""
         twin = re.sub(r"of the first (\w+)", r"of the \1 before", kind)
         key = f"{finding.check}|{finding.sensor}|{twin}"
         if twin != kind and key in self._found and self._found[key][2] == 1:
-            old, seen_s, count, weight = self._found.pop(key)
+            old, seen_s, count, most = self._found.pop(key)
             old = replace(old, text=old.text.replace(twin, kind))
-            self._found[f"{finding.check}|{finding.sensor}|{kind}"] = old, seen_s, count, weight
-        self.add(finding, kind or "unknown")
+            self._found[f"{finding.check}|{finding.sensor}|{kind}"] = old, seen_s, count, most
+        self.add(finding, kind or "unknown", weight)
 
     def _finding(self, cause: Cause, snapshot: Snapshot) -> Finding:
         check = "gain" if cause.sound else "algebra"
@@ -491,6 +557,11 @@ def _is_single(matrix: Array) -> bool:
     return bool(
         (matrix == matrix.astype(np.float32)).all() and (matrix != matrix.astype("f2")).any()
     )
+
+
+def _definite(matrix: Array) -> bool:
+    """Whether a symmetric matrix is positive definite; never one with numbers that are none."""
+    return not dpotrf(matrix, lower=1)[1]
 
 
 def _least(scaled: Array, allowed: float) -> float:
@@ -569,9 +640,11 @@ def localise(
     for event in changing:
         plain.apply(event)
     at = plain.layout.columns(snapshot.blocks)
-    scaled = apart(snapshot.covariance, plain.covariance[at][:, at])
+    right = plain.covariance[at][:, at]
+    scaled = apart(snapshot.covariance, right)
     dims = tuple(plain.layout.dims[b] for b in snapshot.blocks)
-    allowed = max(tolerance, _SHARE * float(scaled.max()))
+    largest = float(scaled.max())
+    allowed = max(tolerance, _SHARE * largest) if largest > tolerance else _PART * largest
     wrong = _wrong(scaled, snapshot.blocks, dims, allowed) if len(changing) == 1 else None
     search = _Search(start, changing, snapshot, allowed, wrong)
     for only in (before, None) if before else (None,):
@@ -581,6 +654,9 @@ def localise(
     pair = largest_pair(np.where(np.isfinite(scaled), scaled, np.inf), snapshot.blocks, dims)
     of = f"block {pair[0]}" if pair[0] == pair[1] else f"block {pair[0]} with {pair[1]}"
     what = f"the covariance of {of} is off by {scaled.max():.2g} of its sigmas"
+    if largest <= tolerance:
+        worst = covariance_gap(snapshot.covariance, right, units(right, right), SINGULAR).largest
+        what += f", by {worst:.2g} along the direction that it is most certain of"
     blocks = tuple(dict.fromkeys(pair))
     return Cause(changing[0] if len(changing) == 1 else None, what, blocks)
 

@@ -17,13 +17,22 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.algebra import AlgebraCheck, Finding
-from comparisons.audit.consistency import Anchors, EventInnovations, departures, far_off
-from comparisons.audit.replay import Fused, apart
+from comparisons.audit.consistency import (
+    Anchors,
+    BlockErrors,
+    Departure,
+    EventInnovations,
+    Smoothed,
+    departures,
+    first_error,
+    rarity,
+)
+from comparisons.audit.replay import Fused, Layout, apart
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.errors import InputError
 from comparisons.figures import Figure
 from comparisons.innovations import SensorInnovations
-from comparisons.statistics import ROUNDING, Averaged, averaged, covariance_gap, faults, units
+from comparisons.statistics import ROUNDING, SINGULAR, Averaged, covariance_gap, units
 from comparisons.trace.events import (
     Augment,
     Clone,
@@ -45,9 +54,9 @@ FALSE_ALARMS = 1e-3
 MOST_ANCHORS = 200
 LARGEST_ANCHORED = 500
 """Entries of a state whose smoothed marginals are kept on the way."""
-_SINGULAR = 1e-11
-"""Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
 _MOST_GAPS = 2_000
+_CONSEQUENCE = 0.5
+"""What innovations show explains other figures: these go first only where they show far more."""
 
 Progress = Callable[[str, int, int], None]
 Verdict = Literal["sound", "faulty", "nothing checked"]
@@ -85,7 +94,8 @@ class Audit:
         remarks: On the file.
         blocks: Dimensions of all blocks that there ever were, by name.
         tolerance: What rounding explains, in standard deviations.
-        findings: Faults first, each kind in the order of time.
+        findings: Faults first: of the algebra in the order of time, then what is rarest; what is
+            slight last.
         gaps: Snapshots against least squares, evenly thinned where there are many.
         largest: The largest gap of all snapshots.
         first_open: The first that is more than the tolerance.
@@ -97,6 +107,7 @@ class Audit:
         sensors: Innovations by sensor.
         smoother: Filter against smoother.
         nees: Errors against the recorded truth; None without.
+        nees_by_block: The same of each block that the prior has, where it has several.
         spurious: What was learnt of directions that sensors cannot tell; None where none are
             recorded.
     """
@@ -117,6 +128,7 @@ class Audit:
     sensors: tuple[SensorInnovations, ...]
     smoother: Averaged | None
     nees: Averaged | None
+    nees_by_block: Mapping[str, Averaged]
     spurious: Learnt | None
 
     @property
@@ -161,7 +173,8 @@ class _Pass:
         self.smoother: EventSmoother
         self.innovations = EventInnovations(trace.sensors)
         self.anchors = Anchors()
-        self.nees: list[tuple[int, float, int]] = []
+        self.prior: Prior
+        self.errors: BlockErrors
         self.blocks: dict[str, int] = {}
         self.gaps: list[AlgebraGap] = []
         self.largest: AlgebraGap | None = None
@@ -181,9 +194,8 @@ class _Pass:
             self._do(event)
         self.algebra.end()
         sensors = self.innovations.figures()
-        level = FALSE_ALARMS / (len(sensors) + 2)
-        smoother = self.anchors.against_smoother()
-        nees = self._nees()
+        level = FALSE_ALARMS / (len(sensors) + 3)
+        smoothed, nees = self.anchors.smoothed(), self.errors.averages()
         spurious = None if self.spurious is None else self.spurious.result()
         self._name_spurious(spurious)
         for name, one in self.innovations.turned():
@@ -192,8 +204,8 @@ class _Pass:
             self.algebra.add(finding, one.what, one.weight)
         for figures in sensors:
             self._judge_innovations(figures, level)
-        self._judge_average("smoother", "filter minus smoother", smoother, level)
-        self._judge_average("nees", "NEES per degree of freedom", nees, level)
+        self._judge_smoother(smoothed.averaged, level)
+        self._judge_errors(smoothed, level)
         return Audit(
             trace=self.trace.path,
             counts=self.trace.counts,
@@ -209,8 +221,9 @@ class _Pass:
             compared=self.compared,
             gains=self.algebra.gains,
             sensors=sensors,
-            smoother=smoother,
-            nees=nees,
+            smoother=smoothed.averaged,
+            nees=nees.pop("", None),
+            nees_by_block=nees,
             spurious=spurious,
         )
 
@@ -231,12 +244,21 @@ class _Pass:
             case Snapshot():
                 self._snapshot(event)
             case Prior():
+                self.prior = event
                 self.blocks = dict(zip(event.blocks, event.dims, strict=True))
+                self.errors = BlockErrors(Layout(event.blocks, event.dims))
                 self.algebra.take(event, unsound)
                 if not unsound:
-                    self.smoother = EventSmoother(event.blocks, event.dims, event.covariance)
+                    self._begin(event)
             case Directions() if self.unsolved is None:
                 self.spurious = SpuriousInformation(event, self.algebra.replay)
+
+    def _begin(self, prior: Prior) -> None:
+        """Begin least squares, and keep the beginning for what is smoothed back to it."""
+        self.smoother = EventSmoother(prior.blocks, prior.dims, prior.covariance)
+        if len(prior.covariance) <= LARGEST_ANCHORED:
+            self.anchors.begin(self.smoother.marginal())
+            self.smoother.anchor()
 
     def _follow(self, event: Event, fused: Fused | None) -> None:
         """Keep innovations and blocks. fused: what the recursion made of an update."""
@@ -303,7 +325,7 @@ class _Pass:
         sigma = units(snapshot.covariance, covariance)
         # The error's mean is what the estimate is off by.
         off = float((np.abs(marginal.mean[at]) / sigma).max())
-        spread = covariance_gap(snapshot.covariance, covariance, sigma, _SINGULAR).largest
+        spread = covariance_gap(snapshot.covariance, covariance, sigma, SINGULAR).largest
         gap = AlgebraGap(snapshot.number, snapshot.time_s, off, spread)
         if self.snapshots % self.each_gap == 0:
             self.gaps.append(gap)
@@ -311,19 +333,13 @@ class _Pass:
             self.largest = gap
         if self.first_open is None and not gap.worst <= self.tolerance:
             self.first_open = gap
+            self.algebra.note_precision(snapshot.number, snapshot.covariance)
 
     def _error(self, snapshot: Snapshot, error: Array) -> None:
         """Note the error squared, in units of the recorded covariance."""
-        p = snapshot.covariance
-        if faults(p[None])[0] == "":
-            squared = float(error @ np.linalg.solve(p, error))
-            self.nees.append((snapshot.number, squared, len(error)))
-
-    def _nees(self) -> Averaged | None:
-        if not self.nees:
-            return None
-        event, squared, dof = (np.array(column) for column in zip(*self.nees, strict=True))
-        return averaged(squared, dof, event)
+        self.errors.add(snapshot, error, self.algebra.replay.layout)
+        if not self.acted and snapshot.blocks == self.prior.blocks:
+            self.errors.before = error
 
     def _judge_innovations(self, figures: SensorInnovations, level: float) -> None:
         name = figures.sensor
@@ -336,17 +352,37 @@ class _Pass:
             text = f"sensor `{name}`: {one.what} (p = {one.p_value:.1g})"
             if not self.algebra.optimal:
                 text += "; its bands are those of Kalman's gain"
-            finding = Finding("innovations", self.algebra.optimal, text, one.event, sensor=name)
+            fault = self.algebra.optimal and one.fault
+            finding = Finding("innovations", fault, text, one.event, sensor=name)
             self.algebra.add(finding, one.what, weight)
 
-    def _judge_average(self, check: str, what: str, found: Averaged | None, level: float) -> None:
+    def _judge_smoother(self, found: Averaged | None, level: float) -> None:
         if found is not None and found.p_value < level:
             low, high = found.band
-            text = f"{what} is {found.mean:.3g}, expected {low:.3g} to {high:.3g}"
-            fault = check == "nees" or self.algebra.optimal
-            # What innovations show explains it: it goes first only where they do not show as much.
-            weight = 0.5 * far_off(found.mean, 1.0)
-            self.algebra.add(Finding(check, fault, text, found.worst), what, weight)
+            text = f"filter minus smoother is {found.mean:.3g}, expected {low:.3g} to {high:.3g}"
+            weight = _CONSEQUENCE * rarity(found.mean, found.dof)
+            finding = Finding("smoother", self.algebra.optimal, text, found.worst)
+            self.algebra.add(finding, text, weight)
+
+    def _judge_errors(self, smoothed: Smoothed, level: float) -> None:
+        """Judge errors by the truth, and the first one, which all measurements tell without it."""
+        for one in self.errors.departures(level):
+            finding = Finding("nees", True, one.what, one.event)
+            self.algebra.add(finding, one.what, _CONSEQUENCE * one.weight)
+        first = self._first_error(smoothed, level)
+        if first is not None:
+            finding = Finding("nees", self.algebra.optimal, first.what, first.event)
+            self.algebra.add(finding, first.what, _CONSEQUENCE * first.weight)
+
+    def _first_error(self, smoothed: Smoothed, level: float) -> Departure | None:
+        """Judge the first error by P0: the recorded one, or else as least squares have it."""
+        prior, before, first = self.prior, self.errors.before, smoothed.first
+        layout, p = Layout(prior.blocks, prior.dims), prior.covariance
+        if before is not None and prior.number not in self.trace.unsound:
+            return first_error(layout, p, before, np.zeros_like(p), level)
+        if first is None or not self.algebra.sound:
+            return None
+        return first_error(layout, p, first.mean, first.covariance, level)
 
     def _name_spurious(self, found: Learnt | None) -> None:
         """Name what was learnt of directions that the sensors cannot tell; no error of algebra."""

@@ -12,7 +12,8 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import bdtr, bdtrc, ndtr
+from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.special import bdtr, bdtrc, ndtr, rel_entr
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Fused, Layout, Replay
@@ -29,10 +30,12 @@ from comparisons.statistics import (
     Nis,
     Whiteness,
     averaged,
+    chi2_tail,
+    faults,
     normalised_difference,
     two_sided,
 )
-from comparisons.trace.events import Augment, Event, Prior, Sensor, Update
+from comparisons.trace.events import Augment, Event, Prior, Sensor, Snapshot, Update
 from graphslam.arrays import Marginal
 from graphslam.event_smoother import Link
 
@@ -43,6 +46,16 @@ _NEAR, _FAR = 3.0, 5.0
 _MOST_OTHERS, _CHANCE = 0.2, 1e-6
 """Share of the far ones that no turn explains, as outliers do, up to which turns are told from
 them; beyond it they are told where chance puts as many so near to whole turns as rarely."""
+_UNDECLARED = 0.5
+"""Share of rejections that a gate may have whose probability is not declared."""
+_OF_SERIES = 0.1
+"""Share of a gate's false alarms that series of rejections have."""
+_WHOLE = 0.9
+"""A sensor's figure goes behind that of a component which tells nearly as much."""
+_MOST_BLOCKS = 50
+"""Of the prior, whose errors are judged one by one."""
+_MOST_STRETCHES, _IN_STRETCH = 10, 10.0
+"""Of a run, of which NEES is judged, and how many independent errors each has at least."""
 
 
 class _Turned:
@@ -166,14 +179,27 @@ def event_innovations(
     return found.figures()
 
 
+class Smoothed(NamedTuple):
+    """averaged: filtered minus smoothed at the snapshots. first: the error at the beginning."""
+
+    averaged: Averaged | None
+    first: Marginal | None
+
+
 class Anchors:
-    """Filtered marginals at some snapshots, and the links from each to the next."""
+    """Filtered marginals at the beginning and some snapshots, and the links between them."""
 
     def __init__(self) -> None:
         """Start empty."""
         self._event: list[int] = []
         self._filtered: list[Marginal] = []
         self._links: list[Link] = []
+        self._begun = False
+
+    def begin(self, prior: Marginal) -> None:
+        """Keep what the filter begins with, before any snapshot."""
+        self._begun = True
+        self.add(0, prior, None)
 
     def add(self, event: int, filtered: Marginal, link: Link | None) -> None:
         """Keep a snapshot's. link: of the one before to this one."""
@@ -182,10 +208,10 @@ class Anchors:
         if link is not None:
             self._links.append(link)
 
-    def against_smoother(self) -> Averaged | None:
+    def smoothed(self) -> Smoothed:
         """Return (x_f - x_s)^T (P_f - P_s)^-1 (x_f - x_s) per clear direction, None of too few."""
-        if len(self._filtered) < 2:
-            return None
+        if not self._filtered:
+            return Smoothed(None, None)
         smoothed, squared, dof = self._filtered[-1], list[float](), list[int]()
         for filtered, link in zip(self._filtered[-2::-1], self._links[::-1], strict=True):
             smoothed = Marginal(
@@ -200,13 +226,148 @@ class Anchors:
             squared.append(value[0])
             dof.append(clear[0])
         events = np.array(self._event[-2::-1])
-        return averaged(np.array(squared), np.array(dof), events)
+        kept = slice(0, len(squared) - self._begun)  # the beginning is judged by itself
+        found = averaged(np.array(squared)[kept], np.array(dof)[kept], events[kept])
+        return Smoothed(found, smoothed if self._begun and len(self._links) else None)
+
+
+class BlockErrors:
+    """Errors of the estimate by the recorded truth: of the state, and of each of its first blocks.
+
+    layout: of the prior. before: the error before any event but snapshots, if it was recorded.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        """Start empty."""
+        names = list(layout.dims)[:_MOST_BLOCKS]
+        self._names = names if len(layout.dims) > 1 else []
+        self._rows: dict[str, list[tuple[int, float, float, int]]] = defaultdict(list)
+        self.before: Array | None = None
+
+    def add(self, snapshot: Snapshot, error: Array, layout: Layout) -> None:
+        """Add a snapshot's error (n,). layout: of its state."""
+        if faults(snapshot.covariance[None])[0] == "":
+            self._add("", snapshot, error, slice(None))
+        start = 0
+        for name in snapshot.blocks:
+            part = slice(start, start := start + layout.dims[name])
+            if name in self._names:
+                self._add(name, snapshot, error, part)
+
+    def _add(self, name: str, snapshot: Snapshot, error: Array, part: slice) -> None:
+        """Add the error squared of a part of the state, in units of the recorded covariance."""
+        root, fault = dpotrf(snapshot.covariance[part, part], lower=1)
+        if fault or not np.isfinite(root).all():
+            return
+        whitened = dtrtrs(root, error[part], lower=1)[0]
+        time_s = float(snapshot.number) if snapshot.time_s is None else snapshot.time_s
+        row = snapshot.number, time_s, float(whitened @ whitened), len(whitened)
+        self._rows[name].append(row)
+
+    def averages(self) -> dict[str, Averaged]:
+        """Return NEES of the state as a whole, by the name "", and of blocks."""
+        found = {}
+        for name, rows in sorted(self._rows.items()):
+            event, _, squared, dof = (np.array(column) for column in zip(*rows, strict=True))
+            average = averaged(squared, dof, event)
+            if average is not None:
+                found[name] = average
+        return found
+
+    def departures(self, level: float) -> list[Departure]:
+        """Return what departs: the state and the block that is off most, or else a stretch.
+
+        level: Of all together, of a sound filter.
+        """
+        averages = self.averages()
+        blocks = {name: one for name, one in averages.items() if name}
+        shares = {name: 0.5 * level / (len(blocks) if name else 2) for name in averages}
+        out = {n: rarity(a.mean, a.dof) for n, a in averages.items() if a.p_value < shares[n]}
+        worst = max((n for n in out if n), key=lambda name: out[name], default="")
+        if "" in out:
+            return [self._departure("NEES", averages[""], worst, blocks.get(worst))]
+        if worst:
+            return [self._departure(f"NEES of block `{worst}`", blocks[worst], worst, None)]
+        return [] if "" not in averages else self._stretch(averages[""], 0.25 * level)
+
+    def _departure(self, what: str, one: Averaged, begins: str, of: Averaged | None) -> Departure:
+        """Say that an average is off. begins: the block whose errors tell since when. of: its."""
+        (low, high), rows = one.band, self._rows[begins]
+        average = of or one
+        per = np.array([squared / dof for _, _, squared, dof in rows])
+        first = _onset(per, average.mean, 1.0)
+        since = f"from {_named(*rows[first][:2])} on" if first else "from the start"
+        more = f"; of block `{begins}` {of.mean:.3g}" if of is not None else ""
+        text = f"{what} per degree of freedom is {one.mean:.3g}, expected {low:.3g} to {high:.3g}"
+        event = rows[first][0]
+        return Departure(
+            f"{text}{more}, {since}", one.p_value, event, None, rarity(one.mean, one.dof)
+        )
+
+    def _stretch(self, whole: Averaged, level: float) -> list[Departure]:
+        """The first stretch of the run that leaves its band, which all of it hides."""
+        rows = self._rows[""]
+        each = whole.dof / (_IN_STRETCH * rows[0][3])
+        count = min(_MOST_STRETCHES, int(each))
+        if count < 2:
+            return []
+        for part in np.array_split(np.arange(len(rows)), count):
+            some = [rows[i] for i in part]
+            mean = sum(row[2] for row in some) / sum(row[3] for row in some)
+            dof = whole.dof / count
+            p = two_sided(mean * dof, dof)
+            if mean > 1.0 and p < level / count:
+                first, last = (_named(*row[:2]) for row in (some[0], some[-1]))
+                text = (
+                    f"NEES per degree of freedom is {mean:.3g} from {first} to {last}, expected 1"
+                )
+                event, until = some[0][0], some[-1][0]
+                return [Departure(text, p, event, until, rarity(mean, dof))]
+        return []
+
+
+def first_error(
+    layout: Layout, prior: Array, error: Array, left: Array, level: float
+) -> Departure | None:
+    """Return the block whose first error is farthest beyond P0, where chance hardly makes it.
+
+    Args:
+        layout: Of the prior.
+        prior: (n, n) P0.
+        error: (n,) the first error, by the truth or as all measurements together tell it.
+        left: (n, n) its own covariance, by the truth zero: Cov(error) = P0 - left.
+        level: Of all blocks together, of a sound filter.
+    """
+    found: Departure | None = None
+    names = list(layout.dims)[:_MOST_BLOCKS]
+    for name in names:
+        part = layout.entries(name)
+        with np.errstate(divide="ignore"):  # by the truth nothing is left
+            squared, dof, _ = normalised_difference(
+                error[None, part], prior[None, part, part], left[None, part, part]
+            )
+        p = chi2_tail(float(squared[0]), int(dof[0])) if dof[0] else 1.0
+        weight = rarity(float(squared[0]) / max(int(dof[0]), 1), int(dof[0]))
+        if p >= level / len(names) or (found is not None and found.weight >= weight):
+            continue
+        gained = np.sqrt(np.maximum((prior - left).diagonal()[part], 0.0))
+        sigmas = np.abs(error[part]) / np.where(gained > 0.0, gained, np.inf)
+        at = int(np.argmax(sigmas))
+        of = f"block `{name}`" if len(gained) == 1 else f"entry {at} of block `{name}`"
+        sigma = float(np.sqrt(prior.diagonal()[part][at]))
+        text = (
+            f"the first error of {of} is {error[part][at]:.3g}, P0 says {sigma:.3g}: P0 is too "
+            "small there, or stands in other rows"
+        )
+        found = Departure(text, p, 0, None, weight)
+    return found
 
 
 class Departure(NamedTuple):
     """A figure that a sound filter leaves rarely. p_value: two-sided. event: where it begins.
 
-    weight: how far it is off, as the logarithm of a ratio of variances.
+    weight: how rare it is, as `rarity` has it; p-values of what is far off are all zero. fault: it
+    is one by itself.
     """
 
     what: str
@@ -214,10 +375,11 @@ class Departure(NamedTuple):
     event: int | None = None
     until: int | None = None
     weight: float = 0.0
+    fault: bool = True
 
 
 def departures(one: SensorInnovations, level: float) -> list[Departure]:
-    """Return what departs of a sensor.
+    """Return what departs of a sensor, the rarest first.
 
     Args:
         one: Its figures.
@@ -235,19 +397,26 @@ def departures(one: SensorInnovations, level: float) -> list[Departure]:
     for series in one.whiteness:
         found += _white(series, share)
     found += _in_windows(one, windows, share)
-    return found + _gating(one.gating, level)
+    found += _gating(one.gating, level)
+    return sorted(found, key=lambda each: -each.weight)
 
 
 def _mean(nis: Nis, one: SensorInnovations, level: float) -> list[Departure]:
     whole = nis is one.nis[0]
     dof = float(one.dof.sum()) if whole else float(nis.count)
-    p = two_sided(nis.mean * nis.count, dof)
+    p = _chance(nis.mean * nis.count, dof, one.least)
     if p >= level:
         return []
     right = dof / nis.count
     what = "NIS" if whole else f"NIS of {nis.name}"
     text = f"{what} is {_word(nis.mean, right)}: {nis.mean:.3g}, expected {right:.3g}"
-    return [Departure(text, p, weight=far_off(nis.mean, right))]
+    weight = rarity(nis.mean / right, dof)
+    return [Departure(text, p, weight=_WHOLE * weight if whole else weight)]
+
+
+def _chance(total: float, dof: float, least: float) -> float:
+    """Two-sided chance of a sum of chi-square. least: of the expected one, if a gate took more."""
+    return two_sided(total if total >= dof else min(total / least, dof), dof)
 
 
 def _bias(column: Array, label: str, level: float) -> list[Departure]:
@@ -255,23 +424,24 @@ def _bias(column: Array, label: str, level: float) -> list[Departure]:
     p = float(2.0 * ndtr(-abs(z)))
     if p >= level:
         return []
-    mean = float(column.mean())
-    weight = far_off(1.0 + mean**2, 1.0)
-    return [Departure(f"mean of {label} is {mean:+.3g} sigma, expected 0", p, weight=weight)]
+    text = f"mean of {label} is {column.mean():+.3g} sigma, expected 0"
+    return [Departure(text, p, weight=0.5 * z**2)]
 
 
 def _white(series: Whiteness, level: float) -> list[Departure]:
     if series.order != "time" or series.p_value >= level:
         return []
     text = f"{series.component} is correlated in time: {series.autocorrelation[0]:+.2f} at lag 1"
-    return [Departure(text, series.p_value, weight=abs(series.autocorrelation[0]))]
+    squared = [(2.0 * c / b) ** 2 for c, b in zip(series.autocorrelation, series.band, strict=True)]
+    weight = rarity(sum(squared) / len(squared), len(squared))
+    return [Departure(text, series.p_value, weight=weight)]
 
 
 def _in_windows(one: SensorInnovations, windows: list[Index], level: float) -> list[Departure]:
     """The first stretch that leaves its band, with the event at which it begins to."""
     out = []
     for part in windows:
-        p = two_sided(float(one.squared[part].sum()), float(one.dof[part].sum()))
+        p = _chance(float(one.squared[part].sum()), float(one.dof[part].sum()), one.least)
         if p < level:
             out.append((part, p))
     if not out:
@@ -284,29 +454,77 @@ def _in_windows(one: SensorInnovations, windows: list[Index], level: float) -> l
         f"NIS is {_word(mean, right)} from {one.time_s[start]:.6g} to {one.time_s[last[-1]]:.6g}: "
         f"{mean:.3g}, expected {right:.3g}"
     )
-    until = int(one.event[last[-1]])
-    return [Departure(text, p, int(one.event[start]), until, far_off(mean, right))]
+    until, weight = int(one.event[last[-1]]), rarity(mean / right, float(one.dof[part].sum()))
+    return [Departure(text, p, int(one.event[start]), until, weight)]
 
 
 def _gating(gating: Gating, level: float) -> list[Departure]:
-    """The rate of rejections against its nominal, by the binomial distribution."""
+    """How often the gate rejects, and its longest series of rejections; one where both depart."""
+    rate = None if gating.passes is None else _rate(gating, 1.0 - gating.passes, level)
+    series = _series(gating, _OF_SERIES * level)
+    if rate is not None and series is not None:
+        what = f"{rate.what}: {series.what.removeprefix('rejects ')}"
+        weight = max(rate.weight, series.weight)
+        return [rate._replace(what=what, event=series.event, until=series.until, weight=weight)]
+    return [one for one in (rate, series) if one is not None]
+
+
+def _rate(gating: Gating, nominal: float, level: float) -> Departure | None:
+    """The rate of rejections against its nominal, by the binomial distribution.
+
+    Where instants have several measurements, also by how these are rejected together.
+    """
     n, rejected = len(gating.event), gating.count
-    if gating.passes is None or not n:
-        return []
-    nominal = 1.0 - gating.passes
+    if not n:
+        return None
     upper = 1.0 if rejected == 0 else float(bdtrc(rejected - 1, n, nominal))
     p = min(1.0, 2.0 * min(float(bdtr(rejected, n, nominal)), upper))
+    _, measured, found = gating.instants
+    if len(measured) < n:
+        spread = float(np.sqrt(np.sum((found - nominal * measured) ** 2)))
+        p = max(p, float(2.0 * ndtr(-abs(rejected - nominal * n) / spread)))
     if p >= level:
-        return []
+        return None
     rate = rejected / n
     start = int(gating.event[_onset(gating.rejected.astype(float), rate, nominal)])
     text = f"rejects {rejected:,} of {n:,} ({100.0 * rate:.2g} %, nominal {100.0 * nominal:.2g} %)"
-    return [Departure(text, p, start, weight=far_off(rate, nominal))]
+    weight = n * float(rel_entr(rate, nominal) + rel_entr(1.0 - rate, 1.0 - nominal))
+    return Departure(text, p, start, weight=weight)
 
 
-def far_off(value: float, right: float) -> float:
-    """The logarithm of how many times a variance is too large or too small."""
-    return abs(float(np.log(max(value, 1e-300) / right)))
+def _series(gating: Gating, level: float) -> Departure | None:
+    """The longest unbroken series of rejections, where chance hardly makes it: a lock-out.
+
+    Of a gate that is not declared one that lasts to the end, which is no fault by itself.
+    """
+    (start, end, instants), declared = gating.longest(), gating.passes is not None
+    nominal = _UNDECLARED if gating.passes is None else 1.0 - gating.passes
+    n, lasts = len(gating.event), end == len(gating.event)
+    p = n * nominal**instants
+    if instants < 2 or p >= level or not (declared or lasts):
+        return None
+    first, last = (_named(int(gating.event[k]), float(gating.time_s[k])) for k in (start, end - 1))
+    text = f"rejects {end - start:,} in a row, from {first} to {last}"
+    if lasts:
+        text = f"rejects everything from {first} on, {end - start:,} in a row"
+    begins, until = int(gating.event[start]), int(gating.event[end - 1])
+    weight = -float(np.log(n) + instants * np.log(nominal))
+    return Departure(text, p, begins, until, weight, declared)
+
+
+def _named(event: int, time_s: float) -> str:
+    """The time of an event, or its number where events have no times."""
+    return f"event {event:,}" if time_s == event else f"{time_s:.6g} s"
+
+
+def rarity(ratio: float, dof: float) -> float:
+    """Return -log of the chance of a chi-square average that is `ratio` times its mean.
+
+    By Chernoff's bound, dof / 2 (ratio - 1 - log(ratio)), which tells what is far off apart where
+    all p-values are zero.
+    """
+    ratio = max(ratio, 1e-300)
+    return 0.5 * dof * (ratio - 1.0 - float(np.log(ratio)))
 
 
 def _word(mean: float, right: float) -> str:

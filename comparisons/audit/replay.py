@@ -245,6 +245,24 @@ class ShortFormReplay(Replay):
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
 
 
+class LongFormReplay(Replay):
+    """The same by (I - K H) P (I - K H)^T + K R K^T: what differs from the other is rounding."""
+
+    @classmethod
+    def of(cls, other: Replay) -> LongFormReplay:
+        """Return one that goes on from another."""
+        dims = other.layout.dims
+        prior = Prior(0, None, tuple(dims), tuple(dims.values()), other.covariance)
+        return cls(prior)
+
+    def fuse(self, event: Update, gain: Array) -> None:
+        """Update the covariance alone, with any gain (n, m)."""
+        less = np.eye(len(gain))
+        less[:, self.layout.columns(event.blocks)] -= gain @ event.jacobian
+        p = less @ self.covariance @ less.T + gain @ event.noise @ gain.T
+        self.covariance = 0.5 * (p + p.T)
+
+
 def apart(recorded: Array, expected: Array) -> Array:
     """Return the differences (n, n) of two covariances, in units of the expected sigmas.
 

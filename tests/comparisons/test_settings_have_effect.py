@@ -49,8 +49,7 @@ from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.solve import prepare_solve, solve
 from comparisons.report.dense_map import _layer_files
-from comparisons.report.result import build_result
-from comparisons.report.run import run_folder
+from comparisons.report.run import RunReport
 from ekf_reference.core.trace import Trace
 from ekf_reference.dense.layers.particles import Particles
 from graphslam.scan.loop_closure import loop_closer
@@ -232,7 +231,7 @@ def of_report(report: ReportConfig) -> object:
     """The names of what a run writes."""
     c = comparison()
     config = c.prepared.config.model_copy(update={"report": report})
-    folder = run_folder(replace(c, prepared=replace(c.prepared, config=config)), build_result(c))
+    folder = RunReport.of(replace(c, prepared=replace(c.prepared, config=config))).folder()
     return list(folder.files), list(folder.figures)
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from comparisons.arrays import Array
+from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import FALSE_ALARMS, Audit, audit
+from comparisons.report.audit import AuditReport, audit_rows
 from comparisons.trace.recorder import Recorder
 from tests.comparisons.audit.toy_filter import GATE, SENSORS, Alter, F, Q, Toy
 from tests.helpers import present
@@ -453,6 +456,146 @@ def test_resets_that_are_all_the_identity_are_noted(
     assert [(one.fault, one.event) for one in notes] == [(False, 2)] * told
 
 
+CLOSE = np.array([[1.0, 0.999], [0.999, 1.0]])
+"""A covariance that is certain of the difference of its two numbers, to 0.045."""
+
+
+def walked(tmp_path: Path, alter: Callable[[int, Array], Array]) -> Audit:
+    """Audit two numbers that walk. alter: what P becomes after the prediction of a step."""
+    p, q, h = CLOSE, 1e-5 * np.eye(2), np.array([[0.6, 0.5]])
+    path = tmp_path / "walk.trace"
+    path.unlink(missing_ok=True)
+    rng = np.random.default_rng(3)
+    with Recorder(path) as record:
+        record.prior({"left": 1, "right": 1}, p)
+        for step in range(10):
+            p = alter(step, p + q)
+            record.predict(np.eye(2), q)
+            record.snapshot(p)
+            s = h @ p @ h.T + 1.0
+            record.update("sum", np.sqrt(s[0]) * rng.standard_normal(1), h, np.eye(1))
+            p = p - p @ h.T @ h @ p / s
+            record.snapshot(p)
+    return audit(path)
+
+
+def test_what_only_a_certain_direction_shows_is_found_where_it_happens(tmp_path: Path) -> None:
+    """By entries it is below the tolerance; the events after it are not blamed."""
+    off = 2e-8 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    found = walked(tmp_path, lambda step, p: p + off if step == 4 else p)
+    assert np.abs(off).max() < found.tolerance
+    first = found.findings[0]
+    assert (first.check, first.event, present(found.first_open).event) == ("algebra", 17, 18)
+    assert "by 3.8e-05 along the direction that it is most certain of" in first.text
+    assert [one.check for one in found.findings] == ["algebra"]
+    assert "more" not in first.text
+    assert walked(tmp_path, lambda step, p: p).sound
+
+
+def test_what_each_event_may_leave_open_is_not_summed(tmp_path: Path) -> None:
+    """One event is judged from the snapshot before it; a step of more than that is found."""
+    assert walked(tmp_path, lambda step, p: p * (1.0 + 0.9e-6)).sound
+    assert not walked(tmp_path, lambda step, p: p * (1.0 + 1.1e-6)).sound
+
+
+def erring(tmp_path: Path, scale: Callable[[int], Array], first: float = 0.0) -> Audit:
+    """Audit a filter of a place and a bias without sensors. scale: (3,) of its errors at a step.
+
+    first: added to the bias's first error, which the filter then has forgotten.
+    """
+    rng, path = np.random.default_rng(7), tmp_path / "erring.trace"
+    path.unlink(missing_ok=True)
+    e, p = rng.standard_normal(3), np.eye(3)
+    with Recorder(path) as record:
+        record.prior({"place": 2, "bias": 1}, p)
+        record.snapshot(p, error=e + [0.0, 0.0, first])
+        for step in range(1000):
+            record.at(0.1 * step)
+            e = 0.5 * e + np.sqrt(0.75) * rng.standard_normal(3)
+            record.predict(0.5 * np.eye(3), 0.75 * np.eye(3))
+            record.snapshot(p, error=e * scale(step))
+    return audit(path)
+
+
+def test_nees_names_block_and_time(tmp_path: Path) -> None:
+    found = erring(tmp_path, lambda step: np.array([1.0, 1.0, 5.0 if step >= 600 else 1.0]))
+    (one,) = found.findings
+    assert (one.check, one.fault) == ("nees", True)
+    assert "NEES per degree of freedom is 4" in one.text
+    assert "; of block `bias` 1" in one.text
+    since = float(one.text.split(", from ")[1].removesuffix(" s on"))
+    assert since == pytest.approx(60.0, abs=1.0)
+    assert set(found.nees_by_block) == {"place", "bias"}
+    assert found.nees_by_block["place"].p_value > 0.01
+
+
+def test_nees_of_a_stretch_is_told_where_the_whole_run_hides_it(tmp_path: Path) -> None:
+    worse = np.full(3, np.sqrt(1.7))
+    found = erring(tmp_path, lambda step: worse if 300 <= step < 400 else np.ones(3))
+    assert present(found.nees).p_value > 1e-3
+    (one,) = found.findings
+    assert "NEES per degree of freedom is 1.67 from 30 s to 39.9 s" in one.text
+    assert erring(tmp_path, lambda step: np.ones(3)).findings == ()
+
+
+def test_the_recorded_first_error_is_judged_by_p0(tmp_path: Path) -> None:
+    (one,) = erring(tmp_path, lambda step: np.ones(3), first=6.0).findings
+    assert one.text.startswith("the first error of block `bias` is 5.7")
+    assert "P0 says 1: " in one.text
+
+
+@pytest.mark.parametrize(("sigma", "told"), [(0.05, True), (1.0, False)])
+def test_the_first_error_is_told_by_all_measurements(
+    tmp_path: Path, sigma: float, told: bool
+) -> None:
+    """Without a truth: where the filter began 0.8 rad off, and says 0.05."""
+    rng, e, p = np.random.default_rng(2), np.array([0.1, -0.3, 0.8]), np.diag([1.0, 1.0, sigma**2])
+    with Recorder(tmp_path / "run.trace") as record:
+        record.prior({"pose": 3}, p)
+        for _ in range(30):
+            record.predict(np.eye(3), 1e-6 * np.eye(3))
+            p = p + 1e-6 * np.eye(3)
+            e = e + 1e-3 * rng.standard_normal(3)
+            z = e + 0.1 * rng.standard_normal(3)
+            k = p @ np.linalg.inv(p + 0.01 * np.eye(3))
+            record.update("pose", z, np.eye(3), 0.01 * np.eye(3), correction=k @ z)
+            p, e = p - k @ p, e - k @ z
+            record.snapshot(p)
+    found = [one for one in audit(tmp_path / "run.trace").findings if "first error" in one.text]
+    assert len(found) == told
+    assert not told or "of entry 2 of block `pose` is 0.7" in found[0].text
+    assert not told or "P0 says 0.05" in found[0].text
+
+
+def test_an_error_of_many_sigmas_goes_before_a_sensor_that_is_too_good(tmp_path: Path) -> None:
+    """Neither the kind nor the logarithm of a ratio decides, but how rare it is."""
+    rng, p = np.random.default_rng(5), 1.0
+    with Recorder(tmp_path / "run.trace") as record:
+        record.prior({"state": 1}, p)
+        for _ in range(300):
+            p = 0.25 * p + 0.75
+            record.predict(0.5, 0.75)
+            record.update("clock", 1e-2 * rng.standard_normal(1), 1.0, 99.0)
+            p -= p * p / (p + 99.0)
+            record.snapshot(p, error=245.0 * rng.standard_normal(1))
+    found = audit(tmp_path / "run.trace").findings
+    assert [one.check for one in found[:2]] == ["nees", "innovations"]
+    assert "NIS is too low" in found[1].text
+
+
+def test_under_sound_nothing_is_said_to_be_out(tmp_path: Path) -> None:
+    """Of a sound filter one figure in twenty leaves its band; of a faulty one it is marked."""
+    marked = 0
+    for seed in range(4):
+        found = audited(tmp_path, Toy(seed=seed, steps=60))
+        assert found.sound
+        assert all(row.inside is not False for row in audit_rows(found))
+        assert "gap opens" not in str(AuditReport.of(found).summary())
+        faulty = replace(found, findings=(Finding("nees", True, "off", None),))
+        marked += sum(row.inside is False for row in audit_rows(faulty))
+    assert marked
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_single_precision_is_recognised(tmp_path: Path, precision: type) -> None:
@@ -461,8 +604,62 @@ def test_single_precision_is_recognised(tmp_path: Path, precision: type) -> None
 
     found = audited(tmp_path, Toy(seed=2, alter=alter))
     proposed = [one for one in found.findings if "--tolerance 0.001" in one.text]
-    assert bool(proposed) == (precision is np.float32) == (not found.sound)
+    assert bool(proposed) == (precision is np.float32)
+    assert found.sound
+    assert present(found.largest).worst > found.tolerance or not proposed
     assert audit(found.trace, tolerance=1e-3).sound
+
+
+def test_where_single_precision_is_taken_for_faults_the_tolerance_goes_first(
+    tmp_path: Path,
+) -> None:
+    def lost(toy: Toy, number: int, what: str, before: Array) -> Array:
+        other = 1.0001 if what == "gps" else 1.0
+        return (other * toy.covariance).astype(np.float32).astype(float)
+
+    found = audited(tmp_path, Toy(seed=2, steps=30, alter=lost))
+    assert not found.sound
+    first, second, *_ = AuditReport.of(found).summary().reasons
+    assert first == "the filter is in single precision: audit it with --tolerance 0.001"
+    assert "of sensor `gps`" in second
+
+
+@pytest.mark.parametrize(("shared", "gate"), [(True, 0.99), (False, 0.99), (True, 0.9)])
+def test_a_gate_of_each_measurement_in_a_batch_can_be_declared(
+    tmp_path: Path, shared: bool, gate: float
+) -> None:
+    """Measurements of a batch are rejected together where they share the pose's error.
+
+    Broken: one that lengthens what passed as if each had been gated given the others.
+    """
+    rng, q, h, r = np.random.default_rng(6), 4.0 * np.eye(2), np.eye(2), np.eye(2)
+    q = q if shared else 1e-4 * q
+    e, p, limit = np.zeros(2), 1e-4 * np.eye(2), -2.0 * np.log(1.0 - gate)
+    with Recorder(
+        tmp_path / "run.trace", gates={"scan": gate}, components={"scan": ["x", "y"]}
+    ) as record:
+        record.prior({"pose": 2}, p)
+        for step in range(300):
+            record.at(0.1 * step)
+            e, p = e + np.sqrt(q[0, 0]) * rng.standard_normal(2), p + q
+            record.predict(np.eye(2), q)
+            seen = e + rng.standard_normal((10, 2))
+            passed = np.einsum("ni,ij,nj->n", seen, np.linalg.inv(p + r), seen) <= limit
+            for z in seen[~passed]:
+                record.reject("scan", z, h, r)
+            if passed.any():
+                count, z = int(passed.sum()), seen[passed].ravel()
+                whole = np.tile(h, (count, 1))
+                k = p @ whole.T @ np.linalg.inv(whole @ p @ whole.T + np.eye(2 * count))
+                record.update("scan", z, whole, np.eye(2 * count), correction=k @ z)
+                e, p = e - k @ z, p - k @ whole @ p
+            record.snapshot(p)
+    found = audit(tmp_path / "run.trace")
+    assert found.sound, found.findings
+    (scan,) = found.sensors
+    assert 0.7 < scan.least < 1.0
+    assert scan.nis[0].mean < 2.05
+    assert scan.gating.count > 15
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from comparisons.audit.consistency import (
     _onset,
     _Turned,
     departures,
-    far_off,
+    rarity,
 )
 from comparisons.innovations import (
     InnovationLog,
@@ -208,4 +208,44 @@ def test_what_is_farther_off_weighs_more() -> None:
     values[:, 1] *= 3.0
     first = max(departed(values), key=lambda one: one.weight)
     assert first.what.startswith("NIS of bearing is too high")
-    assert far_off(4.0, 1.0) == far_off(0.25, 1.0)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 1.5, 20.0])
+def test_rarity_bounds_the_chance(ratio: float) -> None:
+    """By how many powers of e, also where the chance itself is no number above zero."""
+    for dof in (1, 10, 1000):
+        tail = chi2.logsf if ratio > 1.0 else chi2.logcdf
+        chance = -float(tail(ratio * dof, dof))
+        assert 0.0 < rarity(ratio, dof) <= chance
+        assert chance == np.inf or rarity(ratio, dof) > chance - 5.0 - np.log(dof)
+    assert rarity(1.0, 100.0) == 0.0
+    assert chi2.sf(6e4 * 100, 100) == chi2.sf(50.0 * 100, 100) == 0.0
+    assert rarity(6e4, 100.0) > rarity(50.0, 100.0) > rarity(0.1, 100.0)
+
+
+def gate_of(rejected: NDArray[np.bool_], gate: float | None) -> list[Departure]:
+    time_s: Array = 0.1 * np.arange(len(rejected), dtype=np.float64)
+    sensor = Sensor(gate, ("range", "bearing"))
+    drawn = drawn_sensor(sensor, white(len(rejected), 8), time_s, used=~rejected)
+    return _gating(drawn.gating, LEVEL)
+
+
+def test_a_lock_out_is_said_with_its_beginning() -> None:
+    """A gate that rejects as often, but now and then, has none."""
+    rows = np.arange(400)
+    (found,) = gate_of(rows >= 360, 0.99)
+    assert found.what.endswith("nominal 1 %): everything from 36 s on, 40 in a row")
+    assert (found.event, found.fault) == (3600, True)
+    (found,) = gate_of((rows >= 100) & (rows < 140), 0.99)
+    assert found.what.endswith("nominal 1 %): 40 in a row, from 10 s to 13.9 s")
+    (found,) = gate_of(rows % 10 == 0, 0.99)
+    assert found.what == "rejects 40 of 400 (10 %, nominal 1 %)"
+    assert gate_of(rows == 7, 0.99) == []
+
+
+def test_without_a_declared_gate_only_a_lock_out_to_the_end_is_told() -> None:
+    rows = np.arange(400)
+    (found,) = gate_of(rows >= 360, None)
+    assert (found.what, found.fault) == ("rejects everything from 36 s on, 40 in a row", False)
+    for rejected in ((rows >= 100) & (rows < 140), rows >= 395, rows % 2 == 0):
+        assert gate_of(rejected, None) == []
