@@ -134,7 +134,12 @@ def check_map(check: ExternalCheck, ours: Index, theirs: Index) -> tuple[MapCont
         *all_landmarks("all landmarks", smoothed.landmark, marked),
     ]
     own = Track(
-        name="estimate", colour=EKF_COLOUR, dashes="5 3", time_s=given.time_s, pose=given.pose
+        name="estimate",
+        colour=EKF_COLOUR,
+        dashes="5 3",
+        time_s=given.time_s,
+        pose=given.pose,
+        pose_covariance=given.pose_covariance,
     )
     if given.landmark is not None:
         place, spread = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)

@@ -44,13 +44,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class Band:
-    """What lies between low and high at x: (n,) each."""
+    """What lies between low and high at x: (n,) each. lack: why it has a gap where it has one."""
 
     name: str
     colour: str
     x: Array
     low: Array
     high: Array
+    lack: str = ""
 
 
 @dataclass(frozen=True)

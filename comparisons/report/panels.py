@@ -240,8 +240,9 @@ def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
     none.
     """
     justified = np.where(f.ratio >= LEAST_RATIO, 1.0, np.nan)[:, None]
-    name = f"{name} - smoother"
-    panels = _errors(f.time_s, f.error, justified * f.sigma, name)
+    whose, name = name, f"{name} - smoother"
+    lack = f"the {whose} claims less variance than the smoother"
+    panels = _errors(f.time_s, f.error, justified * f.sigma, name, lack)
     if not (f.dof > 0).any():
         return panels
     none = (np.nan, np.nan)
@@ -251,21 +252,26 @@ def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
         title="pose's difference, squared",
         x_label="time [s]",
         curves=(Curve(name, EKF_COLOUR, f.time_s, squares),),
-        bands=(Band("95 % band", "#999999", f.time_s, low, high),),
+        bands=(Band("95 % band", "#999999", f.time_s, low, high, lack),),
         logarithmic=True,
     )
     return (*panels, squared)
 
 
-def _errors(time_s: Array, error: Array, sigma: Array, name: str) -> tuple[Panel, ...]:
-    """Of errors (n, 3) and sigmas (n, 3); no band where none of these is a number."""
+def _errors(
+    time_s: Array, error: Array, sigma: Array, name: str, lack: str = ""
+) -> tuple[Panel, ...]:
+    """Of errors (n, 3) and sigmas (n, 3); no band where none of these is a number.
+
+    lack: why some sigmas are no numbers.
+    """
     panels = []
     for i, (label, unit) in enumerate(_COMPONENTS):
         spread = 3.0 * unit * sigma[:, i]
         curve = Curve(name, EKF_COLOUR, time_s, unit * error[:, i])
         bands: tuple[Band, ...] = ()
         if np.isfinite(spread).any():
-            bands = (Band("3 sigma", EKF_COLOUR, time_s, -spread, spread),)
+            bands = (Band("3 sigma", EKF_COLOUR, time_s, -spread, spread, lack),)
         panels.append(
             Panel(title=label, x_label="time [s]", curves=(curve,), bands=bands, level=0.0)
         )

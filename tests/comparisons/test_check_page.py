@@ -180,6 +180,8 @@ def test_no_band_is_drawn_where_the_filter_is_surer() -> None:
     assert np.isfinite(high[:half]).all()
     assert np.isnan(high[half + 2 : -2]).all()
     assert "but where the estimate's covariance is the smaller one" in reported
+    lack = named(panels, "estimate - smoother")[0].bands[0].lack
+    assert lack == "the estimate claims less variance than the smoother"
     squared = named(panels, "estimate - smoother")[3]
     clear = present(found.consistency.smoothed).dof > 0
     assert not clear.all()
@@ -356,8 +358,11 @@ def test_a_browser_shows_it(tmp_path: Path, made: Any, figures: int) -> None:
     """Where a band has a gap it is drawn in pieces, none of which spans the gap."""
     path = tmp_path / "report.html"
     path.write_text(html(check(run().log, made(filtered()))), encoding="utf-8")
-    dom = look(f"{path.as_uri()}#time=10", tmp_path / "profile")
+    dom = look(f"{path.as_uri()}#time=15", tmp_path / "profile")
     assert came_up(dom)
+    said = "no band: the estimate claims less variance than the smoother"
+    assert (said in dom) == (made is overconfident)
+    assert "none to none" not in dom
     assert dom.count("<figure>") == figures
     assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 3
     bands = re.findall(r'<path d="([^"]*)"[^>]* class="band"', dom)

@@ -95,10 +95,22 @@ def test_a_link_says_what_to_look_at(comparison: Comparison, report: Path, tmp_p
     dom = look(f"{report.as_uri()}#time=10&landmark={key}&layer=associations", tmp_path)
     assert 'id="now">at 10.0 s<' in dom
     assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 2
+    ellipses = re.findall(r'<circle class="spread"[^>]* transform="matrix\(([^)]*)\)"', dom)
+    metres = float(present(re.search(r'data-metres="([^"]*)"', dom))[1])
+    at = int(np.argmin(np.abs(comparison.ekf.estimate.time_s - 10.0)))
+    for text, estimate in zip(
+        ellipses, (comparison.smoothed, comparison.ekf.estimate), strict=True
+    ):
+        factor = metres * np.reshape(list(map(float, text.split()))[:4], (2, 2)).T
+        south = estimate.pose_covariance[at, :2, :2] * ((1.0, -1.0), (-1.0, 1.0))
+        assert factor @ factor.T == pytest.approx(south, rel=2e-3)
+        assert factor @ factor.T != pytest.approx(np.abs(south), rel=0.1)
     assert re.search(rf'<tr data-key="{key}"[^>]*class="[^"]*chosen', dom)
     assert re.search(rf'<circle class="ring"[^>]* data-key="{key}"', dom)
     hidden = present(re.search(r'<g class="layer faint" data-name="associations"[^>]*>', dom))
     assert "display" not in hidden[0]
+    names = re.findall(r'<text x="[^"]*" y="[^"]*"[^>]*visibility="inherit"[^>]*>(\d+)<', dom)
+    assert {str(key)} < set(names) <= set(map(str, comparison.ekf.estimate.landmark_id.tolist()))
 
 
 STEPS = """
@@ -111,6 +123,11 @@ const ticks = () => [...curve.querySelectorAll('.tick')].map(t => t.textContent)
   .filter(t => t.endsWith(' s')).join('|');
 curve.setPointerCapture = () => {};
 noted.whole = ticks();
+const slider = document.getElementById('time');
+slider.value = slider.max;
+slider.dispatchEvent(new Event('input'));
+noted.slid = [...document.querySelectorAll('.now, .spread, .cursor')]
+  .every(one => one.getAttribute('visibility') === 'visible' || !one.closest('#world'));
 curve.dispatchEvent(new PointerEvent('pointermove', spot(0.5)));
 noted.now = document.querySelectorAll('.now[visibility=visible]').length;
 noted.cursors = document.querySelectorAll('.cursor[visibility=visible]').length;
@@ -134,6 +151,19 @@ const here = { clientX: r.left + r.width / 2, clientY: r.top + r.height / 2, poi
 map.dispatchEvent(new PointerEvent('pointerdown', here));
 map.dispatchEvent(new PointerEvent('pointerup', here));
 noted.chosen = document.querySelector('#landmarks tr.chosen').dataset.key !== row.dataset.key;
+const find = document.getElementById('find');
+const rows = [...document.querySelectorAll('#landmarks tbody tr')];
+const left = sought => {
+  find.value = sought;
+  find.dispatchEvent(new Event('input'));
+  return rows.filter(one => one.getBoundingClientRect().height > 0).length;
+};
+noted.none = left('no such landmark');
+noted.one = left(row.cells[0].textContent) >= 1 && row.classList.contains('chosen');
+noted.all = left('') === rows.length;
+location.hash = `#landmark=${rows.at(-1).cells[0].textContent}`;
+window.dispatchEvent(new HashChangeEvent('hashchange'));
+noted.linked = rows.at(-1).classList.contains('chosen');
 """
 
 
@@ -145,7 +175,9 @@ def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
     assert shown(dom, "cursors") == "6"  # all curves over time
     whole, wheel, drag = (shown(dom, name) for name in ("whole", "wheel", "drag"))
     assert len({whole, wheel, drag}) == 3
-    assert shown(dom, "zoomed") == shown(dom, "label") == shown(dom, "chosen") == "true"
+    assert shown(dom, "none") == "0"
+    for name in ("zoomed", "label", "chosen", "one", "all", "linked", "slid"):
+        assert shown(dom, name) == "true", name
 
 
 @pytest.mark.slow

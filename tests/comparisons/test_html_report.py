@@ -23,7 +23,7 @@ from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.page import page
 from comparisons.report.html.shell import DARK, figures, policy, prose, script, style, themed
-from comparisons.report.html.tables import settings
+from comparisons.report.html.tables import LandmarkRow, landmarks, settings
 from comparisons.report.marks import Panel
 from comparisons.report.models import Result
 from comparisons.report.panels import consistency_panels
@@ -242,6 +242,25 @@ def test_of_many_landmarks_the_farthest_apart_are_shown(
     assert sorted(map(int, rows)) == sorted(farthest)
     assert f"5 of {len(blocks)} landmarks" in text
     assert len(re.findall(r"<polygon", text)) == 2 * 5
+
+
+def test_no_wheel_is_asked_for_where_there_is_none(comparison: Comparison) -> None:
+    text = drawn(comparison, RunReport.build(comparison)).split("<main>")[1]
+    assert text.count("Wheel") == len(re.findall(r'class="[^"]*mouse">Wheel', text)) == 2
+    assert "@media (hover: none) { .mouse { display: none; }" in style()
+
+
+def test_the_worst_landmark_comes_first(comparison: Comparison) -> None:
+    """Whatever their order on the map: what disagrees, then what is farthest apart."""
+    blocks = [
+        replace(b, distance_sigma=sigma, agrees=sigma != 0.5)
+        for b, sigma in zip(comparison.agreement.landmarks, (0.1, 0.5, np.nan, 0.3), strict=False)
+    ]
+    rows = [LandmarkRow(str(i), f"name {i}", block) for i, block in enumerate(blocks)]
+    text = landmarks(rows, "")
+    assert re.findall(r'<tr data-key="(\d+)"', text) == ["1", "2", "3", "0"]
+    assert 'type="search"' in text
+    assert 'type="search"' not in landmarks([], "none")
 
 
 def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -> None:

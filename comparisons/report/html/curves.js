@@ -1,6 +1,6 @@
 (() => {
   const holder = document.getElementById('curves');
-  const HEIGHT = 132, LEFT = 52, RIGHT = 8, TOP = 6, BOTTOM = 20, LEAST = 1e-2;
+  const HEIGHT = 132, LEFT = 52, RIGHT = 16, TOP = 6, BOTTOM = 20, LEAST = 1e-2;
   const timed = data.panels.filter(panel => panel.timed);
   const ends = timed.flatMap(p => p.curves.flatMap(c => c.x.length ? [c.x[0], c.x.at(-1)] : []));
   const all = ends.length ? [Math.min(...ends), Math.max(...ends)] : [0, 1];
@@ -185,7 +185,9 @@
         const i = nearest(one.x, t), shown = v => v === null ? 'none' : round(v, 3);
         if (!one.x.length) return;
         const symmetric = one.low && one.low[i] === -one.high[i];
+        const none = one.lack ? `no band: ${one.lack}` : 'no band';
         this.values[k].textContent = one.y ? shown(one.y[i])
+          : one.low[i] === null || one.high[i] === null ? none
           : symmetric ? `± ${shown(one.high[i])}` : `${shown(one.low[i])} to ${shown(one.high[i])}`;
       });
     }

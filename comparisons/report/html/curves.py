@@ -54,7 +54,7 @@ def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:
         bands.append(
             {"name": band.name, "colour": themed(band.colour),
              "x": rounded(band.x[row] - start, 3),
-             "low": short(band.low[row]), "high": short(band.high[row])}
+             "low": short(band.low[row]), "high": short(band.high[row]), "lack": band.lack}
         )  # fmt: skip
     return {
         "title": panel.title,

@@ -3,6 +3,15 @@
   const box = map.viewBox.baseVal, whole = [box.x, box.y, box.width, box.height];
   const metres = Number(map.dataset.metres), chosen = document.getElementById('chosen');
   const marks = [...map.querySelectorAll('circle[data-key]')];
+  const names = make('g', { class: 'layer names', 'data-name': 'landmark names',
+    stroke: 'var(--ink)', fill: 'var(--ink)' });
+  const called = new Map([...document.querySelectorAll('#landmarks tr[data-key]')]
+    .map(row => [row.dataset.key, row.cells[0].textContent]));
+  for (const c of new Map(marks.map(mark => [mark.dataset.key, mark])).values()) {
+    const name = make('text', { x: c.cx.baseVal.value, y: c.cy.baseVal.value }, names);
+    name.textContent = called.get(c.dataset.key) ?? c.dataset.key;
+  }
+  if (marks.length) world.append(names);
   const ring = make('circle', { class: 'ring', visibility: 'hidden' }, world);
   const pixels = () => map.getScreenCTM()?.a || 1;
 
@@ -11,6 +20,19 @@
     for (const c of marks) c.setAttribute('r', (c.hasAttribute('fill') ? 5.5 : 2.6) * unit);
     for (const c of world.querySelectorAll('.now')) c.setAttribute('r', 7 * unit);
     ring.setAttribute('r', 12 * unit);
+    // Of names that would cover each other the first one stays.
+    const taken = new Set();
+    names.setAttribute('font-size', 11 * unit);
+    for (const name of names.children) {
+      const wide = Math.ceil(name.textContent.length / 4);
+      const [x, y] = ['x', 'y'].map(k => Number(name.getAttribute(k)) / unit);
+      const column = Math.floor(x / 28), row = Math.floor(y / 14);
+      const cells = Array.from({ length: wide }, (_, i) => `${column + i},${row}`);
+      const free = !cells.some(cell => taken.has(cell));
+      name.setAttribute('visibility', free ? 'inherit' : 'hidden');
+      name.setAttribute('dx', 6 * unit);
+      if (free) for (const cell of cells) taken.add(cell);
+    }
     const length = niceStep(130 * unit * metres), bar = document.getElementById('scale');
     bar.style.width = `${length / metres / unit}px`;
     bar.textContent = length < 1000 ? `${round(length, 3)} m` : `${round(length / 1000, 3)} km`;
@@ -67,7 +89,7 @@
     chosen.textContent = found.at(-1).textContent;
     if (source === 'map') return;
     show(x, y, Math.min(box.width, whole[2] / 5));
-    if (source === 'table') map.scrollIntoView({ block: 'nearest' });
+    if (source !== 'search') map.scrollIntoView({ block: 'nearest' });
   });
 
   const tracks = [...map.querySelectorAll('[data-track]')].map(line => {
@@ -75,10 +97,31 @@
     const colour = line.parentNode.getAttribute('stroke');
     const now = make('circle', { class: 'now', fill: colour, visibility: 'hidden' }, world);
     now.dataset.of = line.dataset.track;
-    return { values, now, times: data.tracks[line.dataset.track] };
+    const name = line.dataset.track, spread = data.spreads[name];
+    const ellipse = make('circle', { class: 'spread', r: 3, visibility: 'hidden' }, world);
+    ellipse.style.stroke = colour;
+    return { values, now, ellipse, spread, times: data.tracks[name] };
   });
+  // The circle of 3 sigma, by the Cholesky factor of the covariance of east and north; north is up.
+  const spreadOut = (ellipse, spread, i, x, y) => {
+    const [east, both, north] = spread.map(one => one[i]);
+    const a = Math.sqrt(east) / metres, b = -both / Math.sqrt(east) / metres;
+    const d = Math.sqrt(north - both * both / east) / metres;
+    const drawn = east > 0 && Number.isFinite(b) && Number.isFinite(d);
+    if (drawn) ellipse.setAttribute('transform', `matrix(${a} ${b} 0 ${d} ${x} ${y})`);
+    ellipse.setAttribute('visibility', drawn ? 'visible' : 'hidden');
+  };
+  const slider = document.getElementById('time');
+  const lasting = tracks.flatMap(({ times }) => times.length > 1 ? [times[0], times.at(-1)] : []);
+  if (lasting.length) {
+    [slider.min, slider.max] = [Math.min(...lasting), Math.max(...lasting)];
+    slider.value = slider.min;
+    slider.hidden = false;
+    slider.addEventListener('input', () => tell('time', Number(slider.value)));
+  }
   hear('time', t => {
-    for (const { values, now, times } of tracks) {
+    slider.value = t;
+    for (const { values, now, ellipse, spread, times } of tracks) {
       if (times.length < 2) continue;
       const i = Math.min(Math.max(first(times, t), 1), times.length - 1);
       const share = (t - times[i - 1]) / (times[i] - times[i - 1] || 1);
@@ -86,6 +129,7 @@
       const at = k => values[2 * i - 2 + k] + part * (values[2 * i + k] - values[2 * i - 2 + k]);
       now.setAttribute('cx', at(0)); now.setAttribute('cy', at(1));
       now.setAttribute('visibility', 'visible');
+      if (spread) spreadOut(ellipse, spread, part < 0.5 ? i - 1 : i, at(0), at(1));
     }
   });
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
+from comparisons.report.html.curves import short
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
 from comparisons.report.marks import SCANS_COLOUR, ellipses
 
@@ -34,6 +35,7 @@ class Track:
 
     time_s: (K,) and pose: (K, 2 or more), its trajectory. landmark: (m, 2) of the map's marked
     landmarks, NaN where it has one not; landmark_covariance: (m, 2, 2). None without any.
+    pose_covariance: (K, 2 or more, 2 or more), of east and north first.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Track:
     pose: Array
     landmark: Array | None = None
     landmark_covariance: Array | None = None
+    pose_covariance: Array | None = None
 
 
 def estimate_track(
@@ -62,6 +65,7 @@ def estimate_track(
         pose=estimate.pose,
         landmark=place,
         landmark_covariance=spread,
+        pose_covariance=estimate.pose_covariance,
     )
 
 
@@ -119,12 +123,15 @@ def estimate_map(
 class DrawnMap:
     """The drawing, and data for the script.
 
-    times: [s] of each track's points, by its name. decades: the colours of the variance ratio end
-    at 10 to the power of so much, either way. outside: tracks that lie off the map, in part.
+    times: [s] of each track's points, by its name. spreads: of those with covariances the variance
+    to the east, the covariance and the variance to the north [m^2] of every point. decades: the
+    colours of the variance ratio end at 10 to the power of so much, either way. outside: tracks
+    that lie off the map, in part.
     """
 
     drawing: Drawing
     times: dict[str, list[float]]
+    spreads: dict[str, list[list[float | None]]]
     decades: float
     outside: list[str]
 
@@ -136,7 +143,7 @@ def draw_map(c: MapContent) -> DrawnMap:
         _known(drawing, c.log)
     for draw in c.beneath:
         draw(drawing)
-    times = {}
+    times, spreads = {}, {}
     for track in (*c.tracks[:1], *c.tracks[2:], *c.tracks[1:2]):
         row = np.flatnonzero(np.isfinite(track.pose).all(axis=1))
         row = row[kept(len(row))]
@@ -144,6 +151,9 @@ def draw_map(c: MapContent) -> DrawnMap:
         path = track.pose[row, :2]
         drawing.path(f"{name} trajectory", colour, path, track.dashes, name)
         times[name] = np.round(track.time_s[row], 3).tolist()
+        if track.pose_covariance is not None and len(track.pose_covariance):
+            east, north = (0, 0, 1), (0, 1, 1)
+            spreads[name] = [short(one) for one in track.pose_covariance[row][:, east, north].T]
         if track.landmark is not None and np.isfinite(track.landmark).any():
             reported = [f"{name}, {label}" for label in c.labels]
             if track.landmark_covariance is not None:
@@ -152,7 +162,7 @@ def draw_map(c: MapContent) -> DrawnMap:
             drawing.marks(f"{name} landmarks", colour, track.landmark, reported, c.keys)
     for draw in c.above:
         draw(drawing)
-    return DrawnMap(drawing, times, _differences(drawing, c), outside)
+    return DrawnMap(drawing, times, spreads, _differences(drawing, c), outside)
 
 
 def _bounded(c: MapContent) -> tuple[Drawing, list[str]]:

@@ -97,7 +97,7 @@ def page(content: PageContent) -> str:
             f'<section id="when"><h2>Curves <span id="now"></span></h2>'
             f'<p class="note">{escape(c.reported)}</p>'
             f'<div id="curves"></div><p class="note hand">{_TIME if where else ""}'
-            "Wheel or drag to zoom, double click for all.</p></section>"
+            '<span class="mouse">Wheel or drag to zoom, double click for all.</span></p></section>'
         )
     same = f"; the same curves are in {c.curves_file}" if c.curves_file else ""
     parts = [
@@ -158,10 +158,12 @@ def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[st
     return (
         '<section id="where"><h2>Map</h2><div id="layers"></div>'
         f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>'
+        '<input type="range" id="time" aria-label="time" step="any" hidden>'
         f'{ratio_legend(drawn.decades)}<p id="chosen" role="status"></p>'
-        f'<p class="note">{escape(off)}<span class="hand">Wheel to zoom, drag to move, '
-        f"double click for all{more}.</span></p></section>",
-        {"tracks": tracks, "ratioLayer": RATIO_LAYER},
+        f'<p class="note">{escape(off)}<span class="hand mouse">Wheel to zoom, drag to move, '
+        f'double click for all{more}.</span><span class="hand touch">Drag to move{more}.</span>'
+        "</p></section>",
+        {"tracks": tracks, "spreads": drawn.spreads, "ratioLayer": RATIO_LAYER},
     )
 
 

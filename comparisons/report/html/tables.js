@@ -25,17 +25,41 @@
       const chosen = row.dataset.key === key, box = row.closest('.scroll');
       row.classList.toggle('chosen', chosen);
       if (chosen && row.closest('#landmarks')) {
+        row.hidden = false;
         box.scrollTop = row.offsetTop - box.clientHeight / 2;
       }
     }
   });
 
-  // A link may say what to look at: report.html#time=12.5&landmark=7&layer=associations
-  const said = new URLSearchParams(location.hash.slice(1));
-  for (const layer of said.getAll('layer')) tell('layer', layer);
-  if (said.has('from') && said.has('to')) {
-    tell('view', ['from', 'to'].map(name => Number(said.get(name)) - data.start));
+  // Rows that hold what is sought stay; one whose landmark is called so is shown on the map.
+  const find = document.getElementById('find');
+  if (find) {
+    const rows = [...document.querySelectorAll('#landmarks tbody tr')];
+    const seek = enter => {
+      const sought = find.value.trim().toLowerCase();
+      const name = row => row.cells[0].textContent.toLowerCase();
+      for (const row of rows) row.hidden = !name(row).includes(sought);
+      const found = rows.find(row => name(row) === sought) ?? (enter && rows.find(row => !row.hidden));
+      if (sought && found) tell('landmark', { key: found.dataset.key, from: 'search' });
+    };
+    find.addEventListener('input', () => seek(false));
+    find.addEventListener('keydown', e => { if (e.key === 'Enter') seek(true); });
   }
-  if (said.has('time')) tell('time', Number(said.get('time')) - data.start);
-  if (said.has('landmark')) tell('landmark', { key: said.get('landmark'), from: 'link' });
+
+  // The address may say what to look at: report.html#time=12.5&landmark=7&layer=associations
+  const obey = () => {
+    const said = new URLSearchParams(location.hash.slice(1));
+    for (const layer of said.getAll('layer')) tell('layer', layer);
+    if (said.has('from') && said.has('to')) {
+      tell('view', ['from', 'to'].map(name => Number(said.get(name)) - data.start));
+    }
+    if (said.has('time')) tell('time', Number(said.get('time')) - data.start);
+    if (said.has('landmark')) {
+      const rows = [...document.querySelectorAll('#landmarks tbody tr')], sought = said.get('landmark');
+      const row = rows.find(one => one.cells[0].textContent === sought);
+      tell('landmark', { key: row ? row.dataset.key : sought, from: 'link' });
+    }
+  };
+  obey();
+  addEventListener('hashchange', obey);
 })();

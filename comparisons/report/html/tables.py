@@ -24,7 +24,10 @@ class LandmarkRow(NamedTuple):
 
 
 def landmarks(rows: Sequence[LandmarkRow], note: str) -> str:
-    """A table to sort; its rows' keys are those of the map's marks. note: text of ours."""
+    """A table to sort and to search, worst first; its rows' keys are those of the map's marks.
+
+    note: text of ours.
+    """
     true = any(math.isfinite(row.error_m) for row in rows)
     head = ("landmark", "apart [m]", "sigma", "least variance", "largest variance")
     cells = [
@@ -40,10 +43,20 @@ def landmarks(rows: Sequence[LandmarkRow], note: str) -> str:
                 "agrees" if row.block.agrees else "disagrees",
             ),
         )
-        for row in rows
+        for row in sorted(rows, key=_badness, reverse=True)
     ]
     shown = sortable("landmarks", (*head, *(("off truth [m]",) if true else ()), ""), cells)
-    return f'<h2>Landmarks</h2><p class="note">{escape(note)}</p>{shown if rows else ""}'
+    find = (
+        '<p class="hand"><label>Find <input type="search" id="find" placeholder="landmark">'
+        "</label></p>"
+    )
+    return f'<h2>Landmarks</h2><p class="note">{escape(note)}</p>{f"{find}{shown}" if rows else ""}'
+
+
+def _badness(row: LandmarkRow) -> tuple[bool, float]:
+    """What disagrees is worse than what agrees, then what is farther apart; no number is worst."""
+    sigma = row.block.distance_sigma
+    return not row.block.agrees, sigma if math.isfinite(sigma) else math.inf
 
 
 def landmarks_note(shown: int, every: int, file: str, whose: str) -> str:
@@ -55,8 +68,8 @@ def landmarks_note(shown: int, every: int, file: str, whose: str) -> str:
             f"the map; {file} has all. "
         )
     return (
-        f"{part}A row finds its landmark on the map, and the other way round. Variances are {whose}"
-        " over the smoother's."
+        f"{part}The worst come first. A row finds its landmark on the map, and the other way "
+        f"round. Variances are {whose} over the smoother's."
     )
 
 
