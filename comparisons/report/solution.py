@@ -51,6 +51,7 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
         remarks=[
             *([FRAME] if s.log.prior.open else []),
             *s.frames,
+            *s.open_loops,
             *([] if s.misread else [one for one in misfit if one not in lacks]),
         ],
         **about_job(s.prepared, s.prepared.clock.after(read)),
