@@ -39,6 +39,7 @@ from graphslam.association_variants import variants
 from graphslam.increments import dead_reckoned
 from graphslam.misread_edges import EdgeReading, misread_edges
 from graphslam.smoother import SmootherOptions, SmootherResult
+from graphslam.unclosed import Unclosed, unclosed_passage
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -61,6 +62,7 @@ class Solution(Shown):
             them.
         association_check: How its own association compares with others made without labels.
         misread: How edges between poses fit that do not as they are read; None where they do.
+        unclosed: Poses of a graph nearer to each other than its edges tell; None where these do.
     """
 
     prepared: Prepared[SolveConfig]
@@ -73,6 +75,7 @@ class Solution(Shown):
     association: AssociationScore | None
     association_check: AssociationCheck | None
     misread: EdgeReading | None = None
+    unclosed: Unclosed | None = None
 
     def __repr__(self) -> str:
         """Return log, error and whether that is verified, in one line."""
@@ -125,6 +128,19 @@ class Solution(Shown):
         """What a graph's vertices say of another frame than its edges'."""
         said = self.log.provenance.get("vertices")
         return [] if said is None else [said]
+
+    @property
+    def open_loops(self) -> list[str]:
+        """Where the graph's optimum need not be the map's."""
+        one = self.unclosed
+        if one is None:
+            return []
+        return [
+            f"this is the optimum of the graph, and places may stand twice in its map: poses "
+            f"{one.first:,} and {one.second:,} lie {one.apart_m:.2g} m apart, which no loop "
+            f"closure there ties; the edges tell it to {one.sigma_m:.2g} m and "
+            f"{np.degrees(one.sigma_rad):.2g} degrees (1 sigma)"
+        ]
 
     @property
     def log(self) -> Log:
@@ -195,6 +211,9 @@ def solve(
     with clock.stage("edges"):
         optimality = result.optimality
         misread = misread_edges(result.problem, optimality.chi_square, verified=optimality.verified)
+        unclosed = None
+        if misread is None:  # else no sigma means what it says
+            unclosed = unclosed_passage(result, estimate.pose_covariance)
     checked = None
     if own is not None and associator is not None:
         with clock.stage("association check"):
@@ -212,6 +231,7 @@ def solve(
         association=None if known else score_association(landmark_index, result.landmarks, log),
         association_check=checked,
         misread=misread,
+        unclosed=unclosed,
     )
 
 

@@ -56,6 +56,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
             remarks=[
                 *([FRAME] if s.log.prior.open else []),
                 *s.frames,
+                *s.open_loops,
                 *([] if s.misread else [one for one in misfit if one not in lacks]),
             ],
             **about_job(s.prepared, s.prepared.clock.after(read)),

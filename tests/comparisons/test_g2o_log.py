@@ -19,13 +19,14 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
-from comparisons.report.solution import FRAME, SolutionReport
+from comparisons.report.solution import SolutionReport
 from comparisons.report.terminal import brief
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything, loosened, rounds
+from tests.graphslam.test_misread_edges import laps
 from tests.helpers import compared, present, simulated
 
 
@@ -239,6 +240,19 @@ def test_poses_alone_need_no_closure(tmp_path: Path) -> None:
     assert np.abs(alone.estimate.pose - alone.dead_reckoned).max() < 1e-9
     write_log_folder(alone.log, tmp_path / "log")
     assert log_hash(open_log(str(tmp_path / "log"))) == log_hash(alone.log)
+
+
+@pytest.mark.parametrize("between_laps", [True, False])
+def test_an_optimum_whose_loops_are_open_is_said_to_be_the_graphs(
+    tmp_path: Path, between_laps: bool
+) -> None:
+    graph, path = laps(between_laps=between_laps), tmp_path / "laps.g2o"
+    write_g2o(path, G2oContents(graph, smooth(graph, {}).poses, np.zeros((0, 2))))
+    solution = solve(open_log(str(path)))
+    assert solution.verified
+    said = [one for one in SolutionReport.build(solution).remarks if "optimum of the graph" in one]
+    assert len(said) == (not between_laps)
+    assert between_laps or "which no loop closure there ties; the edges tell it to" in said[0]
 
 
 def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:

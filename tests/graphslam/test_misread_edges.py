@@ -15,6 +15,7 @@ from graphslam.optimum import chi_square_test
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.scan import planar
 from graphslam.smoother import smooth
+from graphslam.unclosed import unclosed_passage
 from tests.graphslam.g2o_files import loosened, rounds
 from tests.graphslam.numerics import Array
 
@@ -146,3 +147,31 @@ def test_graphs_without_closures_have_one_reading() -> None:
     problem = rounds()
     bare = replace(problem, loop_closures=type(problem.loop_closures)())
     assert misread_edges(bare, chi_square_test(1e9, 36)) is None
+
+
+def laps(*, between_laps: bool) -> SlamProblem:
+    """Two laps; closures between neighbours tie no lap to the other, those between laps do."""
+    problem, rng = squares(), np.random.default_rng(1)
+    noise = 2.0 * np.array((0.05, 0.03, 0.01))
+    step = problem.increment + noise * rng.standard_normal((32, 3))
+    spread = np.tile(np.diag(noise**2), (32, 1, 1))
+    problem = replace(problem, increment=step, increment_covariance=spread)
+    if between_laps:
+        return problem
+    first, loops = np.arange(1, 14), problem.loop_closures
+    motion = np.array([planar.compose(step[i], step[i + 1]) for i in first])
+    motion += np.array((0.05, 0.03, 0.01)) * rng.standard_normal((13, 3))
+    closures = replace(loops, first=first, second=first + 2, motion=motion)
+    return replace(problem, loop_closures=closures)
+
+
+@pytest.mark.parametrize("between_laps", [True, False])
+def test_a_place_that_is_passed_twice_and_not_closed_is_told(between_laps: bool) -> None:
+    result = smooth(laps(between_laps=between_laps), {})
+    found = unclosed_passage(result, result.pose_covariances())
+    assert (found is None) == between_laps
+    if found is not None:
+        x, y, _ = planar.between(result.poses[found.first], result.poses[found.second])
+        assert np.hypot(x, y) == pytest.approx(found.apart_m)
+        assert found.second - found.first > 5
+        assert found.apart_m < found.sigma_m

@@ -1,0 +1,95 @@
+"""A place that a pose graph passes twice, and where no edge tells that it is one.
+
+The optimum of such a graph may be found beyond doubt, and the map still have the place twice.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from graphslam.arrays import Array
+from graphslam.smoother import SmootherResult
+
+_LOOSE = 10.0
+"""Poses are loosely tied whose distance is known so many times worse than closures tell it."""
+_APART = 5.0
+"""A place is passed again after a way of so many of its sigmas."""
+_TRIED, _SOLVED = 200, 6
+"""Poses whose neighbours are looked for, and pairs of which the covariance is computed."""
+
+
+class Unclosed(NamedTuple):
+    """Two poses, their distance, and what the graph knows of the second in the first's frame."""
+
+    first: int
+    second: int
+    apart_m: float
+    sigma_m: float
+    sigma_rad: float
+
+
+def unclosed_passage(result: SmootherResult, covariance: Array) -> Unclosed | None:
+    """Return two poses that lie nearer to each other than the graph can tell.
+
+    Sigmas are smaller than stated where chi-square is lower than expected.
+
+    Args:
+        result: Of a graph with loop closures.
+        covariance: (K, 3, 3) of the poses, additive global error.
+
+    Returns:
+        The loosest pair of those that are looked at; None where closures tie all.
+    """
+    closed = result.problem.loop_closures
+    if not len(closed.first):
+        return None
+    test = result.optimality.chi_square
+    scale = float(np.sqrt(min(1.0, test.chi2 / test.dof))) if test.dof > 0 else 1.0
+    told = np.einsum("nii->ni", closed.covariance)[:, :2].sum(axis=1)
+    least = _LOOSE * scale * float(np.sqrt(0.5 * np.median(told)))
+    pairs = _near(result.poses, scale * _sigmas(covariance), least)
+    found = [_tied(result, *pair, scale) for pair in pairs]
+    loose = [one for one in found if one.sigma_m > max(least, one.apart_m)]
+    return max(loose, key=lambda one: one.sigma_m, default=None)
+
+
+def _sigmas(covariance: Array) -> Array:
+    """(K,) standard deviation of each place, along the direction that is known worst."""
+    largest = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
+    return np.asarray(np.sqrt(np.maximum(largest, 0.0)), dtype=np.float64)
+
+
+def _near(poses: Array, sigma: Array, least: float) -> list[tuple[int, int]]:
+    """Pairs of poses that one passed long after the other, some along the drive."""
+    from scipy.spatial import cKDTree  # takes long to load
+
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
+    loose = np.flatnonzero(sigma > least)
+    rows = loose[:: max(1, len(loose) // _TRIED)]
+    tree, found = cKDTree(poses[:, :2]), list[tuple[int, int]]()
+    for second in rows.tolist():
+        reach = float(sigma[second])
+        others = np.array(tree.query_ball_point(poses[second, :2], reach), dtype=np.intp)
+        others = others[way[second] - way[others] > _APART * reach]
+        if len(others):
+            apart = np.hypot(*(poses[others, :2] - poses[second, :2]).T)
+            found.append((int(others[np.argmin(apart)]), second))
+    return found[:: -max(1, -(-len(found) // _SOLVED))]
+
+
+def _tied(result: SmootherResult, first: int, second: int, scale: float) -> Unclosed:
+    """Return what the graph knows of the second pose in the first's frame. scale: of sigmas."""
+    joint = result.joint((first, second), ())
+    x, y, heading = result.poses[first]
+    there = result.poses[second, :2] - (x, y)
+    turn = np.array(((np.cos(heading), np.sin(heading)), (-np.sin(heading), np.cos(heading))))
+    jacobian = np.zeros((3, 6))
+    jacobian[:2, :2], jacobian[:2, 3:5] = -turn, turn
+    jacobian[:2, 2] = turn @ (there[1], -there[0])
+    jacobian[2, 2], jacobian[2, 5] = -1.0, 1.0
+    spread = scale**2 * jacobian @ joint @ jacobian.T
+    sigma = float(np.sqrt(np.linalg.eigvalsh(spread[:2, :2])[-1]))
+    apart = float(np.hypot(*there))
+    return Unclosed(first, second, apart, sigma, float(np.sqrt(spread[2, 2])))
