@@ -6,14 +6,14 @@ That is the sandwich of an M-estimator,
 
     P = C J C,    J = covariance of the gradient of ln Lambda,
 
-with J from the independent gradients that each return of both scans adds.
+with J from the independent gradients that each return of both scans adds. R is P, C if asked for.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from ekf_reference.scan_matching.problem import (
 )
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
+Form = Literal["sandwich", "curvature"]
 _GOLDEN = 0.5 * (1.0 + math.sqrt(5.0))
 _DIRECTIONS = np.array(
     [
@@ -64,8 +65,10 @@ class CovarianceOptions:
     fixed direction; a wider prior adds to it. fallen: least -2 ln of Lambda over its maximum on
     both edges of the neighbourhood. beyond_chance: least fall in standard deviations of the ripples
     that noise makes on a wall. sharp: curvature by squared neighbourhood beyond which edges are not
-    tested. open_sigmas: sigma of a direction that is not fixed, over the neighbourhood.
-    NEES per degree of freedom is 0.9 with 2 cm of range noise, 1.0 to 1.1 with 10 cm and 1 degree.
+    tested. open_sigmas: sigma of a direction that is not fixed, over the neighbourhood. form: of R
+    along fixed directions, the sandwich P = C J C or the correlation's own curvature, P = C.
+    NEES of the sandwich per degree of freedom is 0.9 with 2 cm of range noise, 1.0 to 1.1 with
+    10 cm and 1 degree.
     """
 
     sample_sigmas: float = 0.5
@@ -74,6 +77,7 @@ class CovarianceOptions:
     beyond_chance: float = 4.0
     sharp: float = 100.0
     open_sigmas: float = 10.0
+    form: Form = "sandwich"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +239,10 @@ def _error(
     if shape.pairs is None or not fixed.shape[1]:
         return _Error(wide, np.zeros((3, len(problem.second))), 0.0)
     flattest = belief.fallen / _along(about, fixed).max()
-    known = _sandwich(shape.pairs, shape, problem.unit, fixed, flattest)
+    if belief.form == "curvature":
+        known = _fitted(shape, fixed, flattest)
+    else:
+        known = _sandwich(shape.pairs, shape, problem.unit, fixed, flattest)
     by_second = np.zeros((3, len(problem.second)))
     by_second[:, : known.by_second.shape[1]] = known.by_second
     bent = fixed @ (fixed.T @ split.bent @ fixed) @ fixed.T
@@ -328,6 +335,13 @@ def quadratic_form(apart: Array, drop: Array) -> Array:
     form = np.empty((3, 3))
     form[_ROWS, _COLUMNS] = form[_COLUMNS, _ROWS] = entries
     return form / np.outer(scale, scale)
+
+
+def _fitted(shape: _Shape, axes: Array, flattest: float) -> _Error:
+    """P of eq. 5.16 on axes (3, k), no curvature below a least; no part of it is of one return."""
+    size, own = np.linalg.eigh(axes.T @ shape.curvature @ axes)
+    root = axes @ own / np.sqrt(np.maximum(size, flattest))
+    return _Error(root @ root.T, np.zeros((3, 0)), 0.0)
 
 
 def _sandwich(pairs: Pairs, shape: _Shape, unit: Array, axes: Array, flattest: float) -> _Error:

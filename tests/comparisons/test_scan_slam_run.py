@@ -23,6 +23,7 @@ from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.extensions.scan_landmarks.figure import template_points
 from comparisons.extensions.scan_landmarks.result import (
     TemplateRule,
+    published_rule,
     rule_text,
     template_rule,
 )
@@ -90,13 +91,16 @@ def test_settings_left_alone_are_those_of_scan_slam() -> None:
 
 
 def test_as_published_is_the_thesis_form() -> None:
-    """One segment of 100 returns, tried once within 10 %, nine tenths in view, all aligned."""
+    """One segment, tried once within 10 %, nine tenths in view, all aligned, P by eq. 5.16.
+
+    Section 5.6 has no number of returns for its simulation, 5.7 has 100 on the car park.
+    """
     config = run_config(landmarks="scans", preset="nieto-2005").extensions["scan_landmarks"]
     assert isinstance(config, ScanLandmarksConfig)
     rule = template_rule(scan_slam_options(config, mapped=False))
     assert rule == TemplateRule(
         pieces="single",
-        least_returns=100,
+        least_returns=30,
         in_view=0.9,
         residual=0.1,
         open_directions=0,
@@ -105,14 +109,17 @@ def test_as_published_is_the_thesis_form() -> None:
         every=1,
         aligned=0,
         gate=7.815,
+        alignment_covariance="curvature",
     )
-    assert rule_text(rule) == (
-        "one segment, 100 returns, trial within 10% with no direction open, 90% in view, "
-        "all aligned, gate 7.815, independent alignments (Nieto 2005, sections 5.5 and 5.7)"
+    assert published_rule("simulated") == rule
+    assert published_rule("acfr-car-park") == rule.model_copy(update={"least_returns": 100})
+    assert rule_text(rule, rule) == (
+        "one segment, 30 returns, trial within 10% with no direction open, 90% in view, "
+        "all aligned, gate 7.815, covariance by curvature (Nieto 2005, sections 5.4 to 5.7)"
     )
     # broken: a rule that is not the thesis' must not pass for it
-    assert "(Nieto 2005, sections 5.5 and 5.7)" not in rule_text(
-        rule.model_copy(update={"trials": 2})
+    assert "(Nieto 2005, sections 5.4 to 5.7)" not in rule_text(
+        rule.model_copy(update={"trials": 2}), rule
     )
 
 
@@ -125,9 +132,9 @@ def test_what_is_given_stands_beside_the_preset() -> None:
 
 
 def test_the_rule_of_runs_names_the_thesis() -> None:
-    said = rule_text(template_rule(ScanSlamOptions()))
+    said = rule_text(template_rule(ScanSlamOptions()), published_rule("acfr-car-park"))
     assert said.startswith("whole scan, 50 returns, trial within 15% with 2 directions open")
-    assert "(Nieto 2005, sections 5.5 and 5.7: one segment, 100 returns" in said
+    assert "(Nieto 2005, sections 5.4 to 5.7: one segment, 100 returns" in said
 
 
 @pytest.mark.slow

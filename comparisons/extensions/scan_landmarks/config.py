@@ -81,10 +81,15 @@ class ScanLandmarksConfig(ExtensionConfig):
     gate: float = setting(
         11.345, "Gate of a template measurement: chi-square of 3 degrees of freedom", gt=0.0, le=1e6
     )
+    alignment_covariance: Literal["sandwich", "curvature"] = setting(
+        "sandwich",
+        "Covariance of an alignment. sandwich: of the error that the returns' noise causes; "
+        "curvature: of the correlation's own shape (Nieto 2005, eqs. 5.16 and 5.17)",
+    )
     shared_noise: bool = setting(
         True,
-        "Count the noise of returns that several alignments share once. Off: take all "
-        "alignments for independent",
+        "Count the noise of returns that several alignments share once, with alignment_covariance "
+        "sandwich; curvature knows no returns. Off: take all alignments for independent",
     )
 
     def check_with(self, config: Configured) -> None:

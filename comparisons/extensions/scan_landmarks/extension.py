@@ -16,6 +16,7 @@ from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
     ScanLandmark,
+    published_rule,
     scan_slam_result,
     scan_slam_rows,
 )
@@ -78,7 +79,8 @@ class ScanLandmarksFinding(Finding):
 
     def rows(self) -> Sequence[Row]:
         """Return how many agree, and what became of the measurements."""
-        return scan_slam_rows(self.result)
+        thesis = published_rule(self._known.prepared.log.format)
+        return scan_slam_rows(self.result, thesis)
 
     def landmarks(self) -> Sequence[ScanLandmark]:
         """Return each with how it agrees."""

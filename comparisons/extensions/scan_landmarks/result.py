@@ -16,7 +16,14 @@ from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 
 _EXTRACTION = {"joined": "whole-scan", "single": "per-segment"}
 """Choices of the setting template_extraction by what results keep."""
-_PLACE = "Nieto 2005, sections 5.5 and 5.7"
+_NOISE = {
+    ("sandwich", True): "shared returns counted once",
+    ("sandwich", False): "independent alignments",
+    ("curvature", True): "covariance by curvature",
+    ("curvature", False): "covariance by curvature",
+}
+"""R of an alignment, by its covariance and by whether shared noise is counted once."""
+_PLACE = "Nieto 2005, sections 5.4 to 5.7"
 
 
 def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanSlamResult:
@@ -60,21 +67,24 @@ def template_rule(options: ScanSlamOptions) -> TemplateRule:
         aligned=options.aligned,
         gate=options.gate,
         shared_noise=options.shared_noise,
+        alignment_covariance=options.belief.form,
     )
 
 
-def published_rule() -> TemplateRule:
-    """Return the thesis' rule, as `--preset nieto-2005` has it."""
+def published_rule(log_format: str | None = None) -> TemplateRule:
+    """Return the thesis' rule for logs of a format, as `--preset nieto-2005` has it."""
     from comparisons.documented.preset import published
 
-    given = published("nieto-2005", {"extensions": {"scan_landmarks": {}}}, ())["extensions"][
-        "scan_landmarks"
-    ]
+    asked = {"log": {"format": log_format}, "extensions": {"scan_landmarks": {}}}
+    given = published("nieto-2005", asked, ())["extensions"]["scan_landmarks"]
     return template_rule(scan_slam_options(ScanLandmarksConfig.of(**given), mapped=False))
 
 
-def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
-    """Return how many agree, how templates were made, and what became of the measurements."""
+def scan_slam_rows(result: ScanSlamResult, thesis: TemplateRule) -> list[Row]:
+    """Return how many agree, how templates were made, and what became of the measurements.
+
+    thesis: the published rule for the log.
+    """
     group, count = "Scan landmarks", sum(row.agrees for row in result.landmarks)
     agreeing = f"{count} of {len(result.landmarks)}"
     further = {
@@ -88,7 +98,11 @@ def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
         Row(group, "template extraction", _EXTRACTION[result.pieces]),
         Row(group, "segments that failed their trial alignment", f"{result.rejected:,}"),
         *(Row(group, name, f"{n:,}") for name, n in further.items() if n),
-        *([Row(group, "rule of the templates", rule_text(result.rule))] if result.rule else ()),
+        *(
+            [Row(group, "rule of the templates", rule_text(result.rule, thesis))]
+            if result.rule
+            else ()
+        ),
         *(
             Row(group, f"measurements {reason}", f"{n:,}")
             for reason, n in result.measurements.items()
@@ -97,9 +111,8 @@ def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
     ]
 
 
-def rule_text(rule: TemplateRule) -> str:
+def rule_text(rule: TemplateRule, thesis: TemplateRule) -> str:
     """Return the rule in words, and the thesis' where that is another."""
-    thesis = published_rule()
     if rule == thesis:
         return f"{in_words(rule)} ({_PLACE})"
     if (words := in_words(thesis)) == in_words(rule):
@@ -115,7 +128,7 @@ def in_words(rule: TemplateRule) -> str:
         f"{rule.least_returns} returns, trial within {rule.residual:.0%} with "
         f"{rule.open_directions or 'no'} direction{'s' if rule.open_directions > 1 else ''} open, "
         f"{rule.in_view:.0%} in view, {aligned}, gate {rule.gate:g}, "
-        f"{'shared returns counted once' if rule.shared_noise else 'independent alignments'}"
+        f"{_NOISE[rule.alignment_covariance, rule.shared_noise]}"
     )
 
 
@@ -151,6 +164,8 @@ class TemplateRule(Model):
         aligned: most templates that are aligned with a scan; 0 for all in view.
         gate: gate of an alignment, chi-square.
         shared_noise: returns that several alignments share are counted once.
+        alignment_covariance: `sandwich`: of the error of an alignment; `curvature`: of the
+            correlation's own shape (eqs. 5.16 and 5.17).
     """
 
     pieces: str
@@ -164,6 +179,7 @@ class TemplateRule(Model):
     aligned: int
     gate: float
     shared_noise: bool = False
+    alignment_covariance: str = "sandwich"
 
 
 class ScanSlamResult(Model):

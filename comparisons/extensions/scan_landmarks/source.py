@@ -82,6 +82,7 @@ def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamO
         aligned=config.aligned,
         gate=config.gate,
         shared_noise=config.shared_noise,
+        belief=replace(ScanSlamOptions.belief, form=config.alignment_covariance),
     )
 
 

@@ -8,7 +8,11 @@ from scipy.stats import chi2
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_matching.alignment_covariance import quadratic_form, scan_align
+from ekf_reference.scan_matching.alignment_covariance import (
+    CovarianceOptions,
+    quadratic_form,
+    scan_align,
+)
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.ray_casting import Solids
@@ -107,6 +111,32 @@ def test_the_band_rejects_broken_covariances(shaped: Trials) -> None:
         turn = np.array(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
         turned.append(turn @ c @ turn.T)
     assert not within_band(shaped.nees(np.array(turned)), 3, 200)
+
+
+def test_r_by_curvature_is_p_of_5_16_where_all_directions_are_fixed() -> None:
+    """And positive definite, no less wide along a wall, where a direction is not."""
+    rng, belief = np.random.default_rng(12), CovarianceOptions(form="curvature")
+    for scene, free in ((YARD, 0), (WALL, 1)):
+        two = pair(rng, scene, LASER)
+        guess = guess_of(rng, two.motion, PRIOR)
+        ours, fitted = (
+            scan_align(two.first, two.second, guess, PRIOR, belief=one)
+            for one in (CovarianceOptions(), belief)
+        )
+        assert ours.open_directions == fitted.open_directions == free
+        np.testing.assert_array_equal(fitted.pose, ours.pose)
+        assert not fitted.by_second.any()
+        if free:
+            by_noise, by_shape = (
+                float(np.linalg.eigvalsh(one.covariance)[-1]) for one in (ours, fitted)
+            )
+            assert by_shape == pytest.approx(by_noise, rel=1e-2)
+        else:
+            np.testing.assert_allclose(
+                fitted.covariance @ fitted.curvature, np.eye(3), rtol=1e-9, atol=1e-9
+            )
+            # broken: the sandwich is another matrix, and far smaller
+            assert np.trace(ours.covariance) < 0.5 * np.trace(fitted.covariance)
 
 
 @pytest.fixture(scope="module")
