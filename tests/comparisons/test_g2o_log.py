@@ -19,7 +19,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
-from comparisons.report.solution import SolutionReport
+from comparisons.report.solution import FRAME, SolutionReport
 from comparisons.report.terminal import brief
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from graphslam.increments import dead_reckoned
