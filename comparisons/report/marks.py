@@ -42,7 +42,7 @@ class Curve:
     y: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Band:
     """What lies between low and high at x: (n,) each. lack: why it has a gap where it has one."""
 
@@ -86,7 +86,7 @@ def nis_panel(sensor: SensorInnovations, colour: str, at: Array, x_label: str) -
         title=f"NIS of {sensor.sensor} ({dof} dof)",
         x_label=x_label,
         curves=(Curve(f"{sensor.sensor}, averaged", colour, at, w.mean),),
-        bands=(Band("95 % band", "#999999", at, w.low, w.high),),
+        bands=(Band(name="95 % band", colour="#999999", x=at, low=w.low, high=w.high),),
         logarithmic=True,
         level=float(dof),
     )

@@ -228,7 +228,7 @@ def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:
         title="NEES of the pose (3 dof)",
         x_label="time [s]",
         curves=tuple(curves),
-        bands=(Band("95 % band", "#999999", at, low, high),),
+        bands=(Band(name="95 % band", colour="#999999", x=at, low=low, high=high),),
         logarithmic=True,
     )
 
@@ -252,7 +252,9 @@ def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
         title="pose's difference, squared",
         x_label="time [s]",
         curves=(Curve(name, EKF_COLOUR, f.time_s, squares),),
-        bands=(Band("95 % band", "#999999", f.time_s, low, high, lack),),
+        bands=(
+            Band(name="95 % band", colour="#999999", x=f.time_s, low=low, high=high, lack=lack),
+        ),
         logarithmic=True,
     )
     return (*panels, squared)
@@ -271,7 +273,11 @@ def _errors(
         curve = Curve(name, EKF_COLOUR, time_s, unit * error[:, i])
         bands: tuple[Band, ...] = ()
         if np.isfinite(spread).any():
-            bands = (Band("3 sigma", EKF_COLOUR, time_s, -spread, spread, lack),)
+            bands = (
+                Band(
+                    name="3 sigma", colour=EKF_COLOUR, x=time_s, low=-spread, high=spread, lack=lack
+                ),
+            )
         panels.append(
             Panel(title=label, x_label="time [s]", curves=(curve,), bands=bands, level=0.0)
         )
@@ -290,7 +296,7 @@ def _whiteness(sensors: tuple[SensorInnovations, ...]) -> Panel | None:
         curves.append(Curve(name, _COLOURS[i % len(_COLOURS)], lag, np.array(one.autocorrelation)))
     lags = np.array((1.0, max(curve.x[-1] for curve in curves)))
     widest = np.full(2, max(max(one.band) for one in series))
-    band = Band("95 % band", "#999999", lags, -widest, widest)
+    band = Band(name="95 % band", colour="#999999", x=lags, low=-widest, high=widest)
     return Panel(
         title="autocorrelation of innovations, by lag",
         x_label="lag",

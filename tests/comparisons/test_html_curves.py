@@ -72,7 +72,7 @@ def test_a_panel_counts_time_from_the_start_and_survives_nan() -> None:
     bad = np.array((1.0, np.nan, -np.inf, 2.0, 3.0))
     panel = Panel(
         title="</script>", x_label="time [s]", curves=(Curve("'\"", "#000", time_s, bad),),
-        bands=(Band("b", "#000", time_s, -bad, bad),), logarithmic=True,
+        bands=(Band(name="b", colour="#000", x=time_s, low=-bad, high=bad),), logarithmic=True,
     )  # fmt: skip
     said = panel_data(panel, 1.6e9)
     assert said["curves"][0]["x"] == [0, 1, 2, 3, 4]

@@ -134,7 +134,7 @@ def _panels(outcome: Outcome) -> list[Panel]:
             (f.consistency[block].band for f in figures.values()), key=lambda b: b[1] - b[0]
         )
         low, high = np.broadcast_to(np.array(widest)[:, None], (2, len(time_s)))
-        band = Band(f"{_LEVEL} band", "#999999", time_s, low, high)
+        band = Band(name=f"{_LEVEL} band", colour="#999999", x=time_s, low=low, high=high)
         panels.append(
             Panel(
                 title=f"mean NEES of {block} ({dof} dof)",
