@@ -147,7 +147,7 @@ def accuracy_line(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:
     for name, field in (
         ("ATE", "ate_m"),
         ("to GPS (median)", "gps_median_m"),
-        ("landmarks (rms)", "landmark_rmse_m"),
+        ("landmarks, aligned (rms)", "landmark_rmse_aligned_m"),  # of what has no true poses
     ):
         found = {whose: getattr(a, field) for whose, a in each.items() if a is not None}
         known = [f"{whose} {value:.3g} m" for whose, value in found.items() if value is not None]

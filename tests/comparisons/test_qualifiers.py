@@ -27,7 +27,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline import second_association
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.run import RunReport
+from comparisons.report.run import RunReport, finding_lines
 from comparisons.settings import run_config
 from comparisons.trace.events import Sensor
 from tests.commands import slamcheck, works
@@ -231,6 +231,20 @@ def test_a_map_that_is_nowhere_near_is_a_gap(sound: Comparison) -> None:
     found = compared(lost, association="nn")
     assert present(found.truth_gap).lost
     assert TRUTH_GAP in found.verdict.qualifiers
+
+
+@pytest.mark.parametrize(("scale", "gap"), [(1.0, False), (1.1, True)])
+def test_true_landmarks_alone_may_be_in_a_frame_of_their_own(
+    sound: Comparison, scale: float, gap: bool
+) -> None:
+    """Nothing tells where the log starts there; a map of another size is wrong in any frame."""
+    landmarks = present(sound.log.truth.landmarks)
+    turn = np.array(((0.0, -1.0), (1.0, 0.0)))
+    moved = replace(landmarks, position_m=scale * landmarks.position_m @ turn.T + (30.0, -5.0))
+    found = compared(replace(sound.log, truth=Truth(landmarks=moved)))
+    assert (TRUTH_GAP in found.verdict.qualifiers) == gap
+    assert bool(found.verdict.inconsistent) == gap
+    assert "landmarks, aligned" in dict(finding_lines(found))["accuracy"]
 
 
 @pytest.mark.slow

@@ -243,8 +243,8 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
     far, found = [], []
     if against is not None and against.poses is not None:
         far.append(("poses", against.poses.pose))
-    if against is not None and against.map is not None:
-        far.append(("landmarks", against.map.landmarks))
+    if against is not None and against.landmarks is not None:
+        far.append(("landmarks", against.landmarks))
     for what, errors in far:
         if errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2:
             found.append(

@@ -65,6 +65,17 @@ class TruthConsistency:
     poses: PoseErrors | None
     map: MapErrors | None
 
+    @property
+    def landmarks(self) -> Normalised | None:
+        """What tells whether the map is right: each landmark in the log's frame.
+
+        Distances between landmarks where only landmarks are true, since then nothing tells where
+        the log starts in their frame.
+        """
+        if self.map is None:
+            return None
+        return self.map.distance if self.poses is None else self.map.landmarks
+
 
 def against_truth(estimate: Estimate, log: Log, *, labelled: bool) -> TruthConsistency | None:
     """NEES of an estimate, None when the log knows no truth. labelled: see accuracy.assess."""
