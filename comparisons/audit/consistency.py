@@ -308,9 +308,9 @@ class BlockErrors:
         """The first stretch of the run that leaves its band, which all of it hides."""
         rows = self._rows[""]
         each = whole.dof / (_IN_STRETCH * rows[0][3])
-        count = min(_MOST_STRETCHES, int(each))
-        if count < 2:
+        if not each >= 2.0:  # too few, or a number that overflows
             return []
+        count = int(min(_MOST_STRETCHES, each))
         for part in np.array_split(np.arange(len(rows)), count):
             some = [rows[i] for i in part]
             mean = sum(row[2] for row in some) / sum(row[3] for row in some)

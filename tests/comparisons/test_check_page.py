@@ -280,12 +280,20 @@ def test_a_long_estimate_leaves_a_page_of_less_than_5_mb() -> None:
         **{n: getattr(c.smoothed, n)[part] for n in ("error", "sigma", "squared", "dof", "ratio")},
     )
     optimum, peers = (
-        [replace(r, time_s=time_s, pose=r.pose[row]) for r in some]
+        [
+            replace(r, time_s=time_s, pose=r.pose[row], pose_covariance=r.pose_covariance[row])
+            for r in some
+        ]
         for some in ((found.optimum,), found.peers)
     )
     long = replace(
         found,
-        given=replace(filtered(), time_s=time_s, pose=filtered().pose[row]),
+        given=replace(
+            filtered(),
+            time_s=time_s,
+            pose=filtered().pose[row],
+            pose_covariance=present(filtered().pose_covariance)[row],
+        ),
         optimum=optimum[0],
         peers=tuple(peers),
         consistency=replace(c, time_s=time_s, difference=c.difference[row], smoothed=smoothed),
