@@ -223,7 +223,7 @@ class _Seen(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.add(tag)
         self.attributes |= {name for name, _ in attrs}
-        if tag not in ("img", "meta"):  # which have no end
+        if tag not in ("img", "input", "meta"):  # which have no end
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
