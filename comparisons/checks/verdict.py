@@ -169,9 +169,11 @@ def _red(
     if not (_conservative(algebra, allowed) if conservative else algebra.explained_by(allowed)):
         known = diagnosis.operations()
         found.append(cause.algebra(algebra, known, allowed, diagnosis.single or diagnosis.unnamed))
-    if not agreement.model.explained_by(diagnosis.model):
+    untold = agreement.model.explained_by(diagnosis.model)
+    if not untold or (diagnosis.hidden > _UNTOLD and not agreement.model.within(_UNTOLD)):
         differences, known_faults = diagnosis.differences(), diagnosis.known_model_errors()
-        if differences or known_faults or not data_faults:  # else the data's use explains the gap
+        # Else the data's use explains the gap, or rounding, which leaves each record alone right.
+        if differences or known_faults or not (untold or data_faults):
             found.append(cause.model(agreement.model, differences, known_faults, diagnosis.model))
     if run.breakdown and not found and diagnosis.hidden <= _UNTOLD:
         found.append(

@@ -643,9 +643,11 @@ def _by_equations(
 ) -> Graded:
     """An estimate is like an EKF where its trace's equations are right and lead to it.
 
-    It may linearise elsewhere, or take measurements in another order, than any reference.
+    It may linearise elsewhere, or take measurements in another order, than any reference. Where
+    double precision cannot tell whether they are right, the trace says nothing.
     """
-    if traced.own is None or grade.value in ("like", "equal"):
+    untold = traced.verdict.outcome == "unverified"
+    if traced.own is None or untold or grade.value in ("like", "equal"):
         return grade
     own = traced.own.at(inside.time_s)
     if not len(own.time_s):
