@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graphslam.arrays import Array
+from graphslam.scan import planar
 from graphslam.smoother import SmootherResult
 
 _LOOSE = 10.0
@@ -82,14 +83,7 @@ def _near(poses: Array, sigma: Array, least: float) -> list[tuple[int, int]]:
 def _tied(result: SmootherResult, first: int, second: int, scale: float) -> Unclosed:
     """Return what the graph knows of the second pose in the first's frame. scale: of sigmas."""
     joint = result.joint((first, second), ())
-    x, y, heading = result.poses[first]
-    there = result.poses[second, :2] - (x, y)
-    turn = np.array(((np.cos(heading), np.sin(heading)), (-np.sin(heading), np.cos(heading))))
-    jacobian = np.zeros((3, 6))
-    jacobian[:2, :2], jacobian[:2, 3:5] = -turn, turn
-    jacobian[:2, 2] = turn @ (there[1], -there[0])
-    jacobian[2, 2], jacobian[2, 5] = -1.0, 1.0
-    spread = scale**2 * jacobian @ joint @ jacobian.T
+    motion, spread = planar.relative(result.poses[first], result.poses[second], scale**2 * joint)
     sigma = float(np.sqrt(np.linalg.eigvalsh(spread[:2, :2])[-1]))
-    apart = float(np.hypot(*there))
+    apart = float(np.hypot(*motion[:2]))
     return Unclosed(first, second, apart, sigma, float(np.sqrt(spread[2, 2])))

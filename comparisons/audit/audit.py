@@ -205,7 +205,7 @@ class _Pass:
         for figures in sensors:
             self._judge_innovations(figures, level)
         self._judge_smoother(smoothed.averaged, level)
-        self._judge_errors(smoothed, level)
+        self._judge_errors(nees, smoothed, level)
         return Audit(
             trace=self.trace.path,
             counts=self.trace.counts,
@@ -364,9 +364,9 @@ class _Pass:
             finding = Finding("smoother", self.algebra.optimal, text, found.worst)
             self.algebra.add(finding, text, weight)
 
-    def _judge_errors(self, smoothed: Smoothed, level: float) -> None:
+    def _judge_errors(self, nees: Mapping[str, Averaged], smoothed: Smoothed, level: float) -> None:
         """Judge errors by the truth, and the first one, which all measurements tell without it."""
-        for one in self.errors.departures(level):
+        for one in self.errors.departures(nees, level):
             finding = Finding("nees", True, one.what, one.event)
             self.algebra.add(finding, one.what, _CONSEQUENCE * one.weight)
         first = self._first_error(smoothed, level)

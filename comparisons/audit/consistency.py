@@ -274,12 +274,13 @@ class BlockErrors:
                 found[name] = average
         return found
 
-    def departures(self, level: float) -> list[Departure]:
+    def departures(self, averages: Mapping[str, Averaged], level: float) -> list[Departure]:
         """Return what departs: the state and the block that is off most, or else a stretch.
 
-        level: Of all together, of a sound filter.
+        Args:
+            averages: As `averages` returns them.
+            level: Of all together, of a sound filter.
         """
-        averages = self.averages()
         blocks = {name: one for name, one in averages.items() if name}
         shares = {name: 0.5 * level / (len(blocks) if name else 2) for name in averages}
         out = {n: rarity(a.mean, a.dof) for n, a in averages.items() if a.p_value < shares[n]}

@@ -33,11 +33,10 @@ class Documented:
     a setting of a run, as `dense_maps.longest_edge_m`, which the document's preset sets to its
     value; or code, as `package.module:Class.field` or `package.module:function().name`.
     when: settings, each with the values under which the preset sets this one, or AnyBut those.
-    reason: why runs use
-    another value, with the measured figure; empty exactly where they use the document's. absent:
-    what runs use where the setting is absent, in words, exactly where it may be. defaults: code
-    with a default of the same constant, which runs replace. also: further code that has the
-    document's value. named: the document names the constant and gives no number; the
+    reason: why runs use another value, with the measured figure; empty exactly where they use the
+    document's. absent: what runs use where the setting is absent, in words, exactly where it may
+    be. defaults: code with a default of the same constant, which runs replace. also: further code
+    that has the document's value. named: the document names the constant and gives no number; the
     value is a usual one, and what the preset sets.
     """
 
