@@ -35,6 +35,7 @@ def _of_comparisons(*names: str) -> tuple[str, ...]:
 
 
 PRODUCT = ("comparisons/", "ekf_reference/", "graphslam/", "slamcheck/")
+"""All that is installed."""
 EACH_TIME = _of_comparisons(
     "test_main_job.py::test_victoria_park",
     "test_check_external.py::test_the_command",
