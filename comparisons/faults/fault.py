@@ -36,6 +36,30 @@ class Fault(NamedTuple):
     name: str = ""
 
 
+NONE = Fault("none")
+
+
+def together(*faults: Fault) -> Fault:
+    """All of them at once, one after the other; of plants in the same part the last counts."""
+    some = [one for one in faults if one is not NONE]
+    if len(some) < 2:
+        return some[0] if some else NONE
+    plants = [one.plant for one in some if one.plant is not None]
+    feeds = [one.feed for one in some if one.feed is not None]
+
+    def plant(ekf: Ekf) -> None:
+        for one in plants:
+            one(ekf)
+
+    def feed(log: Log) -> Log:
+        for one in feeds:
+            log = one(log)
+        return log
+
+    what = ", and ".join(one.what for one in some)
+    return Fault(what, plant if plants else None, feed if feeds else None)
+
+
 class Family(NamedTuple):
     """Faults that differ by a number. what: in words, with its place.
 

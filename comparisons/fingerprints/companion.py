@@ -25,8 +25,8 @@ class Left(Exception):  # noqa: N818  # no error: the run is given up
 class Companion(NoObserver):
     """Gives a run up where it is farther from the estimate than a share of a sound filter's.
 
-    last_s: the last instant until which it was equal to rounding. farthest, sound: the largest
-    difference until then, of the run and of the sound filter.
+    poses: so many were equal to rounding, before any that was not. last_s: when the last of them
+    was. farthest, sound: the largest difference until then, of the run and of the sound filter.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Companion(NoObserver):
             self._own = np.maximum(_variances(given.pose_covariance), 1e-300)
             apart = np.fmax(apart, np.abs(np.log(self._own / self._variance)).max(axis=1))
         self._sound = np.maximum.accumulate(np.nan_to_num(apart))
-        self._exact, self.last_s = True, float(given.time_s[0])
+        self._exact, self.last_s, self.poses = True, float(given.time_s[0]), 0
         self.farthest = self.sound = 0.0
 
     def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
@@ -60,6 +60,7 @@ class Companion(NoObserver):
             raise Left
         self._exact = self._exact and far <= NEAR
         if self._exact:
+            self.poses += 1
             self.last_s, self.farthest, self.sound = time_s, max(self.farthest, far), sound
 
     def apart(self, ekf: Ekf, time_s: float) -> Array | None:

@@ -2,61 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from functools import cached_property
-from typing import NamedTuple, get_args
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 
-from comparisons.adapters.filter_loop import FilterObserver, NoObserver
 from comparisons.adapters.motion import CLOCK_S
-from comparisons.arrays import Array
 from comparisons.checks.causes import Cause
-from comparisons.checks.grade import Likeness, Reference, likeness
+from comparisons.checks.grade import Likeness
 from comparisons.config import SolveConfig
-from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import Family, Fault
-from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, First, Left
+from comparisons.fingerprints.companion import EXPLAINED
+from comparisons.fingerprints.trial import Fingerprint, Trial, Way
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Named, RelativePoses, own_integration
+from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.estimate_motion import in_words
-from comparisons.pipeline.prepare import Prepared, Progress
-from comparisons.pipeline.references import KINDS, ORDERS, filter_named
-from ekf_reference.core.ekf import Ekf
-
-_DIVERGED = 1.0
-"""A filter with a fault that reproduces the estimate until the sound one is so many sigma off has
-this fault, whatever becomes of it: where a filter diverges, rounding grows."""
-_POSES = 10
-"""A number is fitted to the poses until the sound filter leaves the estimate, and so many more."""
-_ROUNDS, _STEP, _MOST_STEP = 12, 1e-4, 1.5
-"""Of a fit: rounds, the step of a difference, and the largest of a round, in the number or its
-logarithm."""
-_ALONG = 0.7
-"""Least cosine between what is left and what the number changes; another fault has less."""
-
-
-class Fingerprint(NamedTuple):
-    """A fault that explains an estimate.
-
-    fault: in words. way: how else the filter differs from the reference EKF, in words. sigma: the
-    largest difference that is left. exact: none but rounding is. until_s: when the filter with the
-    fault, diverging, leaves the estimate or breaks down; None where it does not.
-    """
-
-    fault: str
-    way: str
-    sigma: float
-    exact: bool
-    until_s: float | None = None
-
-    @property
-    def whole(self) -> bool:
-        """Whether it reproduces all of the estimate."""
-        return self.exact and self.until_s is None
+from comparisons.pipeline.prepare import Prepared, Progress, no_progress
+from comparisons.pipeline.references import KINDS, ORDERS
+from comparisons.pipeline.size import counts
 
 
 def fingerprints(
@@ -65,39 +32,82 @@ def fingerprints(
     """Return the faults that explain an estimate, the nearest first.
 
     given: its poses at the reference's times, and no others. sound: what it is most like of what
-    has no fault. Each fault is tried with each integration and order of updates, and those of the
-    log's numbers in filters of other kinds, until a run leaves the estimate. One that reproduces it
-    to rounding ends the search.
+    has no fault. Each fault is tried with each order of updates, until a run leaves the estimate;
+    then those of the log's numbers in filters of other kinds, and several together; then each with
+    other integrations, which another core does meanwhile where one is free. What reproduces it to
+    rounding ends the search.
     """
-    found: dict[str, Fingerprint] = {}
-    todo = [*_start(given, prepared.log), *catalogue(prepared.log), *families(prepared.log)]
-    trials = [
-        (
-            ", ".join(filter(None, (by, steps))),
-            _Trial(given, replace(prepared, log=log), sound, order),
-        )
-        for steps, log in _integrated(prepared.log)
+    log, search = prepared.log, _Search(given, prepared, sound)
+    ordered = [Way(by, log, order) for order, by in ORDERS.items()]
+    kinds = [Way(f"it is {kind}", log, kind) for kind in KINDS]
+    moving = [
+        Way(", ".join(filter(None, (by, steps))), other, order)
+        for steps, other in _integrated(log)
         for order, by in ORDERS.items()
     ]
-    kinds = [(f"it is {kind}", _Trial(given, prepared, sound, kind)) for kind in KINDS]
-    for done, fault in enumerate(todo):
-        progress("fingerprints", done, len(todo))
-        exact: Fingerprint | None = None
-        for way, trial in (*trials, *(kinds if fault.plant is None else ())):
-            one = trial.fitted(fault) if isinstance(fault, Family) else trial.of(fault)
-            if one is None or (one.sigma > found.get(fault.what, one).sigma and not one.whole):
-                continue
-            one = found[fault.what] = one._replace(way=way)
-            if one.whole:
-                return [one]
-            if one.exact:
-                exact = exact or one
-        if exact is not None:
-            return [exact]
-    return sorted(found.values(), key=lambda one: one.sigma)
+    found = search.through(ordered, progress)
+    if not _exact(found):
+        with Beside(search.through, moving, size=counts(prepared), pays_from=0) as second:
+            found += search.through(kinds, progress)
+            if not _exact(found):
+                progress("fingerprints together", 0, 0)
+                found += search.together(ordered) or second.result()
+    return _exact(found) or sorted(found, key=lambda one: one.sigma)
 
 
-def _start(given: ExternalEstimate, log: Log) -> list[Fault | Family]:
+def _exact(found: Iterable[Fingerprint]) -> list[Fingerprint]:
+    """The first that is exact, a whole one before others; none where none is."""
+    exact = sorted((one for one in found if one.exact), key=lambda one: not one.whole)
+    return exact[:1]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What `fingerprints` was asked for."""
+
+    given: ExternalEstimate
+    prepared: Prepared[SolveConfig]
+    sound: Likeness
+
+    @property
+    def _faults(self) -> list[Fault]:
+        log = self.prepared.log
+        return [*_start(self.given, log), *catalogue(log)]
+
+    def _trial(self, way: Way) -> Trial:
+        prepared = replace(self.prepared, log=way.log)
+        return Trial(self.given, prepared, self.sound, way)
+
+    def through(self, ways: Sequence[Way], progress: Progress = no_progress) -> list[Fingerprint]:
+        """What each fault explains, with the way that leaves the least; an exact one is the last.
+
+        In filters of other kinds only faults of the log's numbers are tried.
+        """
+        found: dict[str, Fingerprint] = {}
+        todo: list[Fault | Family] = [*self._faults, *families(self.prepared.log)]
+        trials = [self._trial(way) for way in ways]
+        for done, fault in enumerate(todo):
+            progress("fingerprints", done, len(todo))
+            for trial in trials:
+                if trial.way.name in KINDS and fault.plant is not None:
+                    continue
+                one = trial.fitted(fault) if isinstance(fault, Family) else trial.of(fault)
+                if one is not None and not one.sigma > found.get(fault.what, one).sigma:
+                    found[fault.what] = one
+                if one is not None and one.whole:
+                    return [one]
+            if _exact(found.values()):
+                break
+        return list(found.values())
+
+    def together(self, ways: Iterable[Way]) -> list[Fingerprint]:
+        """The faults that explain the estimate only together; none where none do."""
+        numbers = list(families(self.prepared.log))
+        several = (self._trial(way).several(self._faults, numbers) for way in ways)
+        return next(([one] for one in several if one is not None), [])
+
+
+def _start(given: ExternalEstimate, log: Log) -> list[Fault]:
     """The estimate's own prior, where it has one and it is not the log's."""
     if given.pose_covariance is None or abs(given.time_s[0] - log.prior.time_s) > CLOCK_S:
         return []
@@ -113,9 +123,10 @@ def fault_cause(known: Sequence[Fingerprint], sound: Likeness) -> Cause:
     if first.exact:
         until = "" if first.until_s is None else f" until it diverges at {first.until_s:.2f} s"
         way = f"; {first.way}" if first.way else ""
+        these = "these faults" if first.several else "this fault"
         return Cause(
             "fault",
-            f"{first.fault}: with this fault the reference filter equals the estimate{until} "
+            f"{first.fault}: with {these} the reference filter equals the estimate{until} "
             f"({first.sigma:.1g} sigma; without it {sound.farthest:.2g}){way}",
             f"correct this in the filter: {first.fault}",
         )
@@ -129,117 +140,8 @@ def fault_cause(known: Sequence[Fingerprint], sound: Likeness) -> Cause:
     )
 
 
-class _Trial:
-    """One filter, without a fault as yet. sound: as of `fingerprints`. name: of FILTERS."""
-
-    def __init__(
-        self,
-        given: ExternalEstimate,
-        prepared: Prepared[SolveConfig],
-        sound: Likeness,
-        name: str,
-    ) -> None:
-        self.given, self.prepared, self.sound, self.name = given, prepared, sound, name
-        beside = Companion(given, sound)
-        self._first, self._count = beside, beside.first(_POSES)
-
-    @cached_property
-    def _neutral(self) -> Array | None:
-        """What is left of the first poses without a fault."""
-        return self._left(Fault("none"))
-
-    @cached_property
-    def _bare(self) -> Likeness | None:
-        """The filter without a fault beside the estimate; None where it cannot run."""
-        found = self._run(Fault("none"), NoObserver())
-        if found is None:
-            return None
-        return likeness(self.given, found, labelled=self.prepared.labelled)
-
-    def _wrong_without(self, until_s: float) -> bool:
-        """Whether the filter without a fault had left the estimate for good by then."""
-        if self._bare is None:
-            return True
-        return Companion(self.given, self._bare).sound_at(until_s) >= _DIVERGED
-
-    def _left(self, fault: Fault) -> Array | None:
-        """What is left of the first poses; None where the filter does not reach them all."""
-        seen = First(self._first, self._count)
-        try:
-            self._run(fault, seen)
-        except Left:
-            return np.concatenate(seen.left)
-        except InputError:
-            return None
-        return np.concatenate(seen.left) if len(seen.left) == self._count else None
-
-    def of(self, fault: Fault) -> Fingerprint | None:
-        """What a fault explains; None where its filter leaves the estimate, or cannot run."""
-        beside = Companion(self.given, self.sound)
-        try:
-            found = self._run(fault, beside)
-        except Left:
-            found = None
-        except InputError:
-            return None
-        near = None
-        if found is not None:
-            with np.errstate(invalid="ignore"):  # a fault may leave no covariance
-                near = likeness(self.given, found, labelled=self.prepared.labelled)
-        if near is not None and near.grade == "equal":
-            if self._bare is not None and self._bare.grade == "equal":
-                return None  # a fault without effect
-            return Fingerprint(fault.what, "", near.farthest, exact=True)
-        # Equal so long: then rounding grows, or it breaks down.
-        if beside.sound >= _DIVERGED and self._wrong_without(beside.last_s):
-            return Fingerprint(fault.what, "", beside.farthest, exact=True, until_s=beside.last_s)
-        if near is None or not near.farthest <= (1.0 - EXPLAINED) * self.sound.farthest:
-            return None
-        return Fingerprint(fault.what, "", near.farthest, exact=False)
-
-    def fitted(self, family: Family) -> Fingerprint | None:
-        """What a family explains with the number that fits the first poses best.
-
-        By Gauss and Newton; the derivative is a difference. None where nothing fits.
-        """
-
-        def member(number: float) -> Fault:
-            return family.member(float(np.exp(number)) if family.factor else number)
-
-        at = float(np.log(family.neutral)) if family.factor else family.neutral
-        now = self._neutral
-        for _ in range(_ROUNDS):
-            other = None if now is None else self._left(member(at + _STEP))
-            if now is None or other is None:
-                return None
-            slope = (other - now) / _STEP
-            along = float(slope @ now)
-            if along**2 < _ALONG**2 * (slope @ slope) * (now @ now) or not along:
-                break  # rounding is left, or another fault
-            step = float(np.clip(-along / (slope @ slope), -_MOST_STEP, _MOST_STEP))
-            at, now = at + step, self._left(member(at + step))
-            if abs(step) < _STEP**2 or now is None or np.abs(now).max() <= 1e-3 * NEAR:
-                break
-        enough = max(NEAR, (1.0 - EXPLAINED) * self._first.sound_until(self._count))
-        if now is None or np.abs(now).max() > enough:
-            return None
-        return self.of(member(at))
-
-    def _run(self, fault: Fault, beside: FilterObserver) -> Reference | None:
-        def started(ekf: Ekf) -> FilterObserver:
-            if fault.plant is not None:
-                fault.plant(ekf)
-            return beside
-
-        log = self.prepared.log if fault.feed is None else fault.feed(self.prepared.log)
-        other = replace(self.prepared, log=log)
-        with np.errstate(all="ignore"):  # a fault may make it diverge
-            return filter_named(self.name, other, self.given.time_s, started)
-
-
 def _integrated(log: Log) -> Iterator[tuple[str, Log]]:
-    """Yield the log with each integration, and what is other than the log's in words."""
-    yield "", log
+    """Yield the log with each other integration, and that in words."""
     if not isinstance(log.odometry, RelativePoses):
         ours = log.integration or own_integration(log.odometry)
         for other in get_args(Named):

@@ -41,7 +41,7 @@ def check_size(prepared: Prepared[Any], available: float | None = None) -> None:
     available: bytes, by default what the machine has free; where unknown, nothing is refused.
     """
     log = prepared.log
-    poses, measurements, landmarks = _counts(prepared)
+    poses, measurements, landmarks = counts(prepared)
     need = needed(poses, measurements, landmarks, full=prepared.ekf.filter == "full")
     room = available_bytes() if available is None else available
     if room is not None and need > room:
@@ -58,7 +58,7 @@ def announce_time(prepared: Prepared[Any]) -> None:
     And what takes less, or that what takes more may follow: a run may use another filter, a check
     compares an estimate that is not as the reference EKF's with other filters.
     """
-    poses, measurements, landmarks = _counts(prepared)
+    poses, measurements, landmarks = counts(prepared)
     used = "compressed" if prepared.ekf.filter.startswith("compressed") else "full"
     takes = seconds(poses, measurements, landmarks, used)
     if takes < LONG_S:
@@ -87,7 +87,7 @@ def _minutes(time_s: float) -> str:
     return f"{time_s / 60.0:,.0f} min" if time_s < 7200.0 else f"{time_s / 3600.0:,.0f} h"
 
 
-def _counts(prepared: Prepared[Any]) -> tuple[int, int, int]:
+def counts(prepared: Prepared[Any]) -> tuple[int, int, int]:
     """Return poses, measurements, and landmarks: without labels, as many as a scan has at most."""
     timeline = prepared.timeline
     epoch = timeline.measurement_epoch

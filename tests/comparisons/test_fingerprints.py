@@ -19,8 +19,9 @@ from comparisons.config import CheckConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, own_start
-from comparisons.faults.fault import Fault
+from comparisons.faults.fault import NONE, Family, Fault, together
 from comparisons.fingerprints.search import fingerprints
+from comparisons.logs.log import Log
 from comparisons.pipeline.check import check
 from comparisons.pipeline.prepare import no_progress
 from comparisons.pipeline.references import APART, EKF, KINDS, filter_named, variants
@@ -93,7 +94,7 @@ FITTED = (
 
 def assert_named(solution: Solution, fault: Fault, name: str = EKF, way: str = "") -> None:
     given = handed_in(run(solution, fault, name))
-    sound = likeness(given, run(solution, Fault("none")), labelled=True)
+    sound = likeness(given, run(solution, NONE), labelled=True)
     found = fingerprints(given, solution.prepared, sound, no_progress)
     assert [(one.fault, one.way, one.exact) for one in found] == [(fault.what, way, True)]
 
@@ -120,6 +121,63 @@ def test_a_fault_of_a_filter_of_another_kind_is_named(solution: Solution, kind: 
     """Whose sound filter is farther from it than the reference EKF is from most faults."""
     (noise,) = (one for one in families(solution.log) if one.what.startswith("R is {}"))
     assert_named(solution, noise.member(2.345), kind, f"it is {kind}")
+
+
+def family(log: Log, words: str) -> Family:
+    (one,) = (one for one in families(log) if one.what.startswith(words))
+    return one
+
+
+BIASED, NOISY = ("the turn has a bias", 0.01), ("R of the range is {}", 2.345)
+APART_FROM_THE_HEADING = "steps lead along the heading of plain dead reckoning"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("planted", "numbers"),
+    [
+        ("", (BIASED, NOISY)),
+        ("", (BIASED, NOISY, ("the speed's part of Q is {}", 0.6))),
+        (APART_FROM_THE_HEADING, (BIASED,)),
+    ],
+)
+def test_faults_are_named_together(
+    solution: Solution, planted: str, numbers: tuple[tuple[str, float], ...]
+) -> None:
+    """No one of them explains the estimate; each number is right to four digits."""
+    log = solution.log
+    base = [one for one in catalogue(log) if planted and one.what.startswith(planted)]
+    members = [family(log, words).member(number) for words, number in numbers]
+    given = handed_in(run(solution, together(*base, *members)))
+    sound = likeness(given, run(solution, NONE), labelled=True)
+    (found,) = fingerprints(given, solution.prepared, sound, no_progress)
+    assert found.whole
+    assert found.several
+    assert set(found.fault.split(", and ")) == {one.what for one in (*base, *members)}
+
+
+@pytest.mark.slow
+def test_faults_together_do_not_explain_what_is_random(solution: Solution) -> None:
+    """With three numbers, and one fault of a hundred, least squares fit much."""
+    sound = run(solution, NONE)
+    spread = np.sqrt(np.diagonal(sound.pose_covariance, 0, 1, 2))
+    moved = np.random.default_rng(0).normal(size=spread.shape) * spread
+    given = replace(handed_in(sound), pose=sound.pose + moved)
+    near = likeness(given, sound, labelled=True)
+    assert fingerprints(given, solution.prepared, near, no_progress) == []
+
+
+@pytest.mark.slow
+def test_a_start_that_differs_does_not_hide_what_follows(solution: Solution) -> None:
+    """A prior three times as wide differs by one in the logarithm, and yet nothing has diverged."""
+    log = solution.log
+    wide = family(log, "the prior's covariance").member(3.0)
+    noise = family(log, "the speed's part of Q").member(2.0)
+    given = handed_in(run(solution, together(wide, noise)))
+    sound = likeness(given, run(solution, NONE), labelled=True)
+    (found,) = fingerprints(given, solution.prepared, sound, no_progress)
+    assert found.whole
+    assert noise.what in found.fault
 
 
 def test_a_fault_may_leave_a_motion_without_full_rank(tmp_path: Path) -> None:
@@ -153,7 +211,7 @@ def test_a_start_of_its_own_is_named(solution: Solution) -> None:
 
 def sound_filters(solution: Solution) -> list[Reference]:
     others = variants(solution.prepared, solution.estimate.time_s)
-    return [run(solution, Fault("none")), *(one for one in others if one.name not in APART)]
+    return [run(solution, NONE), *(one for one in others if one.name not in APART)]
 
 
 def test_sound_filters_are_within_the_spread_of_the_others(solution: Solution) -> None:

@@ -1,0 +1,184 @@
+"""One filter with a fault beside an estimate: what the fault explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from comparisons.adapters.filter_loop import FilterObserver, NoObserver
+from comparisons.arrays import Array
+from comparisons.checks.grade import Likeness, Reference, likeness
+from comparisons.config import SolveConfig
+from comparisons.errors import InputError
+from comparisons.estimates.external import ExternalEstimate
+from comparisons.faults.fault import NONE, Family, Fault
+from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, First, Left
+from comparisons.fingerprints.fit import Fit, nearest, selected, settled
+from comparisons.logs.log import Log
+from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.references import filter_named
+from ekf_reference.core.ekf import Ekf
+
+_DIVERGED = 1.0
+"""A filter with a fault that reproduces the estimate until the sound one is so many sigma off has
+this fault, whatever becomes of it: where a filter diverges, rounding grows."""
+_POSES = 10
+"""A number is fitted to the poses until the sound filter leaves the estimate, and so many more."""
+_BESIDE = 2
+"""Numbers beside which a fault without one is looked for: none, and one."""
+
+
+class Fingerprint(NamedTuple):
+    """A fault that explains an estimate.
+
+    fault: in words. way: how else the filter differs from the reference EKF, in words. sigma: the
+    largest difference that is left. exact: none but rounding is. until_s: when the filter with the
+    fault, diverging, leaves the estimate or breaks down; None where it does not. several: whether
+    it is several faults at once.
+    """
+
+    fault: str
+    way: str
+    sigma: float
+    exact: bool
+    until_s: float | None = None
+    several: bool = False
+
+    @property
+    def whole(self) -> bool:
+        """Whether it reproduces all of the estimate."""
+        return self.exact and self.until_s is None
+
+
+class Way(NamedTuple):
+    """A filter that faults are tried in. words: how it differs from the reference EKF.
+
+    log: as it moves. name: of FILTERS.
+    """
+
+    words: str
+    log: Log
+    name: str
+
+
+class Trial:
+    """One filter beside an estimate, without a fault as yet."""
+
+    def __init__(
+        self,
+        given: ExternalEstimate,
+        prepared: Prepared[SolveConfig],
+        sound: Likeness,
+        way: Way,
+    ) -> None:
+        """sound: as of `fingerprints`."""
+        self.given, self.prepared, self.sound, self.way = given, prepared, sound, way
+        beside = Companion(given, sound)
+        self._first, self._count = beside, beside.first(_POSES)
+
+    @cached_property
+    def _neutral(self) -> Array | None:
+        """What is left of the first poses without a fault."""
+        return self._left(NONE)
+
+    @cached_property
+    def _bare(self) -> Likeness | None:
+        """The filter without a fault beside the estimate; None where it cannot run."""
+        found = self._run(NONE, NoObserver())
+        if found is None:
+            return None
+        return likeness(self.given, found, labelled=self.prepared.labelled)
+
+    def _wrong_without(self, until_s: float) -> bool:
+        """Whether the filter without a fault had left the estimate for good by then."""
+        if self._bare is None:
+            return True
+        return Companion(self.given, self._bare).sound_at(until_s) >= _DIVERGED
+
+    def _left(self, fault: Fault) -> Array | None:
+        """What is left of the first poses; None where the filter does not reach them all."""
+        seen = First(self._first, self._count)
+        try:
+            self._run(fault, seen)
+        except Left:
+            pass
+        except InputError:
+            return None
+        if len(seen.left) < self._count:
+            return None
+        left = np.concatenate(seen.left)
+        return left if np.isfinite(left).all() else None
+
+    def of(self, fault: Fault) -> Fingerprint | None:
+        """What a fault explains; None where its filter leaves the estimate, or cannot run."""
+        beside = Companion(self.given, self.sound)
+        try:
+            found = self._run(fault, beside)
+        except Left:
+            found = None
+        except InputError:
+            return None
+        near = None
+        if found is not None:
+            with np.errstate(invalid="ignore"):  # a fault may leave no covariance
+                near = likeness(self.given, found, labelled=self.prepared.labelled)
+        if near is not None and near.grade == "equal":
+            if self._bare is not None and self._bare.grade == "equal":
+                return None  # a fault without effect
+            return Fingerprint(fault.what, self.way.words, near.farthest, exact=True)
+        # Equal so long: then rounding grows, or it breaks down.
+        lasted = beside.poses >= _POSES and beside.sound >= _DIVERGED
+        if lasted and self._wrong_without(beside.last_s):
+            return Fingerprint(
+                fault.what, self.way.words, beside.farthest, exact=True, until_s=beside.last_s
+            )
+        if near is None or not near.farthest <= (1.0 - EXPLAINED) * self.sound.farthest:
+            return None
+        return Fingerprint(fault.what, self.way.words, near.farthest, exact=False)
+
+    def fitted(self, family: Family) -> Fingerprint | None:
+        """What a family explains with the number that fits the first poses best.
+
+        None where nothing fits.
+        """
+        if self._neutral is None:
+            return None
+        fit = settled(Fit(NONE, (), np.empty(0), self._neutral).with_one(family), self._left)
+        enough = max(NEAR, (1.0 - EXPLAINED) * self._first.sound_until(self._count))
+        return self.of(fit.fault) if fit is not None and fit.near(enough) else None
+
+    def several(self, faults: Sequence[Fault], families: Sequence[Family]) -> Fingerprint | None:
+        """What faults explain only together: up to three numbers, alone or beside one without.
+
+        Without a number is one that leaves the least of the first poses, beside no number or one.
+        """
+        bases = []
+        for fit in selected(NONE, families, self._left):
+            if fit.near(NEAR):
+                return self._together(fit)
+            if len(fit.at) < _BESIDE:
+                bases.append(nearest(fit, faults, self._left))
+        for base in filter(None, bases):
+            for fit in selected(base, families, self._left):
+                if fit.near(NEAR):
+                    return self._together(fit)
+        return None
+
+    def _together(self, fit: Fit) -> Fingerprint | None:
+        found = self.of(fit.fault)
+        return found._replace(several=True) if found is not None and found.exact else None
+
+    def _run(self, fault: Fault, beside: FilterObserver) -> Reference | None:
+        def started(ekf: Ekf) -> FilterObserver:
+            if fault.plant is not None:
+                fault.plant(ekf)
+            return beside
+
+        log = self.prepared.log if fault.feed is None else fault.feed(self.prepared.log)
+        other = replace(self.prepared, log=log)
+        with np.errstate(all="ignore"):  # a fault may make it diverge
+            return filter_named(self.way.name, other, self.given.time_s, started)
