@@ -77,7 +77,7 @@ def start_job(
 
     base, check: see read_job. Raises InputError.
     """
-    from comparisons.report.folder import check_free, default_folder
+    from comparisons.report.destination import check_free, default_folder
 
     if given.out is not None:
         check_free(given.out)

@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
 
-from comparisons.atomic import LIST, check_apart, check_replaceable, folder_name, fresh_folder
-from comparisons.config import Configured, JobConfig, shown
-from comparisons.errors import InputError
-from comparisons.estimates.estimate import Estimate
-from comparisons.estimates.folder import write_estimate
+from comparisons.atomic import LIST, fresh_folder
 from comparisons.figures import json_text
-from comparisons.logs.table import read_toml
-from comparisons.options.table import FLAGS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from comparisons.config import JobConfig
+    from comparisons.estimates.estimate import Estimate
+
 CONFIG = "config.toml"
-_BESIDE = ("job", "report", "cloud")
-"""Settings that decide what else is written, not the results."""
-_LONG = 60
-"""Characters of a folder's name after the log's; what is longer ends with a hash."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +44,7 @@ def write_job_folder(content: JobFolder, folder: Path) -> None:
     """Write everything; the result's file names all others. Raises InputError."""
     file = f"{content.name}.json"
     with fresh_folder(folder, file if content.config is None else CONFIG) as work:
-        for name, estimate in content.estimates.items():
-            (work / name).mkdir()
-            write_estimate(estimate, work / name)
+        _write(content.estimates, work)
         _save(content.figures, work, content.formats)
         if content.config is not None:
             (work / CONFIG).write_text(content.config.toml(), encoding="utf-8")
@@ -67,138 +56,18 @@ def write_job_folder(content: JobFolder, folder: Path) -> None:
         (work / file).write_text(json_text(found, indent=2) + "\n", encoding="utf-8")
 
 
+def _write(estimates: Mapping[str, Estimate], folder: Path) -> None:
+    if estimates:
+        from comparisons.estimates.folder import write_estimate  # an audit has no estimate
+
+        for name, estimate in estimates.items():
+            (folder / name).mkdir()
+            write_estimate(estimate, folder / name)
+
+
 def _save(figures: Mapping[str, Figure], folder: Path, formats: Collection[str]) -> None:
     if figures:
         from comparisons.report.picture import save  # matplotlib takes long to load
 
         for name, figure in figures.items():
             save(figure, folder / f"{name}.png", formats)
-
-
-def default_folder(
-    config: JobConfig, log: str, base: Mapping[str, Any] = MappingProxyType({})
-) -> Path:
-    """Return the folder of a job that names none: command, log and what is not as usual.
-
-    The settings stand as on the command line, `seed-7`; others by their key. log: its name. base:
-    the command's own defaults.
-    """
-    given = config.model_dump()
-    found, changed, words = dict(leaves(given)), _changed(config, base), list[str]()
-    for flag in FLAGS:
-        value, places = flag.read(given)
-        if not changed.isdisjoint(places):
-            words.append(_words(flag.option.lstrip("-"), value))
-            changed -= {*places, ".".join(flag.field.split(".")[:2])}
-    words += [_words(p.rpartition(".")[2], found.get(p, True)) for p in sorted(changed)]
-    tail = folder_name("-".join(words)) if words else ""
-    if len(tail) > _LONG:
-        whole = hashlib.sha256("-".join(words).encode()).hexdigest()
-        tail = f"{tail[: _LONG - 9].rstrip('.-')}-{whole[:8]}"
-    command = () if config.job == "run" else (config.job,)
-    return Path("-".join(("slamcheck", *command, folder_name(log), *filter(None, (tail,)))))
-
-
-def check_free(folder: Path, config: JobConfig | None = None, *, replace: bool = False) -> None:
-    """Raise InputError where a folder may not be written, before the work.
-
-    config: of the job, with its log's hash. A folder that holds what the job reads is refused; one
-    that holds the same job with other settings, of another log, or another job, unless replace is
-    set.
-    """
-    check_replaceable(folder, CONFIG)
-    if config is None:
-        return
-    check_apart(folder, config.inputs())
-    if replace or not (folder / CONFIG).exists():
-        return
-    if other := _other_run(folder, config):
-        raise InputError(
-            f"{folder}: holds another run ({other}); give --replace, or another folder by --out"
-        )
-
-
-def _other_run(folder: Path, config: JobConfig) -> str:
-    """What a folder's run differs in, in words; nothing where it is the same."""
-    try:
-        found = read_toml(folder / CONFIG)
-        if (job := found.get("job")) != config.job:
-            return f"of slamcheck {shown(job)}"
-        then = dict(leaves(type(config).of(**found).model_dump()))
-    except InputError:
-        return "its config.toml is not of this version"
-    now = dict(leaves(config.model_dump()))
-    paths = [p for p in {**then, **now} if p.split(".")[0] not in _BESIDE]
-    differ = [
-        p for p in paths if then.get(p) != now.get(p) and p not in ("log.sha256", "log.format")
-    ]
-    if then.get("log.sha256") == now.get("log.sha256"):  # wherever it was read from
-        differ = [path for path in differ if not path.startswith("log.")]
-    elif not any(path.startswith("log.") for path in differ):
-        differ.insert(0, "the log's contents")
-    reported = [
-        f"{p} {_short(then.get(p))}, not {_short(now.get(p))}" if "." in p else p for p in differ
-    ]
-    return "; ".join(reported[:3]) + (
-        f"; and {len(reported) - 3} more" if len(reported) > 3 else ""
-    )
-
-
-def _changed(config: JobConfig, base: Mapping[str, Any]) -> set[str]:
-    """Paths of settings that are not as usual, and of extensions that were asked for."""
-    named = config.log.model_dump(include={"source", "format", "sha256"})
-    usual = type(config).of(**{**base, "preset": config.preset, "log": named})
-    before, now = (dict(leaves(one.model_dump())) for one in (usual, config))
-    changed = {path for path, value in now.items() if (path, value) not in before.items()}
-    changed |= {"preset"} if config.preset != "recommended" else set()
-    if isinstance(config, Configured):
-        changed |= {f"extensions.{name}" for name in config.extensions}
-        changed -= _as_usual(config, base)
-    return {path for path in changed if path.partition(".")[0] not in _BESIDE}
-
-
-def _as_usual(config: Configured, base: Mapping[str, Any]) -> set[str]:
-    """Paths of extensions that nobody asked for, and of settings that are as theirs usually are."""
-    log, ekf = config.log.model_dump(), config.ekf.model_dump()
-    usual = type(config).of(**{**base, "preset": config.preset, "log": log, "ekf": ekf})
-    needed = [one.needs() for one in config.extensions.values()]
-    found = {
-        f"extensions.{name}" for name in {*usual.extensions, *(n for one in needed for n in one)}
-    }
-    for name, section in config.extensions.items():
-        plain = usual.settings_of(name).model_dump()
-        for one in needed:
-            plain |= one.get(name, {})
-        found |= {
-            f"extensions.{name}.{key}"
-            for key, value in section.model_dump().items()
-            if value == plain[key]
-        }
-    return found
-
-
-def leaves(values: Mapping[str, Any], below: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the dotted path and the value of every setting in nested mappings."""
-    for key, value in values.items():
-        path = f"{below}.{key}" if below else str(key)
-        if isinstance(value, Mapping) and value:
-            yield from leaves(value, path)
-        else:
-            yield path, value
-
-
-def _words(name: str, value: Any) -> str:
-    """A setting as a part of a folder's name; a switch is its name."""
-    name = name.replace("_", "-")
-    if isinstance(value, bool) or value == {}:
-        return f"no-{name}" if value is False else name
-    several = value if isinstance(value, list | tuple) else (value,)
-    return "-".join((name, *(_short(one) for one in several)))
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:g}"
-    if value is None:
-        return "unset"
-    return Path(value).name if isinstance(value, str) else str(value)

@@ -24,7 +24,7 @@ from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import Solution
 from comparisons.report.check import CheckReport
-from comparisons.report.folder import leaves
+from comparisons.report.destination import leaves
 from comparisons.report.ladder import check_ladder, ladder
 from comparisons.report.run import RunReport
 

@@ -22,7 +22,7 @@ from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS, config_class
 from comparisons.options import RENAMED, renamed_words
 from comparisons.options.table import FLAGS, of_job
-from comparisons.report.folder import check_free
+from comparisons.report.destination import check_free
 from comparisons.settings import configure, run_config
 
 RUN = of_job("run")

@@ -29,6 +29,7 @@ from comparisons.checks.grade import likeness
 from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Method
 from comparisons.fingerprints import search
+from comparisons.fingerprints.trial import Fingerprint
 from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import ExternalCheck
@@ -205,7 +206,7 @@ def test_a_fault_that_comes_late_is_dated(folder: Path, tmp_path: Path, traced: 
 
 
 def test_a_fault_that_explains_all_but_a_hundredth_is_not_said_to_be_equal() -> None:
-    known = [search.Fingerprint("R is 2 times the log's", "", 0.004, exact=False)]
+    known = [Fingerprint("R is 2 times the log's", "", 0.004, exact=False)]
 
     class Sound:
         farthest = 0.8

@@ -19,8 +19,9 @@ from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
+from comparisons.report.destination import check_free, default_folder
 from comparisons.report.figures.run import map_figure
-from comparisons.report.folder import check_free, default_folder, write_job_folder
+from comparisons.report.folder import write_job_folder
 from comparisons.report.marks import ellipses
 from comparisons.report.models import Result
 from comparisons.report.rows import seconds_rows

@@ -139,7 +139,7 @@ def test_landmarks_without_labels_are_counted_by_scans(labelled: bool) -> None:
         log = replace(log, measurements=replace(log.measurements, landmark=np.full_like(
             log.measurements.landmark, -1)))  # fmt: skip
     one = prepare(log, RunConfig(), required=REQUIRED)
-    _, _, found = size._counts(one)
+    _, _, found = size.counts(one)
     most = np.bincount(one.timeline.measurement_epoch).max()
     assert found == (len(np.unique(log.measurements.landmark)) if labelled else most)
 

@@ -67,6 +67,12 @@ class ModelDifference:
         """The kind of relation, and whether it is of a Jacobian: the rest may follow from one."""
         return self.relation, "Jacobian" in self.quantity
 
+    @property
+    def weight(self) -> float:
+        """Its size beside others: of a covariance at most the root, as its sigma differs."""
+        of_covariance = self.quantity.endswith("covariance")
+        return min(self.largest, np.sqrt(self.largest)) if of_covariance else self.largest
+
     def __str__(self) -> str:
         """For people to read."""
         how = "is missing" if self.absent else f"differs by up to {self.largest:.2g} {self.unit}"
@@ -145,7 +151,7 @@ def model_differences(
                         number=first[1],
                     )
                 )
-    return tuple(sorted(found, key=lambda d: (not d.absent, -d.largest)))
+    return tuple(sorted(found, key=lambda d: (not d.absent, -d.weight)))
 
 
 def _first_event(off: NDArray[np.bool_], events: Events | None) -> tuple[float | None, int | None]:
