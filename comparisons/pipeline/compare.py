@@ -333,13 +333,13 @@ def _diagnosis(known: Known) -> Diagnosis:
         return find_dropouts(run, gaps.smoothed)
 
     def log_causes(test: ChiSquareTest) -> Sequence[Cause]:
-        from comparisons.checks.diagnosis.log_doctor import examine
+        from comparisons.checks.diagnosis.log_doctor import examine_run
         from comparisons.checks.diagnosis.log_fit import log_fits
 
         known.prepared.progress("the log's own numbers", 0, 0)
         if fits := log_fits(log, run, gaps.result):
             return [log_number(fits, test)]
-        found = examine(log)
+        found = examine_run(log, run, gaps.result)
         return [log_fault(found.words)] if found.findings else []
 
     return Diagnosis(

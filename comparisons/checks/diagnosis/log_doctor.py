@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_input import assemble, position_rows
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.checks.diagnosis.log_fit import explains, fitted_numbers
+from comparisons.checks.diagnosis.log_fit import chi2_by_run, explains, fitted_numbers
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
@@ -29,6 +30,7 @@ from graphslam.increments import dead_reckoned
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.optimum import ChiSquareTest, chi_square_test
 from graphslam.search import relaxed_values
+from graphslam.smoother import SmootherResult
 
 _MOST_MEASUREMENTS = 600
 """Of the part that is solved."""
@@ -46,13 +48,15 @@ _DEGREE = np.pi / 180.0
 class Finding(NamedTuple):
     """What a log looks like.
 
-    mend: what corrects it. chi2: with the change. unit: it is about a unit.
+    mend: what corrects it. chi2: with the change. unit: it is about a unit. change: makes the log
+    as it should be; None of a number that is fitted.
     """
 
     what: str
     mend: str
     chi2: float
     unit: bool = False
+    change: Callable[[Log], Log] | None = None
 
 
 class Examination(NamedTuple):
@@ -116,10 +120,32 @@ def examine(log: Log) -> Examination:
     return Examination(test, [one for one in found if one.chi2 <= _AS_WELL * found[0].chi2])
 
 
+def examine_run(log: Log, run: EkfRun, result: SmootherResult) -> Examination:
+    """Return what makes not only a part of a log fit, but all that a run used of it.
+
+    Numbers that are fitted are left out.
+
+    Args:
+        log: As the estimators read it.
+        run: With the association.
+        result: The smoother's, whose chi-square is too high.
+    """
+    part, chi2_of = examine(log), chi2_by_run(run, result)
+
+    def fits(one: Finding) -> bool:
+        try:
+            chi2 = np.inf if one.change is None else chi2_of(one.change(log), True)
+        except (InputError, RuntimeError):
+            return False
+        return explains(result.optimality.chi_square, chi2, len(part.findings))
+
+    return part._replace(findings=[one for one in part.findings if fits(one)])
+
+
 def _named(part: Log, test: ChiSquareTest, suspicions: Iterator[_Suspicion]) -> list[Finding]:
     tried = [(one, _solved(_changed(part, one))[0]) for one in suspicions]
     return [
-        Finding(one.what, one.mend, chi2, one.unit)
+        Finding(one.what, one.mend, chi2, one.unit, one.change)
         for one, chi2 in tried
         if (test.reading == "too high" and explains(test, chi2, len(tried)))
         or (one.keeps_size and chi2 < _HALF * test.chi2)
@@ -147,6 +173,7 @@ def _clock(part: Log, test: ChiSquareTest) -> list[Finding]:
             f"measurements come {-float(fine.x):+.2f} s after the odometry's clock",
             "correct the times of one of the files",
             float(fine.fun),
+            change=partial(delayed, delay_s=float(fine.x)),
         )
     ]
 

@@ -93,13 +93,11 @@ def _numbers(log: Log) -> Iterator[_Number]:
         yield _Number("measurements {:+.3g} s later than the log says", delayed, 0.0, 0.05)
 
 
-def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
-    """Return the numbers that make the log fit, the best first.
+def chi2_by_run(run: EkfRun, result: SmootherResult) -> Callable[[Log, bool], float]:
+    """Return the smoother's chi-square, by a run's association, of a log that is changed.
 
-    Args:
-        log: As the estimators read it.
-        run: With the association.
-        result: The smoother's, whose chi-square is too high.
+    The function is given that log, and whether its optimum may lie elsewhere than the run's. It
+    raises InputError or RuntimeError where it has none.
     """
     poses = Poses(run.timeline.epoch_time_s, result.poses)
 
@@ -114,6 +112,18 @@ def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
             values = to_values(poses.at(timeline.epoch_time_s), result.landmarks, *seen)
         return 2.0 * float(graph.error(levenberg_marquardt(graph, values, _TOLERANCE)[0]))
 
+    return chi2_of
+
+
+def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
+    """Return the numbers that make the log fit, the best first.
+
+    Args:
+        log: As the estimators read it.
+        run: With the association.
+        result: The smoother's, whose chi-square is too high.
+    """
+    chi2_of = chi2_by_run(run, result)
     return fitted_numbers(log, chi2_of, result.optimality.chi_square)
 
 
