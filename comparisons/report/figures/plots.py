@@ -26,7 +26,6 @@ from comparisons.report.figures.style import (
     draw_reference,
     entitle,
     given_or_new,
-    label_plan,
     plot_trajectory,
 )
 from comparisons.report.job import report_of
@@ -59,7 +58,6 @@ def plot_map(result: Comparison | ExternalCheck | Solution, axis: Axes | None = 
         The axes, with a legend, and a title that says what was found.
     """
     axis = given_or_new(axis)
-    label_plan(axis)
     _draw_map(result, axis)
     return axis
 
@@ -220,6 +218,5 @@ def _draw_estimates(
         draw_reference(axis, log.truth.landmarks.position_m, "*", "true landmarks")
     for name, estimate in estimates.items():
         draw_estimate(axis, name, estimate)
-    axis.set_aspect("equal", adjustable="datalim")
     if log.truth.poses is not None:
         draw_aside(axis, dead_reckoned, "dead reckoning")

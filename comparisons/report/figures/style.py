@@ -64,6 +64,7 @@ def plot_trajectory(
         only where the estimate has pose covariances.
     """
     axis = given_or_new(axis)
+    label_plan(axis)
     pose = np.asarray(estimate.pose)
     draw_trajectory(axis, pose, colour, f"{name} trajectory", style)
     if estimate.pose_covariance is not None:
@@ -136,7 +137,8 @@ def plan() -> tuple[Figure, Axes]:
 
 
 def label_plan(axis: Axes) -> None:
-    """Name the axes of a map."""
+    """Name the axes of a map, and draw a metre equally long on both."""
+    axis.set_aspect("equal", adjustable="datalim")
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
     axis.grid(visible=True, color="#eeeeee")
