@@ -55,6 +55,11 @@ if TYPE_CHECKING:
     from comparisons.pipeline.dense_map import DenseMapping as DenseMapping
     from comparisons.pipeline.odometry import FrontEnd as FrontEnd
     from comparisons.pipeline.solve import Solution as Solution
+    from comparisons.report.figures.plots import plot_errors as plot_errors
+    from comparisons.report.figures.plots import plot_ladder as plot_ladder
+    from comparisons.report.figures.plots import plot_map as plot_map
+    from comparisons.report.figures.plots import plot_nees as plot_nees
+    from comparisons.report.figures.style import plot_trajectory as plot_trajectory
     from comparisons.settings import run_config as run_config
     from comparisons.trace.recorder import Recorder as Recorder
     from comparisons.trace.wrapping import record as record
@@ -97,6 +102,11 @@ _PLACES = {
     "inertial_directions": "comparisons.audit.directions",
     "montecarlo": "comparisons.experiments.montecarlo.study",
     "planar_directions": "comparisons.audit.directions",
+    "plot_errors": "comparisons.report.figures.plots",
+    "plot_ladder": "comparisons.report.figures.plots",
+    "plot_map": "comparisons.report.figures.plots",
+    "plot_nees": "comparisons.report.figures.plots",
+    "plot_trajectory": "comparisons.report.figures.style",
     "read_estimate": "comparisons.estimates.external:read_external",
     "record": "comparisons.trace.wrapping",
     "run_config": "comparisons.settings",
@@ -137,6 +147,11 @@ __all__ = [
     "montecarlo",
     "odometry",
     "planar_directions",
+    "plot_errors",
+    "plot_ladder",
+    "plot_map",
+    "plot_nees",
+    "plot_trajectory",
     "read_estimate",
     "record",
     "run_config",

@@ -28,7 +28,7 @@ from comparisons.figures import Model, band, finite, in_sigma, shown
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.external_trace import TraceFigures
 from comparisons.pipeline.prepare import Clock
-from comparisons.report.figures.check import check_figure
+from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.map import (
@@ -487,6 +487,6 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             result=self.result,
             config=check.solution.prepared.config,
             estimates={"smoother": check.solution.estimate},
-            figures={"map": check_figure(check)},
+            figures={"map": map_figure(check)},
             files={"report.html": partial(write_page, self.page())},
         )

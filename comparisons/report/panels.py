@@ -34,6 +34,7 @@ from comparisons.report.marks import (
 from comparisons.statistics import mean_band
 
 if TYPE_CHECKING:
+    from comparisons.checks.consistency.consistency import ExternalConsistency
     from comparisons.checks.grade import Reference
     from comparisons.pipeline.check import ExternalCheck
 
@@ -41,7 +42,9 @@ REFERENCE_COLOUR = "#5c6f2b"
 REFERENCE_COLOURS = (REFERENCE_COLOUR, "#b05f9e", "#8f5d2b")
 """Of the filters that an external estimate is compared with, in turn."""
 _FURTHER = (SCANS_COLOUR, "#6a3d9a", REFERENCE_COLOUR)
-_COMPONENTS = (("east [m]", 1.0), ("north [m]", 1.0), ("heading [deg]", 180.0 / np.pi))
+COMPONENTS = {"east": ("east [m]", 1.0), "north": ("north [m]", 1.0),
+              "heading": ("heading [deg]", 180.0 / np.pi)}  # fmt: skip
+"""Of a pose: what a panel calls each, and how much of its unit an SI unit is."""
 _COLOURS = (EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, REFERENCE_COLOUR)
 
 
@@ -152,29 +155,22 @@ def distance_panel(
 def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
     """Errors of an external trajectory by truth and by the smoother; what they show, in words."""
     c, reported = check.consistency, []
-    panels: list[Panel] = []
-    by_truth = None if c.truth is None else c.truth.poses
-    if by_truth is None:
+    errors, squared = _by_truth(c)
+    panels = [*errors, *([] if squared is None else [squared])]
+    if not errors:
         reported.append(
             "The log has no true poses in the estimate's time: no errors against truth."
         )
-    else:
-        panels += _errors(by_truth.time_s, by_truth.error, by_truth.sigma, "estimate - truth")
-        curves = [("estimate", EKF_COLOUR, by_truth)]
-        if c.smoother is not None and c.smoother.poses is not None:
-            curves.append(("smoother", SMOOTHER_COLOUR, c.smoother.poses))
-        if len(by_truth.pose.squared):
-            reported.append("Against truth: 3 sigma of the covariances of the estimate.")
-            panels.append(_nees(curves))
+    if squared is not None:
+        reported.append("Against truth: 3 sigma of the covariances of the estimate.")
     if check.given.pose_covariance is None:
         reported.append("The estimate has no pose covariances: no bands, and no NEES.")
+    errors, squared = _by_smoother(c)
+    panels += [*errors, *([] if squared is None else [squared])]
     if c.smoothed is None:
-        unknown = np.full_like(c.difference, np.nan)
-        panels += _errors(c.time_s, c.difference, unknown, "estimate - smoother")
         if check.given.pose_covariance is not None:
             reported.append(f"Against the smoother there is no band: {c.unjudged}.")
     else:
-        panels += _against_smoother(c.smoothed, "estimate")
         overconfident = (
             ", but where the estimate's covariance is the smaller one"
             if len(c.smoothed.overconfident)
@@ -195,6 +191,36 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
     return " ".join(reported), tuple(panels)
 
 
+def errors_and_nees(
+    result: Comparison | ExternalCheck,
+) -> tuple[tuple[Panel, ...], Panel | None]:
+    """Errors of the pose, by component, and their squares: by truth, or else by the smoother."""
+    if isinstance(result, Comparison):
+        return _poses(result)[1:]
+    errors, squared = _by_truth(result.consistency)
+    return (errors, squared) if errors else _by_smoother(result.consistency)
+
+
+def _by_truth(c: ExternalConsistency) -> tuple[tuple[Panel, ...], Panel | None]:
+    """Errors of an external estimate, and NEES where it has covariances; none without truth."""
+    poses = None if c.truth is None else c.truth.poses
+    if poses is None:
+        return (), None
+    curves = [("estimate", EKF_COLOUR, poses)]
+    if c.smoother is not None and c.smoother.poses is not None:
+        curves.append(("smoother", SMOOTHER_COLOUR, c.smoother.poses))
+    squared = _nees(curves) if len(poses.pose.squared) else None
+    return _errors(poses.time_s, poses.error, poses.sigma, "estimate - truth"), squared
+
+
+def _by_smoother(c: ExternalConsistency) -> tuple[tuple[Panel, ...], Panel | None]:
+    """Differences of an external estimate, with bands and squares where they are justified."""
+    if c.smoothed is not None:
+        return _against_smoother(c.smoothed, "estimate")
+    unknown = np.full_like(c.difference, np.nan)
+    return _errors(c.time_s, c.difference, unknown, "estimate - smoother"), None
+
+
 def filters_compared(check: ExternalCheck) -> list[tuple[Reference, str]]:
     """Reference filters that the estimate was compared with, and colours: EKF, nearer variant."""
     nearest = [] if check.grade.by is None else [check.grade.by.reference]
@@ -213,8 +239,7 @@ def _poses(comparison: Comparison) -> tuple[str, tuple[Panel, ...], Panel | None
     if f is None:
         return "no truth, and no smoother on the same data", (), None
     reported = "the EKF's pose against the smoother's, 3 sigma of P_EKF - P_smoother"
-    panels = _against_smoother(f, "EKF")
-    return reported, panels[:3], panels[3] if len(panels) > 3 else None
+    return reported, *_against_smoother(f, "EKF")
 
 
 def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:
@@ -233,7 +258,9 @@ def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:
     )
 
 
-def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
+def _against_smoother(
+    f: FilterAgainstSmoother, name: str
+) -> tuple[tuple[Panel, ...], Panel | None]:
     """Differences, and their squares where a direction is clear.
 
     No band where the filter is clearly more certain than the smoother: P_filter - P_smoother is
@@ -244,7 +271,7 @@ def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
     lack = f"the {whose} claims less variance than the smoother"
     panels = _errors(f.time_s, f.error, justified * f.sigma, name, lack)
     if not (f.dof > 0).any():
-        return panels
+        return panels, None
     none = (np.nan, np.nan)
     low, high = np.array([none, *(mean_band(1, dof) for dof in (1, 2, 3))])[f.dof].T
     squares = np.where(f.dof > 0, f.squared, np.nan)
@@ -257,7 +284,7 @@ def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
         ),
         logarithmic=True,
     )
-    return (*panels, squared)
+    return panels, squared
 
 
 def _errors(
@@ -268,7 +295,7 @@ def _errors(
     lack: why some sigmas are no numbers.
     """
     panels = []
-    for i, (label, unit) in enumerate(_COMPONENTS):
+    for i, (label, unit) in enumerate(COMPONENTS.values()):
         spread = 3.0 * unit * sigma[:, i]
         curve = Curve(name, EKF_COLOUR, time_s, unit * error[:, i])
         bands: tuple[Band, ...] = ()

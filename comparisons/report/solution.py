@@ -14,7 +14,7 @@ from comparisons.checks.verdict import misfit_remarks
 from comparisons.figures import rounded
 from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
-from comparisons.report.figures.solution import solution_figure
+from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import Track, estimate_map
 from comparisons.report.html.page import PageContent, write_page
@@ -133,7 +133,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
             result=self.result,
             config=self.found.prepared.config,
             estimates={"smoother": estimate},
-            figures={"map": solution_figure(self.found)},
+            figures={"map": map_figure(self.found)},
             files=files,
         )
 

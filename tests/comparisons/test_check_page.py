@@ -21,7 +21,7 @@ from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.pipeline.check import ExternalCheck, check
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import CheckReport
-from comparisons.report.figures.check import check_figure
+from comparisons.report.figures.run import map_figure
 from comparisons.report.html.page import page
 from comparisons.report.ladder import EXTERNAL, SMOOTHER, check_ladder
 from comparisons.report.marks import Panel
@@ -328,7 +328,7 @@ def test_the_first_departure_is_said_and_marked(tmp_path: Path) -> None:
     marks = [panel["moments"] for panel in data_of(text)["panels"]]
     assert len(marks) == len(panels)
     assert all(start_s + one[0]["x"] == pytest.approx(left.time_s) for one in marks)
-    axis = check_figure(found).axes[0]
+    axis = map_figure(found).axes[0]
     drawn = [line for line in axis.lines if line.get_label() == "first departure"]
     assert drawn[0].get_xydata() == pytest.approx(np.array([left.place]))
     CheckReport(found, result).write(tmp_path / "out")

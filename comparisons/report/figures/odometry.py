@@ -32,7 +32,6 @@ def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
     for first, second in zip(closed.first, closed.second, strict=True):
         ends = f.estimate.pose[[first, second]]
         axis.plot(ends[:, 0], ends[:, 1], color=SCANS_COLOUR, linewidth=0.7, zorder=3)
-    axis.set_aspect("equal", adjustable="datalim")
     if f.wheels is not None:
         draw_aside(axis, f.wheels, "wheels")
     title = (

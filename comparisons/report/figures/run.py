@@ -1,30 +1,22 @@
-"""Pictures of a run: its map, and the correlations."""
+"""Pictures of a result: its map, and the correlations."""
 
 from __future__ import annotations
 
 from matplotlib.figure import Figure
 
+from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.figures.style import draw_correlation, estimates_figure
+from comparisons.pipeline.solve import Solution
+from comparisons.report.figures.plots import plot_map
+from comparisons.report.figures.style import draw_correlation, plan
 from comparisons.report.picture import blank
 from ekf_reference.core.state import correlation_coefficients
 
 
-def map_figure(comparison: Comparison) -> Figure:
-    """The map: both trajectories, landmarks and 3-sigma ellipses of both, truth where known."""
-    a = comparison.agreement
-    title = (
-        f"{comparison.log.name}: EKF and smoother {comparison.verdict.headline}\n"
-        f"gaps: algebra {a.algebra.sigma:.1e}, model {a.model.sigma:.1e}, "
-        f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.optimism:.3g}"
-    )
-    estimates = {"smoother": comparison.smoothed, "EKF": comparison.ekf.estimate}
-    figure = estimates_figure(comparison.log, comparison.dead_reckoned, estimates, title)
-    axis = figure.axes[0]
-    for found in comparison.findings.values():
-        found.draw(axis)
-    if comparison.findings:
-        axis.legend(loc="best", fontsize=8)
+def map_figure(result: Comparison | ExternalCheck | Solution) -> Figure:
+    """The map of a run, of a check or of the smoother alone."""
+    figure, axis = plan()
+    plot_map(result, axis)
     return figure
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -9,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
-from comparisons.logs.log import Log
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.report.marks import (
     EKF_COLOUR,
     SCANS_COLOUR,
@@ -26,11 +27,56 @@ _LOOK = {
     "smoother": (SMOOTHER_COLOUR, "s", "-"),
     "EKF": (EKF_COLOUR, "o", "--"),
     "smoother on scans": (SCANS_COLOUR, "^", "-."),
+    "FastSLAM": (SCANS_COLOUR, "^", "-."),
 }
+_ELLIPSES = 20
+"""So many poses of a trajectory have one."""
+
+
+def given_or_new(axis: Axes | None) -> Axes:
+    """Return given axes, or those of a new figure, which a notebook shows."""
+    if axis is not None:
+        return axis
+    from matplotlib import pyplot  # takes long to load, and a report's figures need no window
+
+    return pyplot.figure(layout="constrained").add_subplot()
+
+
+def plot_trajectory(
+    estimate: Estimate | ExternalEstimate,
+    axis: Axes | None = None,
+    *,
+    name: str = "estimate",
+    colour: str = EKF_COLOUR,
+    style: str = "-",
+) -> Axes:
+    """Draw where an estimate went, with 3-sigma ellipses of some of its poses.
+
+    Args:
+        estimate: Of this project's estimators, of `read_estimate`, or built from arrays.
+        axis: Axes to draw on; None for those of a new figure.
+        name: What the legend calls it.
+        colour: Of the line and of the ellipses, as matplotlib takes it.
+        style: Of the line, as matplotlib takes it.
+
+    Returns:
+        The axes. Ellipses are of 20 poses at even steps, the first and the last among them, and
+        only where the estimate has pose covariances.
+    """
+    axis = given_or_new(axis)
+    label_plan(axis)
+    pose = np.asarray(estimate.pose)
+    draw_trajectory(axis, pose, colour, f"{name} trajectory", style)
+    if estimate.pose_covariance is not None:
+        rows = np.unique(np.linspace(0.0, len(pose) - 1.0, _ELLIPSES).round().astype(int))
+        spread = np.asarray(estimate.pose_covariance)[rows, :2, :2]
+        outline = ellipses(pose[rows, :2], spread, 3.0)
+        axis.add_collection(LineCollection(list(outline), colors=colour, linewidths=0.5, alpha=0.5))
+    return axis
 
 
 def draw_trajectory(axis: Axes, position: Array, colour: str, label: str, style: str = "-") -> None:
-    """A path (K, 2)."""
+    """A path (K, 2 or more columns)."""
     axis.plot(position[:, 0], position[:, 1], style, color=colour, linewidth=0.9, label=label)
 
 
@@ -72,34 +118,13 @@ def draw_reference(axis: Axes, position: Array, marker: str, label: str) -> None
 
 
 def draw_estimate(axis: Axes, name: str, estimate: Estimate) -> None:
-    """An estimate's trajectory and landmarks. name: `smoother`, `EKF` or `smoother on scans`."""
+    """An estimate's trajectory and landmarks. name: one of those that have a look."""
     colour, marker, style = _LOOK[name]
-    draw_trajectory(axis, estimate.pose[:, :2], colour, f"{name} trajectory", style)
+    plot_trajectory(estimate, axis, name=name, colour=colour, style=style)
     outline = ellipses(estimate.landmark, estimate.landmark_covariances(), 3.0)
     if len(estimate.landmark) or not len(estimate.pose_landmarks):
         label = f"{name} landmarks, 3 sigma"
         draw_landmarks(axis, estimate.landmark, outline, colour, marker, label)
-
-
-def estimates_figure(
-    log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: str
-) -> Figure:
-    """Estimates by name, on top of what the log knows."""
-    figure, axis = plan()
-    if log.truth.poses is not None:
-        pose = log.truth.poses.pose
-        axis.plot(pose[:, 0], pose[:, 1], color="#bbbbbb", linewidth=2.5, label="truth", zorder=0)
-    if log.positions is not None:
-        draw_reference(axis, log.positions.position_m, ".", "GPS")
-    if log.truth.landmarks is not None:
-        draw_reference(axis, log.truth.landmarks.position_m, "*", "true landmarks")
-    for name, estimate in estimates.items():
-        draw_estimate(axis, name, estimate)
-    axis.set_aspect("equal", adjustable="datalim")
-    if log.truth.poses is not None:
-        draw_aside(axis, dead_reckoned, "dead reckoning")
-    entitle(axis, title)
-    return figure
 
 
 def plan() -> tuple[Figure, Axes]:
@@ -107,10 +132,16 @@ def plan() -> tuple[Figure, Axes]:
     figure = blank(9.0, 7.5, fitted=False)
     axis = figure.add_subplot()
     figure.subplots_adjust(**_MARGINS)
+    label_plan(axis)
+    return figure, axis
+
+
+def label_plan(axis: Axes) -> None:
+    """Name the axes of a map, and draw a metre equally long on both."""
+    axis.set_aspect("equal", adjustable="datalim")
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
     axis.grid(visible=True, color="#eeeeee")
-    return figure, axis
 
 
 def entitle(axis: Axes, title: str) -> None:
