@@ -190,8 +190,8 @@ class EkfConfig(Section):
         Option(
             "--association",
             ESTIMATORS,
-            "Association: known (labels), nn (nearest neighbour), jcbb (joint compatibility "
-            "branch and bound), euclidean, consensus (of all likely hypotheses). [known, else nn]",
+            "Association: known (labels), nn (nearest neighbour), jcbb (joint "
+            "compatibility), euclidean, consensus (of hypotheses). [known, else nn]",
         ),
     )
     attributes: Literal["off", "on"] = setting(

@@ -98,6 +98,7 @@ def build(name: str | None = None, *, whole: bool = False) -> Any:
     found: Any = typer.main.get_command(app)
     if name is not None:
         found = found.commands[name]
+    found.context_settings["help_option_names"] = ["--help", "-h"]
     if name is not None or whole:
         _tidy(found)
     return found

@@ -76,9 +76,7 @@ class _Given(NamedTuple):
     ] = None
     scheduler: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS", hidden=True, help="Address of a Dask scheduler to compute on."
-        ),
+        typer.Option(metavar="ADDRESS", help="Address of a Dask scheduler to compute on."),
     ] = None
     allow_changed_scenario: Annotated[
         bool,

@@ -28,7 +28,10 @@ RecordOption = Annotated[
         help="Write a replay of the run for the rerun viewer; needs rerun.",
     ),
 ]
-_SHOWN = "--filter --association --gps --robust --landmarks --motion --dense --seed --fail-on"
+_SHOWN = (
+    "--filter --association --gps --robust --third --landmarks --motion --dense --robot --seed "
+    "--fail-on"
+)
 
 
 @from_flags(of_job("run"), _SHOWN, live=(LiveOption, False), record=(RecordOption, None))

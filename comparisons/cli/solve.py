@@ -7,7 +7,7 @@ from comparisons.cli.jobs import do_plain_job
 from comparisons.options.table import of_job
 
 
-@from_flags(of_job("solve"), "--association --gps --smoother --robust --seed")
+@from_flags(of_job("solve"), "--association --gps --smoother --robust --robot --seed")
 def solve(given: Given) -> None:
     """Run the smoother alone; write its estimate and its graph.
 

@@ -118,6 +118,22 @@ def test_the_list_has_each_setting_with_its_meaning(capsys: pytest.CaptureFixtur
             assert kind.of(**tomllib.loads(listed)) == kind.of()
 
 
+def in_examples(name: str, text: str) -> set[str]:
+    """Options that a help's examples give to a command."""
+    examples = re.findall(rf"slamcheck {name} .*", text.partition("\n\n Example")[2].split("╭")[0])
+    return set(re.findall(r" (--?[a-z][a-z-]*)", "\n".join(examples)))
+
+
+def test_help_lists_every_option_that_its_examples_use(capsys: pytest.CaptureFixture[str]) -> None:
+    for name, _ in commands():
+        text = printed(capsys, *name.split(), "-h")
+        _, title, panels = text.partition("╭")
+        assert title, name
+        assert in_examples(name, text) <= set(re.findall(r"--?[a-z][a-z-]*", panels)), name
+    hidden = "\n\n Examples:\n  slamcheck run my-log --seed 1 --live\n╭ --seed N"
+    assert in_examples("run", hidden) == {"--seed", "--live"}
+
+
 def unclear(text: str) -> bool:
     """Whether a text is no sentence and no noun phrase that stands by itself."""
     fragment = re.match(r"(Of|The same|Which|Then|Whether|With it|Their|Its)\b", text)

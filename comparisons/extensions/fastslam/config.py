@@ -17,7 +17,7 @@ class FastSlamConfig(ExtensionConfig):
     switch = Option(
         "--third",
         ESTIMATORS,
-        "Third estimator: fastslam (clouds of particles beside filter and smoother). [none]",
+        "Third estimator: none or fastslam (particles). [none]",
         jobs=("run",),
         settings={"none": ABSENT, "fastslam": {}},
     )

@@ -20,8 +20,7 @@ class ScanLandmarksConfig(ExtensionConfig):
     switch = Option(
         "--landmarks",
         SCANS,
-        "Landmarks: points (of the log), scans (templates of laser scans, Scan-SLAM), or both. "
-        "[points]",
+        "Landmarks: points, scans (Scan-SLAM), or both. [points]",
         settings={"points": ABSENT, "scans": {"landmarks": "scans"}, "both": {"landmarks": "both"}},
     )
     landmarks: Literal["scans", "both"] = setting(

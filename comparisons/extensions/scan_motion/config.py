@@ -17,8 +17,7 @@ class ScanMotionConfig(ExtensionConfig):
     switch = Option(
         "--motion",
         SCANS,
-        "Motion: wheel (odometry), scan (scan matching), or both (scan matching as a third "
-        "estimate). [wheel]",
+        "Motion: wheel, scan (scan matching), or both. [wheel]",
         jobs=("run",),
         settings={"wheel": ABSENT, "scan": {"motion": "scan"}, "both": {"motion": "both"}},
     )
