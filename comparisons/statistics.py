@@ -41,6 +41,8 @@ ROUNDING = 1e-6
 prior explains more."""
 SINGULAR = 1e-11
 """Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
+_TENTH = 0.1
+"""Of a series: what follows a stretch and is shorter tells nothing of its end."""
 DENSE = 2000
 """States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 
@@ -339,6 +341,114 @@ def averaged(squared: Array, dof: Index, number: Index) -> Averaged | None:
         worst=int(number[some][np.argmax(per)]),
         dof=count * each,
     )
+
+
+def rarity(ratio: float, dof: float) -> float:
+    """Return -log of the chance of a chi-square average that is `ratio` times its mean.
+
+    By Chernoff's bound, dof / 2 (ratio - 1 - log(ratio)), which tells what is far off apart where
+    all p-values are zero.
+    """
+    ratio = max(ratio, 1e-300)
+    return 0.5 * dof * (ratio - 1.0 - float(np.log(ratio)))
+
+
+def rarest(averages: Mapping[str, Averaged]) -> str | None:
+    """Return the name of the average that chance makes most rarely, None of none."""
+    weight = {name: rarity(one.mean, one.dof) for name, one in averages.items()}
+    return max(weight, key=lambda name: weight[name], default=None)
+
+
+def onset(values: Array, mean: float, right: float) -> int:
+    """Return where a series most likely changes from one mean to another.
+
+    The least cumulative sum of the differences from halfway between the two.
+    """
+    return int(np.argmin(_excess(values, mean, right)[:-1]))
+
+
+def stretch(values: Array, mean: float, right: float) -> tuple[int, int]:
+    """Return the first and last number between which a series is most likely off.
+
+    From its onset up to the largest cumulative sum behind it; up to the end where what follows is
+    shorter than a tenth of the series.
+    """
+    total, first = _excess(values, mean, right), onset(values, mean, right)
+    last = first + int(np.argmax(total[first + 1 :]))
+    return first, len(values) - 1 if len(values) - 1 - last < _TENTH * len(values) else last
+
+
+def _excess(values: Array, mean: float, right: float) -> Array:
+    """(n + 1,) cumulative sum of a series (n,) beyond halfway from the right mean to its own."""
+    apart = values - 0.5 * (mean + right)
+    return np.concatenate(([0.0], np.cumsum(apart if mean > right else -apart)))
+
+
+class SquaredErrors(NamedTuple):
+    """Squared errors (n,) of dof (n,) directions each, at times (n,)."""
+
+    time_s: Array
+    squared: Array
+    dof: Index
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockDeparture:
+    """What of an estimate leaves its band, where the whole does.
+
+    Attributes:
+        block: the block whose errors chance makes most rarely; empty where no block leaves its band
+            by itself.
+        squared_per_dof: its squared error per degree of freedom; 1 is right.
+        since_s: time from which on it is off.
+        until_s: time up to which it is.
+    """
+
+    block: str
+    squared_per_dof: float
+    since_s: float
+    until_s: float
+
+    @property
+    def words(self) -> str:
+        """The block, and the stretch."""
+        of = f"of the {self.block} {self.squared_per_dof:.3g} " if self.block else ""
+        return f"{of}from {self.since_s:.6g} s to {self.until_s:.6g} s"
+
+
+def block_departure(
+    whole: SquaredErrors, blocks: Mapping[str, SquaredErrors]
+) -> BlockDeparture | None:
+    """Return the block that is off most, on the side on which the whole is, and since when.
+
+    whole: out of its band. blocks: of it. None where no error has a direction.
+    """
+    every = {name: _clear(one) for name, one in {"": whole, **blocks}.items()}
+    found = {name: averaged(e.squared, e.dof, np.arange(len(e.dof))) for name, e in every.items()}
+    of = found.pop("")
+    if of is None:
+        return None
+    above = of.mean > 1.0
+    out = {
+        name: one
+        for name, one in found.items()
+        if one is not None and not one.band.holds(one.mean) and (one.mean > 1.0) == above
+    }
+    block = rarest(out) or ""
+    mean, (time_s, squared, dof) = out.get(block, of).mean, every[block]
+    first, last = stretch(squared / dof, mean, 1.0)
+    return BlockDeparture(
+        block=block,
+        squared_per_dof=mean,
+        since_s=float(time_s[first]),
+        until_s=float(time_s[last]),
+    )
+
+
+def _clear(errors: SquaredErrors) -> SquaredErrors:
+    """Return those that have a direction."""
+    some = errors.dof > 0
+    return SquaredErrors(errors.time_s[some], errors.squared[some], errors.dof[some])
 
 
 def normalised_difference(

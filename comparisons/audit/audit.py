@@ -25,14 +25,13 @@ from comparisons.audit.consistency import (
     Smoothed,
     departures,
     first_error,
-    rarity,
 )
 from comparisons.audit.replay import Fused, Layout, apart
 from comparisons.audit.spurious import Learnt, SpuriousInformation
 from comparisons.errors import InputError
 from comparisons.figures import Figure
 from comparisons.innovations import SensorInnovations
-from comparisons.statistics import ROUNDING, SINGULAR, Averaged, covariance_gap, units
+from comparisons.statistics import ROUNDING, SINGULAR, Averaged, covariance_gap, rarity, units
 from comparisons.trace.events import (
     Augment,
     Clone,

@@ -33,6 +33,10 @@ from comparisons.statistics import (
     chi2_tail,
     faults,
     normalised_difference,
+    onset,
+    rarest,
+    rarity,
+    stretch,
     two_sided,
 )
 from comparisons.trace.events import Augment, Event, Prior, Sensor, Snapshot, Update
@@ -283,8 +287,8 @@ class BlockErrors:
         """
         blocks = {name: one for name, one in averages.items() if name}
         shares = {name: 0.5 * level / (len(blocks) if name else 2) for name in averages}
-        out = {n: rarity(a.mean, a.dof) for n, a in averages.items() if a.p_value < shares[n]}
-        worst = max((n for n in out if n), key=lambda name: out[name], default="")
+        out = {n: one for n, one in averages.items() if one.p_value < shares[n]}
+        worst = rarest({n: one for n, one in out.items() if n}) or ""
         if "" in out:
             return [self._departure("NEES", averages[""], worst, blocks.get(worst))]
         if worst:
@@ -296,8 +300,9 @@ class BlockErrors:
         (low, high), rows = one.band, self._rows[begins]
         average = of or one
         per = np.array([squared / dof for _, _, squared, dof in rows])
-        first = _onset(per, average.mean, 1.0)
-        since = f"from {_named(*rows[first][:2])} on" if first else "from the start"
+        first, last = stretch(per, average.mean, 1.0)
+        since = f"from {_named(*rows[first][:2])}" if first else "from the start"
+        since += " on" if last == len(per) - 1 else f" to {_named(*rows[last][:2])}"
         more = f"; of block `{begins}` {of.mean:.3g}" if of is not None else ""
         text = f"{what} per degree of freedom is {one.mean:.3g}, expected {low:.3g} to {high:.3g}"
         event = rows[first][0]
@@ -450,7 +455,7 @@ def _in_windows(one: SensorInnovations, windows: list[Index], level: float) -> l
     (part, p), last = out[0], out[-1][0]
     mean, right = float(one.squared[part].mean()), float(one.dof[part].mean())
     first = max(0, int(part[0]) - len(part))  # it may have begun in the window before
-    start = first + _onset(one.squared[first : part[-1] + 1], mean, right)
+    start = first + onset(one.squared[first : part[-1] + 1], mean, right)
     text = (
         f"NIS is {_word(mean, right)} from {one.time_s[start]:.6g} to {one.time_s[last[-1]]:.6g}: "
         f"{mean:.3g}, expected {right:.3g}"
@@ -487,7 +492,7 @@ def _rate(gating: Gating, nominal: float, level: float) -> Departure | None:
     if p >= level:
         return None
     rate = rejected / n
-    start = int(gating.event[_onset(gating.rejected.astype(float), rate, nominal)])
+    start = int(gating.event[onset(gating.rejected.astype(float), rate, nominal)])
     text = f"rejects {rejected:,} of {n:,} ({100.0 * rate:.2g} %, nominal {100.0 * nominal:.2g} %)"
     weight = n * float(rel_entr(rate, nominal) + rel_entr(1.0 - rate, 1.0 - nominal))
     return Departure(text, p, start, weight=weight)
@@ -518,25 +523,5 @@ def _named(event: int, time_s: float) -> str:
     return f"event {event:,}" if time_s == event else f"{time_s:.6g} s"
 
 
-def rarity(ratio: float, dof: float) -> float:
-    """Return -log of the chance of a chi-square average that is `ratio` times its mean.
-
-    By Chernoff's bound, dof / 2 (ratio - 1 - log(ratio)), which tells what is far off apart where
-    all p-values are zero.
-    """
-    ratio = max(ratio, 1e-300)
-    return 0.5 * dof * (ratio - 1.0 - float(np.log(ratio)))
-
-
 def _word(mean: float, right: float) -> str:
     return "too high" if mean > right else "too low"
-
-
-def _onset(values: Array, mean: float, right: float) -> int:
-    """Return where a series most likely changes from one mean to another.
-
-    The least cumulative sum of the differences from halfway between the two.
-    """
-    apart = values - 0.5 * (mean + right)
-    total = np.concatenate(([0.0], np.cumsum(apart if mean > right else -apart)))
-    return int(np.argmin(total[:-1]))

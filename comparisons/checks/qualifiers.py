@@ -18,9 +18,9 @@ from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.association import AssociationFinding, AssociationScore
 from comparisons.checks.causes import Cause
 from comparisons.checks.check import Absent, Check, Of
-from comparisons.checks.consistency.consistency import Consistency, inconsistencies, limit
+from comparisons.checks.consistency.consistency import Consistency, inconsistencies
 from comparisons.checks.consistency.finding import ConsistencyFinding
-from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.checks.consistency.nees import TruthConsistency, limit
 from comparisons.checks.verdict import Verdict
 from comparisons.config import FailOn
 from comparisons.figures import Aside, Figure

@@ -13,7 +13,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory, match_landmarks
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import poses_apart
-from comparisons.checks.consistency.consistency import limit
+from comparisons.checks.consistency.nees import limit
 from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
 from comparisons.logs.transforms.known_landmarks import indices_by_label
 from graphslam.graph_builder import build_graph, from_values

@@ -13,12 +13,21 @@ from scipy.spatial.distance import mahalanobis
 from scipy.stats import chi2
 
 from comparisons.checks.consistency.filter_smoother import (
+    BLOCKS,
     FilterAgainstSmoother,
     filter_against_smoother,
 )
 from comparisons.checks.consistency.nees import distances, map_errors, pose_errors, spanning_tree
 from comparisons.innovations import SensorInnovations, whiten_alone
-from comparisons.statistics import Nis, Whiteness, independent, mean_band, normalise, whiteness
+from comparisons.statistics import (
+    BlockDeparture,
+    Nis,
+    Whiteness,
+    independent,
+    mean_band,
+    normalise,
+    whiteness,
+)
 from comparisons.trace.events import Sensor
 from tests.comparisons.drawn_innovations import drawn_sensor
 from tests.helpers import Array, central_difference, present, random_covariance, relative_error
@@ -134,6 +143,33 @@ def test_the_headings_error_is_wrapped_and_one_that_is_not_shows() -> None:
     covariance = np.diag((0.1, 0.1, 0.01))[None]
     assert pose_errors(np.zeros(1), pose, covariance, true).pose.squared == pytest.approx(1.0)
     assert normalise(pose - true, covariance).squared[0] > 1000.0
+
+
+@pytest.mark.parametrize("block", ["position", "heading"])
+def test_what_leaves_the_limit_is_named_by_block_and_stretch(block: str) -> None:
+    """And nothing is named of errors as large as they should be."""
+    rng = np.random.default_rng(3)
+    sigma, count = np.array((0.1, 0.1, 0.01)), 200
+    error: Array = sigma * rng.standard_normal((count, 3))
+    time_s = np.linspace(0.0, 99.5, count)
+    covariance = np.tile(np.diag(sigma**2), (count, 1, 1))
+    true, smoothed = np.zeros((count, 3)), 1e-6 * covariance
+
+    def of(poses: Array) -> list[BlockDeparture | None]:
+        by_truth = pose_errors(time_s, poses.copy(), covariance, true)
+        by_smoother = filter_against_smoother(time_s, poses, covariance, true, smoothed)
+        return [by_truth.departure, by_smoother.departure]
+
+    assert of(error) == [None, None]
+    off: Array = error.copy()
+    off[60:120, BLOCKS[block]] *= 8.0
+    for found in map(present, of(off)):
+        assert found.block == block
+        assert found.since_s == pytest.approx(30.0, abs=1.5)
+        assert found.until_s == pytest.approx(59.5, abs=1.5)
+        squared = (off / sigma)[:, BLOCKS[block]] ** 2
+        assert found.squared_per_dof == pytest.approx(squared.mean(), rel=1e-5)
+        assert f"of the {block} " in found.words
 
 
 def test_distances_along_a_tree_and_their_jacobian() -> None:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from comparisons.checks import truth_by_labels
-from comparisons.checks.consistency.consistency import Consistency, inconsistencies, limit
+from comparisons.checks.consistency.consistency import Consistency, inconsistencies
+from comparisons.checks.consistency.nees import limit
 from comparisons.checks.qualifiers import (
     TRUTH_GAP,
     UNCHECKED,

@@ -13,12 +13,12 @@ from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
 )
-from comparisons.checks.consistency.nees import TruthConsistency, against_truth
+from comparisons.checks.consistency.nees import TruthConsistency, against_truth, limit
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import rounded
 from comparisons.innovations import InnovationLog, SensorInnovations, whiten_alone
 from comparisons.logs.log import Log
-from comparisons.statistics import WORDS, Band, Nis, chi2_quantile
+from comparisons.statistics import WORDS, Band, BlockDeparture, Nis
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from comparisons.checks.grade import Reference
     from comparisons.estimates.external import ExternalEstimate
 
-_SHARE = 0.999
-"""Of the sound runs that stay within the limit. The errors of one run depend on each other, hence
-the limit of one value, not of an average of independent ones."""
 _SURER = 0.05
 """Of the epochs: so many with a filter more certain than the smoother make it inconsistent."""
 
@@ -221,11 +218,6 @@ def _unjudged(given: ExternalEstimate, optimum: Reference, information: str | No
     return ""
 
 
-def limit(dof: int) -> float:
-    """Root of a mean NEES over its degrees of freedom that a sound run hardly passes."""
-    return float(np.sqrt(chi2_quantile(_SHARE, dof) / dof))
-
-
 def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
     """Return what is outside its band: the filter's NEES, filter against smoother, NIS.
 
@@ -242,14 +234,14 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
         return None
     far, found = [], []
     if against is not None and against.poses is not None:
-        far.append(("poses", against.poses.pose))
+        far.append(("poses", against.poses.pose, against.poses.departure))
     if against is not None and against.landmarks is not None:
-        far.append(("landmarks", against.landmarks))
-    for what, errors in far:
+        far.append(("landmarks", against.landmarks, None))
+    for what, errors, departure in far:
         if errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2:
             found.append(
                 f"NEES of the {what} {rounded(errors.mean / errors.dof)} per degree of freedom, "
-                f"limit {limit(errors.dof) ** 2:.2g}"
+                f"limit {limit(errors.dof) ** 2:.2g}{_where(departure)}"
             )
     if smoothed is not None:
         found += _against_smoother(smoothed)
@@ -263,12 +255,17 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
     return tuple(found)
 
 
+def _where(departure: BlockDeparture | None) -> str:
+    """In which block, and when."""
+    return "" if departure is None else f", {departure.words}"
+
+
 def _against_smoother(smoothed: FilterAgainstSmoother) -> list[str]:
     found, mean, band = [], smoothed.squared_per_dof, smoothed.band
     if mean is not None and band is not None and not band.holds(mean):
         found.append(
             f"filter-smoother difference {rounded(mean)} per degree of freedom, "
-            f"band {band.low:.2g} to {band.high:.2g}"
+            f"band {band.low:.2g} to {band.high:.2g}{_where(smoothed.departure)}"
         )
     if len(smoothed.overconfident) > _SURER * len(smoothed.time_s):
         found.append(

@@ -15,8 +15,12 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.statistics import (
+    Averaged,
     Band,
+    BlockDeparture,
+    SquaredErrors,
     averaged,
+    block_departure,
     chi2_quantile,
     counted,
     faults,
@@ -27,6 +31,9 @@ from ekf_reference.core.geometry import wrap_angle
 LEAST_RATIO = 0.95**2
 """Of the filter's variance to the smoother's, 5 % in sigma. Relinearising alone moves variances: of
 the sound filter on Nieto's loop the least ratio of a drive is 0.92 to 0.99."""
+
+BLOCKS = {"position": slice(0, 2), "heading": slice(2, 3)}
+"""Of a pose."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +52,7 @@ class FilterAgainstSmootherFigures:
             overconfident.
         overconfident_since_s: time of the first one.
         unusable: epochs that could not be compared, by reason.
+        departure: block and stretch that are off, where squared_per_dof leaves its band.
     """
 
     epochs: int
@@ -56,6 +64,7 @@ class FilterAgainstSmootherFigures:
     overconfident_epochs: int
     overconfident_since_s: float | None
     unusable: Mapping[str, int]
+    departure: BlockDeparture | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +120,12 @@ def filter_against_smoother(
         overconfident_epochs=len(overconfident),
         overconfident_since_s=float(time_s[row[overconfident[0]]]) if len(overconfident) else None,
         unusable=counted(fault),
+        departure=_departure(
+            found,
+            time_s[row],
+            (e, filtered_covariance[row], smoothed_covariance[row]),
+            (squared, dof),
+        ),
         time_s=time_s[row],
         error=e,
         sigma=np.sqrt(np.maximum(np.einsum("nii->ni", gap), 0.0)),
@@ -119,3 +134,28 @@ def filter_against_smoother(
         ratio=ratio,
         overconfident=overconfident,
     )
+
+
+def _departure(
+    found: Averaged | None,
+    time_s: Array,
+    compared: tuple[Array, Array, Array],
+    whole: tuple[Array, Index],
+) -> BlockDeparture | None:
+    """Return block and stretch, where the average is out of its band.
+
+    compared: difference, filtered and smoothed covariance of the poses. whole: squared, dof.
+    """
+    if found is None or found.band.holds(found.mean):
+        return None
+    e, filtered, smoothed = compared
+    blocks = {
+        name: SquaredErrors(
+            time_s,
+            *normalised_difference(e[:, part], filtered[:, part, part], smoothed[:, part, part])[
+                :2
+            ],
+        )
+        for name, part in BLOCKS.items()
+    }
+    return block_departure(SquaredErrors(time_s, *whole), blocks)

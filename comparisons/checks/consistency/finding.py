@@ -17,7 +17,7 @@ from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.figures import Model, band
 from comparisons.innovations import InnovationFigures
-from comparisons.statistics import Normalised, NormalisedFigures
+from comparisons.statistics import BlockDeparture, Normalised, NormalisedFigures
 from comparisons.words import Row
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ class TruthConsistencyResult(Model):
             each alone.
         distances: the same lengths jointly.
         too_short: lengths that were left out since they are too short.
+        departure: block and stretch that are off, where the poses pass the limit of a verdict.
     """
 
     pose: NormalisedFigures | None
@@ -53,6 +54,7 @@ class TruthConsistencyResult(Model):
     distance: NormalisedFigures | None
     distances: NormalisedFigures | None
     too_short: int
+    departure: BlockDeparture | None = None
 
 
 class ConsistencyResult(Model):
@@ -147,6 +149,7 @@ def _truth(t: TruthConsistency | None) -> TruthConsistencyResult | None:
         distance=None if mapped is None else _nees(mapped.distance),
         distances=None if mapped is None else _nees(mapped.distances),
         too_short=0 if mapped is None else mapped.skipped,
+        departure=None if poses is None else poses.departure,
     )
 
 
@@ -269,14 +272,21 @@ def consistency_line(
     if truth is not None:
         for name, n in (("pose", truth.pose), ("map", truth.landmarks)):
             if n is not None and n.mean is not None:
-                nees.append(f"{name} {n.mean / n.dof:.2g}")
+                where = truth.departure if name == "pose" else None
+                nees.append(f"{name} {n.mean / n.dof:.2g}{_brackets(where)}")
     if nees:
         found.append(f"NEES {', '.join(nees)}")
     for sensor in innovations[:1]:
         found += [f"NIS {n.mean / n.dof:.2g}" for n in sensor.nis[:1]]
     if smoothed is not None and smoothed.squared_per_dof is not None:
-        found.append(f"vs smoother {smoothed.squared_per_dof:.2g}")
+        value = f"{smoothed.squared_per_dof:.2g}{_brackets(smoothed.departure)}"
+        found.append(f"vs smoother {value}")
     return [("consistency", f"per dof, expect 1: {'; '.join(found)}")] if found else []
+
+
+def _brackets(departure: BlockDeparture | None) -> str:
+    """In which block an average is off, and when, where it is."""
+    return "" if departure is None else f" ({departure.words})"
 
 
 def _brief(figure: str) -> str:

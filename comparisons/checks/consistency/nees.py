@@ -15,10 +15,20 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.logs.log import Log
-from comparisons.statistics import Normalised, normalise
+from comparisons.statistics import (
+    BlockDeparture,
+    Normalised,
+    SquaredErrors,
+    block_departure,
+    chi2_quantile,
+    normalise,
+)
 from ekf_reference.core.blocks import block_diagonal
 from ekf_reference.core.geometry import wrap_angle
 
+_SHARE = 0.999
+"""Of the sound runs that stay within the limit. The errors of one run depend on each other, hence
+the limit of one value, not of an average of independent ones."""
 _LEAST_SIGMAS = 5.0
 """A distance shorter than so many of its sigmas is not a linear function of the errors."""
 
@@ -38,6 +48,20 @@ class PoseErrors:
     pose: Normalised
     position: Normalised
     heading: Normalised
+
+    @property
+    def departure(self) -> BlockDeparture | None:
+        """Block and stretch that are off, where the poses' NEES passes its limit."""
+        mean, dof = self.pose.mean, self.pose.dof
+        if mean is None or mean / dof <= limit(dof) ** 2:
+            return None
+        blocks = {"position": self.position, "heading": self.heading}
+        return block_departure(
+            self._errors(self.pose), {name: self._errors(one) for name, one in blocks.items()}
+        )
+
+    def _errors(self, one: Normalised) -> SquaredErrors:
+        return SquaredErrors(self.time_s[one.row], one.squared, np.full(len(one.row), one.dof))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +99,11 @@ class TruthConsistency:
         if self.map is None:
             return None
         return self.map.distance if self.poses is None else self.map.landmarks
+
+
+def limit(dof: int) -> float:
+    """Root of a mean NEES over its degrees of freedom that a sound run hardly passes."""
+    return float(np.sqrt(chi2_quantile(_SHARE, dof) / dof))
 
 
 def against_truth(estimate: Estimate, log: Log, *, labelled: bool) -> TruthConsistency | None:

@@ -14,16 +14,15 @@ from comparisons.audit.audit import audit
 from comparisons.audit.consistency import (
     Departure,
     _gating,
-    _onset,
     _Turned,
     departures,
-    rarity,
 )
 from comparisons.innovations import (
     InnovationLog,
     SensorInnovations,
     _lengthened,
 )
+from comparisons.statistics import onset, rarity, stretch
 from comparisons.trace.events import Sensor
 from comparisons.trace.recorder import Recorder
 from tests.comparisons.drawn_innovations import drawn_sensor
@@ -125,10 +124,13 @@ def test_a_rate_of_rejections_has_the_binomials_two_tails(rejected: int) -> None
     assert found.p_value == pytest.approx(min(1.0, 2.0 * min(tails)), rel=1e-9)
 
 
-def test_the_onset_of_a_step() -> None:
+def test_the_onset_of_a_step_and_its_end() -> None:
     values = np.concatenate((np.ones(50), 3.0 * np.ones(30)))
-    assert _onset(values, 3.0, 1.0) == 50
-    assert _onset(-values, -3.0, -1.0) == 50
+    assert onset(values, 3.0, 1.0) == 50
+    assert onset(-values, -3.0, -1.0) == 50
+    for sound, last in ((0, 79), (4, 83), (40, 79)):
+        series = np.concatenate((values, np.ones(sound)))
+        assert stretch(series, float(series.mean()), 1.0) == (50, last)
 
 
 def test_no_innovation_no_figure() -> None:
