@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from comparisons.adapters.filter_loop import NoObserver
+from comparisons.adapters.filter_loop import FilterObserver, NoObserver
 from comparisons.arrays import Array
 from comparisons.checks.grade import Likeness, in_sigma, pose_difference
+from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from ekf_reference.core.ekf import Ekf
 
@@ -88,11 +91,31 @@ class Companion(NoObserver):
         return float(self._sound[count - 1])
 
 
-class First(NoObserver):
+def remainder(
+    beside: Companion, count: int, run: Callable[[FilterObserver], object]
+) -> Array | None:
+    """Return what a run leaves of the first poses, as a companion says of each, in one array.
+
+    beside: compares. count: so many poses. run: runs a filter that has an observer. None where the
+    filter does not reach them all, or not with finite numbers.
+    """
+    seen = _First(beside, count)
+    try:
+        run(seen)
+    except Left:
+        pass
+    except (InputError, np.linalg.LinAlgError):
+        return None
+    if len(seen.left) < count:
+        return None
+    left = np.concatenate(seen.left)
+    return left if np.isfinite(left).all() else None
+
+
+class _First(NoObserver):
     """Compares the first poses, then gives the run up. left: what a companion says of each."""
 
     def __init__(self, beside: Companion, count: int) -> None:
-        """beside: compares. count: so many poses."""
         self._beside, self._count = beside, count
         self.left: list[Array] = []
 

@@ -40,14 +40,26 @@ class Fit:
     @property
     def fault(self) -> Fault:
         """All of them at once, but for those that are none."""
-        pairs = zip(self.families, self.at.tolist(), strict=True)
-        kept = [(one, at) for one, at in pairs if abs(at - _neutral(one)) > _NEUTRAL]
-        return _fault(self.base, *zip(*kept, strict=True)) if kept else self.base
+        kept = [
+            _member(one, at)
+            for one, at in zip(self.families, self.at, strict=True)
+            if abs(at - _neutral(one)) > _NEUTRAL
+        ]
+        return together(self.base, *kept)
 
     @property
     def planted(self) -> bool:
         """Whether one is planted in the filter: another may take its place."""
         return bool(self.base.plant or any(one.plant for one in self.families))
+
+    def at_numbers(self, at: Array) -> Fault:
+        """All of them at once, with other numbers (k,)."""
+        members = (_member(one, number) for one, number in zip(self.families, at, strict=True))
+        return together(self.base, *members)
+
+    def moved(self, which: int) -> Fault:
+        """All of them at once, one number moved by the step of a difference."""
+        return self.at_numbers(self.at + _STEP * (np.arange(len(self.at)) == which))
 
     def near(self, enough: float) -> bool:
         """Whether no more than so much is left anywhere."""
@@ -73,7 +85,7 @@ def settled(fit: Fit, remainder: Remainder) -> Fit | None:
         if not np.linalg.norm(slope @ step) > _EXPLAINED * np.linalg.norm(fit.left):
             return fit  # rounding is left, or another fault
         step = np.clip(step, -_MOST_STEP, _MOST_STEP)
-        left = remainder(_fault(fit.base, fit.families, fit.at + step))
+        left = remainder(fit.at_numbers(fit.at + step))
         if left is None:
             return None
         fit = replace(fit, at=fit.at + step, left=left)
@@ -117,7 +129,7 @@ def _next(fit: Fit, families: Iterable[Family], remainder: Remainder) -> Family 
     for one in families:
         if slope is None or one in fit.families or (fit.planted and one.plant):
             continue
-        other = remainder(_fault(fit.base, *_moved(fit.with_one(one), len(fit.at))))
+        other = remainder(fit.with_one(one).moved(len(fit.at)))
         if other is None:
             continue
         all_of = np.column_stack((slope, (other - fit.left) / _STEP))
@@ -131,25 +143,15 @@ def _slope(fit: Fit, remainder: Remainder) -> Array | None:
     """(n, k) derivatives of what is left by the numbers."""
     columns = []
     for which in range(len(fit.at)):
-        other = remainder(_fault(fit.base, *_moved(fit, which)))
+        other = remainder(fit.moved(which))
         if other is None:
             return None
         columns.append((other - fit.left) / _STEP)
     return np.column_stack(columns) if columns else np.empty((len(fit.left), 0))
 
 
-def _moved(fit: Fit, which: int) -> tuple[tuple[Family, ...], Array]:
-    at = fit.at.copy()
-    at[which] += _STEP
-    return fit.families, at
-
-
-def _fault(base: Fault, families: Iterable[Family], at: Iterable[float]) -> Fault:
-    members = (
-        one.member(float(np.exp(number)) if one.factor else float(number))
-        for one, number in zip(families, at, strict=True)
-    )
-    return together(base, *members)
+def _member(family: Family, at: float) -> Fault:
+    return family.member(float(np.exp(at)) if family.factor else float(at))
 
 
 def _neutral(family: Family) -> float:

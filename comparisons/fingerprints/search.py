@@ -102,8 +102,8 @@ class _Search:
 
     def together(self, ways: Iterable[Way]) -> list[Fingerprint]:
         """The faults that explain the estimate only together; none where none do."""
-        numbers = list(families(self.prepared.log))
-        several = (self._trial(way).several(self._faults, numbers) for way in ways)
+        faults, numbers = self._faults, list(families(self.prepared.log))
+        several = (self._trial(way).several(faults, numbers) for way in ways)
         return next(([one] for one in several if one is not None), [])
 
 

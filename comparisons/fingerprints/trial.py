@@ -16,7 +16,7 @@ from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.fault import NONE, Family, Fault
-from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, First, Left
+from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left, remainder
 from comparisons.fingerprints.fit import Fit, nearest, selected, settled
 from comparisons.logs.log import Log
 from comparisons.pipeline.prepare import Prepared
@@ -101,17 +101,7 @@ class Trial:
 
     def _left(self, fault: Fault) -> Array | None:
         """What is left of the first poses; None where the filter does not reach them all."""
-        seen = First(self._first, self._count)
-        try:
-            self._run(fault, seen)
-        except Left:
-            pass
-        except InputError:
-            return None
-        if len(seen.left) < self._count:
-            return None
-        left = np.concatenate(seen.left)
-        return left if np.isfinite(left).all() else None
+        return remainder(self._first, self._count, lambda seen: self._run(fault, seen))
 
     def of(self, fault: Fault) -> Fingerprint | None:
         """What a fault explains; None where its filter leaves the estimate, or cannot run."""

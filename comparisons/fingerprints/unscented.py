@@ -7,13 +7,13 @@ from itertools import product
 
 import numpy as np
 
+from comparisons.adapters.filter_loop import FilterObserver
 from comparisons.adapters.filter_variants import SigmaPoints, UnscentedEkf
 from comparisons.arrays import Array
 from comparisons.checks.grade import Likeness, Reference
 from comparisons.config import SolveConfig
-from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.fingerprints.companion import EXPLAINED, Companion, First, Left
+from comparisons.fingerprints.companion import EXPLAINED, Companion, remainder
 from comparisons.pipeline.prepare import Prepared
 from comparisons.pipeline.references import filter_of
 
@@ -88,11 +88,8 @@ class _Fit:
 
     def _left(self, kind: type[UnscentedEkf]) -> Array | None:
         """What is left of the first poses; None where the filter does not reach them all."""
-        seen = First(self.beside, self.count)
-        try:
+
+        def run(seen: FilterObserver) -> None:
             filter_of(NAME, kind, self.prepared, self.given.time_s, lambda ekf: seen)
-        except Left:
-            return np.concatenate(seen.left)
-        except (InputError, np.linalg.LinAlgError):
-            return None
-        return np.concatenate(seen.left) if len(seen.left) == self.count else None
+
+        return remainder(self.beside, self.count, run)

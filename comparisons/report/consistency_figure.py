@@ -5,7 +5,6 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.figures.plots import plot_errors, plot_nees
 from comparisons.report.panels import ConsistencyPanels
 from comparisons.report.picture import blank, draw_panel
 
@@ -26,12 +25,10 @@ def consistency_figure(comparison: Comparison, panels: ConsistencyPanels) -> Fig
     """Left: the pose's error by truth, or by the smoother; right: NEES, NIS, whiteness."""
     figure = blank(10.0, 6.5, fitted=False)
     axes = figure.subplots(3, 2, gridspec_kw=_MARGINS)
-    if panels.errors:
-        plot_errors(comparison, "east", axes[0, 0])
-        plot_errors(comparison, "north", axes[1, 0])
-        plot_errors(comparison, "heading", axes[2, 0])
+    for axis, panel in zip(axes[:, 0], panels.errors, strict=False):
+        draw_panel(axis, panel)
     if panels.squared is not None:
-        plot_nees(comparison, axes[0, 1])
+        draw_panel(axes[0, 1], panels.squared)
     for panel in panels.nis:
         draw_panel(axes[1, 1], panel)
     axes[1, 1].set_ylabel("NIS (2 dof)")
@@ -44,12 +41,11 @@ def consistency_figure(comparison: Comparison, panels: ConsistencyPanels) -> Fig
             axis.set_ylim(bottom=max(axis.get_ylim()[0], _LEAST_DRAWN))
     for axis in (*axes[:, 0], *axes[:2, 1]):
         axis.set_xlim(comparison.ekf.estimate.time_s[[0, -1]])
-    for axis in axes[1:, 1]:
+    for axis in axes.flat:
         if axis.has_data():
             axis.legend(fontsize=7, loc="upper right")
     for axis in (axes[0, 0], axes[1, 0], axes[0, 1]):
         axis.tick_params(labelbottom=False)
-        axis.set_xlabel("")
     axes[2, 0].set_xlabel("time [s]")
     axes[1, 1].set_xlabel("time [s]")
     title = f"{comparison.log.name}: {panels.reported}"

@@ -8,6 +8,7 @@ and from the last pose to landmarks, do not depend on the frame, and are judged 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class PoseErrors:
     position: Normalised
     heading: Normalised
 
-    @property
+    @cached_property
     def departure(self) -> BlockDeparture | None:
         """Block and stretch that are off, where the poses' NEES passes its limit."""
         mean, dof = self.pose.mean, self.pose.dof

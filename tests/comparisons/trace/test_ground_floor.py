@@ -11,7 +11,7 @@ import pytest
 
 from comparisons.trace.recorder import Recorder
 
-MOST = 44
+MOST = 42
 """Modules of this project."""
 _LIST = """
 import sys
