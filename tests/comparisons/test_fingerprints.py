@@ -191,6 +191,7 @@ def test_a_fault_may_leave_a_motion_without_full_rank(tmp_path: Path) -> None:
     assert_named(each, fault)
 
 
+@pytest.mark.slow
 def test_no_fault_stops_a_filter_that_associates_for_itself() -> None:
     """Whatever a fault does to the numbers: the estimate of a stranger is to be judged."""
     blind = solve(without_labels(of_speeds_and_yaw_rates(3.0)))

@@ -224,6 +224,7 @@ def test_covariances_of_another_moment_are_named(
     assert said not in evidence(check_external(right, solution, "like"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["R a third", "Q 3 times", "bearing off by 0.5 degrees"])
 def test_a_filter_that_was_fed_something_else_is_not_like_one(
     solution: Solution, name: str
@@ -286,6 +287,7 @@ def test_an_optimum_that_is_not_verified_leaves_open_what_needs_it(
     assert smoothed.outcome == "unverified"
 
 
+@pytest.mark.slow
 def test_a_smoother_is_compared_with_the_smoother(solution: Solution) -> None:
     found = check_external(ExternalEstimate.of(solution.estimate), solution, "equal")
     assert (found.outcome, nearest(found)) == ("agree", "the smoother")
