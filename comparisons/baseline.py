@@ -24,11 +24,12 @@ from comparisons.checks.consistency.finding import (
     ExternalConsistencyResult,
 )
 from comparisons.checks.grade import GRADES
-from comparisons.config import CheckConfig, RunConfig, merge
+from comparisons.config import CheckConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.figures import current, finite, kept_fields
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
+from comparisons.options import merge
 from comparisons.report.check import CheckResult
 from comparisons.report.models import Result, metrics
 from comparisons.settings import configure, run_options

@@ -21,15 +21,15 @@ from pydantic import (
     model_validator,
 )
 
+from comparisons.documented.row import PRESETS, Preset
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.extensions.registry import EXTENSIONS, config_class, named
 from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where, renamed_settings
 
 Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]
 Gps = Literal["off", "on", "half"]
 RequiredGrade = Literal["equal", "like", "plausible"]
 FailOn = Literal["disagreement", "consistency", "both", "truth", "association"]
-Preset = Literal["recommended", "guivant-2002", "misono-2007", "nieto-2005"]
 Needs = Mapping[str, Mapping[str, Any]]
 """Extensions that must take part, with the fields that they must have."""
 
@@ -366,6 +366,8 @@ class FrontEndConfig(Section):
 class ExtensionConfig(Section):
     """An extension's settings."""
 
+    extension: ClassVar[str]
+    """Whose they are: `module:Class` (see extensions.interface), loaded where it takes part."""
     switch: ClassVar[Option | None] = None
     """Adds and removes them."""
 
@@ -381,8 +383,8 @@ class ExtensionConfig(Section):
         """Raise ValueError where this does not go with the other settings."""
 
     def build(self, config: Configured) -> Any:
-        """Return the extension (see extensions.interface). Heavy imports belong here."""
-        raise NotImplementedError
+        """Return the extension."""
+        return named(self.extension)(self, config)
 
 
 def _with_classes(value: Any) -> Any:
@@ -427,11 +429,11 @@ class JobConfig(Section):
             return given
         given, _ = renamed_settings(given)
         preset = given.get("preset", "recommended")
-        if preset not in get_args(Preset)[1:]:
+        if preset not in PRESETS.values():
             return given
         from comparisons.documented.preset import published
 
-        return published(preset, given, tuple(cls.model_fields))
+        return published(preset, given, tuple(cls.model_fields), setting_default)
 
     def libraries(self) -> dict[str, str]:
         """Return what the job needs of graphslam.scan.libraries, and what asks for each."""
@@ -482,7 +484,7 @@ class Configured(JobConfig):
             from comparisons.documented.preset import published
 
             stated = {"log": self.log.model_dump(), "ekf": self.ekf.model_dump()}
-            given = published(self.preset, {**stated, **given}, ("ekf",))
+            given = published(self.preset, {**stated, **given}, ("ekf",), setting_default)
         return config_class(name).model_validate(given["extensions"][name])
 
 
@@ -762,15 +764,14 @@ def json_schema(kind: type[Section]) -> dict[str, Any]:
     return schema
 
 
-def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Put nested mappings over others; lists and values replace what they lie on."""
-    found = dict(base)
-    for key, value in over.items():
-        below = found.get(key)
-        if isinstance(value, Mapping):  # a copy all the way down, for flags are laid over it
-            value = merge(dict(below) if isinstance(below, Mapping) else {}, value)
-        found[key] = value
-    return found
+def setting_default(path: str) -> Any:
+    """Return the default of a run's setting `section.key`. Raises KeyError for an unknown one."""
+    section, _, key = path.partition(".")
+    if section in EXTENSIONS:
+        kind: Any = config_class(section)
+    else:
+        kind = RunConfig.model_fields[section].annotation
+    return kind.model_fields[key].get_default(call_default_factory=True)
 
 
 def _without_none(value: Any) -> Any:

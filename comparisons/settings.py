@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from comparisons.config import RunConfig, Section, merge, shown
+from comparisons.config import RunConfig, Section, setting_default, shown
 from comparisons.errors import InputError, note
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.table import parse_toml, read_toml
-from comparisons.options import RENAMED, Flag, below, renamed_settings
+from comparisons.options import RENAMED, Flag, below, merge, renamed_settings
 from comparisons.options.table import FLAGS, of_job
 
 C = TypeVar("C", bound=Section)
@@ -46,7 +46,7 @@ def configure(
     ):  # over a file with them all
         from comparisons.documented.preset import without_documented
 
-        found = without_documented(found)
+        found = without_documented(found, setting_default)
     _lay_over(found, flags)
     for setting in settings:
         found = merge(found, _as_now(_nested(job, setting), "--set "))

@@ -381,19 +381,18 @@ def circles(edges: dict[str, set[str]]) -> list[set[str]]:
 
 @pytest.mark.slow
 def test_a_circle_stays_in_one_room() -> None:
-    """By imports inside functions, too: a feature's modules, or settings and their documents."""
+    """By imports inside functions, too, and has two modules at most."""
     found = circles(
         {
             name: {one for one in to if not name.startswith(f"{one}.")}
             for name, to in graph(reaches).items()
         }
     )
-    assert max(map(len, found)) < 10
+    assert max(map(len, found)) <= 2
     for circle in found:
         rooms = {name.rpartition(".")[0] for name in circle}
-        settings = {"comparisons", "comparisons.documented"}
         readers = {"comparisons.logs", "comparisons.logs.readers"}
-        assert len(rooms) == 1 or rooms in (settings, readers), sorted(circle)
+        assert len(rooms) == 1 or rooms == readers, sorted(circle)
 
 
 def test_a_circle_is_found() -> None:

@@ -13,8 +13,11 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 import ekf_reference
-from comparisons.documented.row import AnyBut, Documented, Value, shown
+from comparisons.config import setting_default
+from comparisons.documented.row import AnyBut, Documented, Value, same, shown
 from comparisons.documented.rows import GROUPS, ROWS
 
 _HEAD = """\
@@ -50,14 +53,14 @@ is listed. They are ours.
 
 def markdown() -> str:
     """Return the page."""
-    different = [row for row in ROWS if row.differs]
+    different = [row for row in ROWS if differs(row)]
     lines = [_HEAD]
     lines.append(
         f"{len(ROWS)} constants; runs use another value than the document's for {len(different)}."
     )
     lines += [_SPLIT, *_table(different, why=True)]
     for title, rows in GROUPS.items():
-        lines += [f"\n## {title}\n", *_table([row for row in rows if not row.differs], why=False)]
+        lines += [f"\n## {title}\n", *_table([row for row in rows if not differs(row)], why=False)]
     lines += [_OURS.rstrip("\n")]
     lines += [f"| `{at}` | {_by_name(at, value)} |" for at, value in undocumented()]
     return "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
@@ -68,7 +71,7 @@ def _table(rows: list[Documented], *, why: bool) -> Iterator[str]:
     yield "|---|---|---|---|" + ("---|---|" if why else "")
     for row in rows:
         cells = [row.place, row.what + _under(row), _documented(row)]
-        cells += [row.absent or _with_unit(row.used, row)] if why else []
+        cells += [row.absent or _with_unit(used(row), row)] if why else []
         cells += [f"`{row.at}`"] + ([row.reason] if why else [])
         yield "| " + " | ".join(one.replace("|", "\\|") for one in cells) + " |"
 
@@ -76,9 +79,8 @@ def _table(rows: list[Documented], *, why: bool) -> Iterator[str]:
 def _under(row: Documented) -> str:
     words = []
     for path, values in row.when.items():
-        listed = values.values if isinstance(values, AnyBut) else values
         word = "not " if isinstance(values, AnyBut) else ""
-        words.append(f"{path} {word}{' or '.join(map(shown, listed))}")
+        words.append(f"{path} {word}{' or '.join(map(shown, values))}")
     return f" ({'; '.join(words)})" if words else ""
 
 
@@ -105,6 +107,34 @@ def undocumented() -> list[tuple[str, float]]:
         module = import_module(info.name)
         found += [(at, value) for at, value in _numbers(module) if at not in known]
     return found
+
+
+def used(row: Documented) -> Value:
+    """Return the value that runs use by default."""
+    return setting_default(row.at) if row.is_setting else in_code(row.at)
+
+
+def differs(row: Documented) -> bool:
+    """Return whether runs use another value."""
+    return not same(row.value, used(row))
+
+
+def in_code(at: str) -> Value:
+    """Return what `module:name.name` stands for: a name with () called, a field's default."""
+    module, _, path = at.partition(":")
+    found: Any = import_module(module)
+    for name in path.split("."):
+        found = _member(found, name.removesuffix("()"))
+        found = found() if name.endswith("()") else found
+    return tuple(map(float, found)) if isinstance(found, np.ndarray) else found
+
+
+def _member(holder: Any, name: str) -> Any:
+    if isinstance(holder, type) and dataclasses.is_dataclass(holder):
+        fields = {one.name: one for one in dataclasses.fields(holder)}
+        if name in fields and fields[name].default is not dataclasses.MISSING:
+            return fields[name].default
+    return getattr(holder, name)
 
 
 def _numbers(module: ModuleType) -> Iterator[tuple[str, float]]:

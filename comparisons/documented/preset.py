@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from comparisons.config import merge
-from comparisons.documented.row import AnyBut, Documented, same, setting_default
+from comparisons.documented.row import AnyBut, Documented, Value, same
 from comparisons.documented.rows import ROWS
 from comparisons.extensions.registry import EXTENSIONS
+from comparisons.options import merge
 
+Default = Callable[[str], Value]
+"""The default of a run's setting `section.key`."""
 SETTINGS: tuple[Documented, ...] = tuple(row for row in ROWS if row.is_setting)
 
 
-def published(preset: str, given: Mapping[str, Any], sections: tuple[str, ...]) -> dict[str, Any]:
+def published(
+    preset: str, given: Mapping[str, Any], sections: tuple[str, ...], default: Default
+) -> dict[str, Any]:
     """Return given settings with a document's values where nothing was given.
 
     preset: of the document. sections: those that the job has; an extension's only where it takes
@@ -23,7 +27,7 @@ def published(preset: str, given: Mapping[str, Any], sections: tuple[str, ...]) 
     for row in _of(preset):
         keys = _keys(row.at)
         there = keys[0] in sections if len(keys) == 2 else keys[1] in found.get("extensions", {})
-        if there and read(found, row.at) is None and applies(row, found):
+        if there and read(found, row.at) is None and applies(row, found, default):
             below: Any = row.value
             for key in reversed(keys):
                 below = {key: below}
@@ -31,7 +35,7 @@ def published(preset: str, given: Mapping[str, Any], sections: tuple[str, ...]) 
     return found
 
 
-def without_documented(given: Mapping[str, Any]) -> dict[str, Any]:
+def without_documented(given: Mapping[str, Any], default: Default) -> dict[str, Any]:
     """Return given settings without those that are as the preset that they name has them.
 
     A file that a run wrote holds every setting; what was asked for beside the preset stays.
@@ -44,14 +48,16 @@ def without_documented(given: Mapping[str, Any]) -> dict[str, Any]:
         for name in sections:
             below = below.get(name, {}) if isinstance(below, Mapping) else {}
         if isinstance(below, dict) and key in below:
-            rules = [one.value for one in stated if one.at == row.at and applies(one, given)]
-            usual = rules[0] if rules else setting_default(row.at)
+            rules = [
+                one.value for one in stated if one.at == row.at and applies(one, given, default)
+            ]
+            usual = rules[0] if rules else default(row.at)
             if same(_plain(below[key]), usual):
                 del below[key]
     return found
 
 
-def differing(config: Mapping[str, Any]) -> list[tuple[Documented, Any]]:
+def differing(config: Mapping[str, Any], default: Default) -> list[tuple[Documented, Any]]:
     """Return settings of a run that its preset's document states at another value, with their own.
 
     Of all documents where the preset is none of theirs.
@@ -61,7 +67,7 @@ def differing(config: Mapping[str, Any]) -> list[tuple[Documented, Any]]:
         value, keys = read(config, row.at), _keys(row.at)
         there = keys[0] in config if len(keys) == 2 else keys[1] in config.get("extensions", {})
         known = there and not row.named
-        if known and applies(row, config) and not same(row.value, _plain(value)):
+        if known and applies(row, config, default) and not same(row.value, _plain(value)):
             found.append((row, value))
     return found
 
@@ -71,14 +77,13 @@ def _of(preset: str) -> tuple[Documented, ...]:
     return tuple(row for row in SETTINGS if row.preset == preset)
 
 
-def applies(row: Documented, given: Mapping[str, Any]) -> bool:
+def applies(row: Documented, given: Mapping[str, Any], default: Default) -> bool:
     """Whether the settings that a row depends on have one of the values that it asks for."""
     for path, values in row.when.items():
         asked = _plain(read(given, path))
         if asked is None:
-            asked = _format(given) if path == "log.format" else setting_default(path)
-        listed = values.values if isinstance(values, AnyBut) else values
-        if isinstance(values, AnyBut) == any(same(asked, one) for one in listed):
+            asked = _format(given) if path == "log.format" else default(path)
+        if isinstance(values, AnyBut) == any(same(asked, one) for one in values):
             return False
     return True
 

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
-from typing import Any
-
-import numpy as np
+from typing import Any, Literal, get_args
 
 Value = float | str | bool | tuple[float | str, ...] | None
 
-PRESETS = {"G": "guivant-2002", "M": "misono-2007", "N": "nieto-2005"}
+Preset = Literal["recommended", "guivant-2002", "misono-2007", "nieto-2005"]
+PRESETS: dict[str, str] = {name[0].upper(): name for name in get_args(Preset)[1:]}
 """Of each document, by the letter that its places begin with."""
 
 
-@dataclass(frozen=True)
-class AnyBut:
+class AnyBut(tuple[Value, ...]):
     """All values of a setting but these."""
 
-    values: tuple[Value, ...]
+    __slots__ = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +41,7 @@ class Documented:
     value: Value
     at: str
     unit: str = ""
-    when: Mapping[str, tuple[Value, ...] | AnyBut] = field(default_factory=dict)
+    when: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     reason: str = ""
     absent: str = ""
     defaults: tuple[str, ...] = ()
@@ -62,16 +58,6 @@ class Documented:
         """A run's configuration has it."""
         return ":" not in self.at
 
-    @property
-    def used(self) -> Value:
-        """The value that runs use by default."""
-        return setting_default(self.at) if self.is_setting else in_code(self.at)
-
-    @property
-    def differs(self) -> bool:
-        """Runs use another value."""
-        return not same(self.value, self.used)
-
 
 def same(first: Value, second: Value) -> bool:
     """Whether two values are one, but for the rounding of numbers."""
@@ -81,38 +67,6 @@ def same(first: Value, second: Value) -> bool:
     if len(numbers) == 2 and not any(isinstance(one, bool) for one in numbers):
         return math.isclose(*numbers, rel_tol=1e-9)
     return type(first) is type(second) and first == second
-
-
-def setting_default(path: str) -> Value:
-    """Return the default of a run's setting `section.key`. Raises KeyError for an unknown one."""
-    from comparisons.config import RunConfig
-    from comparisons.extensions.registry import EXTENSIONS, config_class
-
-    section, _, key = path.partition(".")
-    if section in EXTENSIONS:
-        kind: Any = config_class(section)
-    else:
-        kind = RunConfig.model_fields[section].annotation
-    default: Value = kind.model_fields[key].get_default(call_default_factory=True)
-    return default
-
-
-def in_code(at: str) -> Value:
-    """Return what `module:name.name` stands for: a name with () called, a field's default."""
-    module, _, path = at.partition(":")
-    found: Any = import_module(module)
-    for name in path.split("."):
-        found = _member(found, name.removesuffix("()"))
-        found = found() if name.endswith("()") else found
-    return tuple(map(float, found)) if isinstance(found, np.ndarray) else found
-
-
-def _member(holder: Any, name: str) -> Any:
-    if isinstance(holder, type) and dataclasses.is_dataclass(holder):
-        fields = {one.name: one for one in dataclasses.fields(holder)}
-        if name in fields and fields[name].default is not dataclasses.MISSING:
-            return fields[name].default
-    return getattr(holder, name)
 
 
 def shown(value: Any) -> str:

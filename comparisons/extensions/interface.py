@@ -14,6 +14,7 @@ from comparisons.checks.check import Absent, Check, Finding
 if TYPE_CHECKING:
     from comparisons.adapters.ekf_run import EkfRun
     from comparisons.adapters.filter_setup import FilterSetup
+    from comparisons.config import Configured
     from comparisons.pipeline.beside import Beside
     from comparisons.pipeline.gaps import Known
     from comparisons.pipeline.prepare import Prepared
@@ -28,6 +29,10 @@ class Extension(Check):
     """Whether it does anything."""
     brings_motion = False
     """The estimators need no odometry of the log's."""
+
+    def __init__(self, settings: Any, config: Configured) -> None:
+        """settings: its own. config: the job's, which has them."""
+        self.settings, self.config = settings, config
 
     def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:
         """Return what the estimators are given, changed. Raises InputError."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from comparisons.errors import InputError
 
@@ -30,6 +30,11 @@ def config_class(name: str) -> type[ExtensionConfig]:
     if name not in EXTENSIONS:
         known = ", ".join(EXTENSIONS)
         raise InputError(f"extensions.{name[:80]}: is unknown, expected one of {known}")
-    module, _, attribute = EXTENSIONS[name].partition(":")
-    found: type[ExtensionConfig] = getattr(import_module(module), attribute)
+    found: type[ExtensionConfig] = named(EXTENSIONS[name])
     return found
+
+
+def named(place: str) -> Any:
+    """Return what `module:name` stands for."""
+    module, _, attribute = place.partition(":")
+    return getattr(import_module(module), attribute)

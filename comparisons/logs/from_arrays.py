@@ -23,20 +23,18 @@ from comparisons.logs.log import (
     Truth,
 )
 from comparisons.logs.odometry import (
+    NOISE_TEXT,
     Ackermann,
     Odometry,
     OdometryNoise,
     RelativePoses,
     SteeringOdometry,
     VelocityOdometry,
-)
-from comparisons.logs.readers.ros_points import added_between, reckoned_motion
-from comparisons.logs.readers.scan_odometry import (
-    NOISE_TEXT,
     displacements,
     instants_of,
     poses_at,
 )
+from comparisons.logs.readers.ros_points import added_between, reckoned_motion
 from comparisons.logs.stamps import resolved
 from comparisons.logs.validation import standard_deviation, whole_numbers
 from graphslam.increments import dead_reckoned

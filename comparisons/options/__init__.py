@@ -185,6 +185,17 @@ def renamed_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return found, notes
 
 
+def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Put nested mappings over others; lists and values replace what they lie on."""
+    found = dict(base)
+    for key, value in over.items():
+        below = found.get(key)
+        if isinstance(value, Mapping):  # a copy all the way down, for flags are laid over it
+            value = merge(dict(below) if isinstance(below, Mapping) else {}, value)
+        found[key] = value
+    return found
+
+
 def _copied(config: dict[str, Any], section: str) -> dict[str, Any]:
     """Return a section of nested mappings, copied there and on the way to it."""
     for name in filter(None, section.split(".")):

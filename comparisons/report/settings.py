@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from comparisons.config import EkfConfig, JobConfig, Section
+from comparisons.config import EkfConfig, JobConfig, Section, setting_default
 from comparisons.documented.preset import differing
 from comparisons.documented.row import Value, shown
 from comparisons.figures import Model
@@ -116,7 +116,7 @@ def settings_result(
             document=_in_json(row.value),
             place=row.place,
         )
-        for row, value in differing(given)
+        for row, value in differing(given, setting_default)
     ]
     return SettingsResult(preset=config.preset, differing=found)
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.ekf_factory import build_association, build_ekf, settle
-from comparisons.config import LogSection, Preset, RunConfig
-from comparisons.documented.page import markdown, undocumented
+from comparisons.config import LogSection, RunConfig, setting_default
+from comparisons.documented.page import differs, in_code, markdown, undocumented, used
 from comparisons.documented.preset import SETTINGS, applies, differing, read
-from comparisons.documented.row import PRESETS, Documented, in_code, same, setting_default
+from comparisons.documented.row import Documented, Preset, same
 from comparisons.documented.rows import ROWS
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.bundled import open_log
@@ -40,11 +40,11 @@ def wrong(row: Documented) -> str:
     own = [one for one in (row.at, *row.also) if one.startswith("comparisons.documented")]
     if own:
         return f"{own[0]} is this list's own: {row.place} is compared with itself"
-    if row.differs and not any(map(str.isdigit, row.reason)):
-        return f"{row.at} is {row.used}, {row.place} says {row.value}: no measured reason"
-    if row.reason and not row.differs:
+    if differs(row) and not any(map(str.isdigit, row.reason)):
+        return f"{row.at} is {used(row)}, {row.place} says {row.value}: no measured reason"
+    if row.reason and not differs(row):
         return f"{row.at} is as in {row.place}: the reason is stale"
-    if row.is_setting and (row.used is None) != bool(row.absent):
+    if row.is_setting and (used(row) is None) != bool(row.absent):
         return f"{row.at}: it is not said what runs use where it is absent"
     strange = [one for one in row.also if not same(in_code(one), row.value)]
     return f"{strange[0]} is not as in {row.place}" if strange else ""
@@ -56,22 +56,22 @@ def test_runs_use_the_document_s_value_or_a_row_says_why_not(row: Documented) ->
 
 
 def test_a_value_that_moved_away_is_found() -> None:
-    equal = next(row for row in ROWS if not row.differs and isinstance(row.value, float))
+    equal = next(row for row in ROWS if not differs(row) and isinstance(row.value, float))
     assert wrong(dataclasses.replace(equal, value=2.0 * float(str(equal.value)) + 1.0))
     assert wrong(dataclasses.replace(equal, reason="measured: 3 % better"))
     open_one = next(row for row in ROWS if row.absent)
     assert wrong(dataclasses.replace(open_one, absent=""))
-    other = next(row for row in ROWS if row.differs)
+    other = next(row for row in ROWS if differs(row))
     assert wrong(dataclasses.replace(other, reason="it is better"))
     assert wrong(dataclasses.replace(other, also=(other.at,))) if not other.is_setting else True
 
 
 def test_a_row_that_is_compared_with_itself_is_found() -> None:
     own = "comparisons.documented.nieto_slam:_A_1"
-    sound = next(row for row in ROWS if not row.differs and not row.is_setting)
+    sound = next(row for row in ROWS if not differs(row) and not row.is_setting)
     assert wrong(sound) == ""
     itself = dataclasses.replace(sound, value=in_code(own), at=own)
-    assert not itself.differs
+    assert not differs(itself)
     assert "compared with itself" in wrong(itself)
     assert "compared with itself" in wrong(dataclasses.replace(sound, also=(own,)))
 
@@ -110,18 +110,21 @@ def published_run(**flags: object) -> RunConfig:
 )
 def test_as_published_sets_every_setting_that_applies(flags: dict[str, object]) -> None:
     config = published_run(**flags).model_dump(mode="python")
-    assert differing(config) == []
-    named = [row for row in SETTINGS if row.named and _there(row, config) and applies(row, config)]
+    assert differing(config, setting_default) == []
+    named = [
+        row
+        for row in SETTINGS
+        if row.named and _there(row, config) and applies(row, config, setting_default)
+    ]
     assert [same(row.value, read(config, row.at)) for row in named] == [True] * len(named)
     recommended = run_config(**flags).model_dump(mode="python")
-    moved = [row for row in SETTINGS if row.differs and not row.named and _there(row, recommended)]
-    assert {row.at for row, _ in differing(recommended)} >= {
-        row.at for row in moved if applies(row, recommended)
+    moved = [row for row in SETTINGS if differs(row) and not row.named and _there(row, recommended)]
+    assert {row.at for row, _ in differing(recommended, setting_default)} >= {
+        row.at for row in moved if applies(row, recommended, setting_default)
     }
 
 
 def test_a_document_s_preset_has_nothing_of_another() -> None:
-    assert get_args(Preset) == ("recommended", *PRESETS.values())
     log: dict[str, Any] = {"format": "victoria-park"}
     ekf: dict[str, Any] = {"filter": "compressed", "gps": "half"}
     found = {name: RunConfig.of(preset=name, log=log, ekf=ekf) for name in get_args(Preset)}
@@ -187,7 +190,7 @@ def test_what_is_given_lies_over_the_preset() -> None:
     )
     found = config.model_dump(mode="python")
     assert read(found, "dense_maps.known_apart_m") == 0.3
-    assert [row.at for row, _ in differing(found)] == ["dense_maps.known_apart_m"]
+    assert [row.at for row, _ in differing(found, setting_default)] == ["dense_maps.known_apart_m"]
 
 
 def test_a_recorded_run_can_be_repeated_and_turned(tmp_path: Path) -> None:
@@ -206,7 +209,7 @@ def test_a_preset_is_the_same_as_a_flag_and_as_a_setting(tmp_path: Path) -> None
     file.write_text(run_config(dense=["points"]).toml())
     turned = configure(RunConfig, file, settings=["preset=nieto-2005"])
     assert turned == published_run(dense=["points"])
-    assert differing(turned.model_dump(mode="python")) == []
+    assert differing(turned.model_dump(mode="python"), setting_default) == []
 
 
 def test_what_was_asked_for_beside_a_preset_stays_under_another(tmp_path: Path) -> None:

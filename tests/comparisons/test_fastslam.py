@@ -93,7 +93,7 @@ def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
 
 @pytest.mark.slow
 def test_the_joint_covariance_has_the_clouds_own_blocks(comparison: Comparison) -> None:
-    extension = FastSlamExtension(FastSlamConfig(particles=12))
+    extension = FastSlamExtension(FastSlamConfig(particles=12), RunConfig())
     cloud = extension.cloud(comparison.prepared, len(comparison.ekf.estimate.time_s))
     estimate = cloud_estimate(cloud, comparison.ekf.estimate.time_s)
     np.testing.assert_allclose(
@@ -135,7 +135,7 @@ def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
 
 @pytest.mark.slow
 def test_draws_of_a_cloud_have_its_means_and_covariances(comparison: Comparison) -> None:
-    cloud = FastSlamExtension(FastSlamConfig(particles=30)).cloud(
+    cloud = FastSlamExtension(FastSlamConfig(particles=30), RunConfig()).cloud(
         comparison.prepared, len(comparison.ekf.estimate.time_s)
     )
     slam = cloud.slam

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.plots import colour_of
 from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, LEVEL, Pair, per_run
-from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import again, document, number, script, sortable, table
 from comparisons.report.marks import Band, Curve, Panel
+
+if TYPE_CHECKING:
+    from comparisons.experiments.montecarlo.study import Outcome
 
 _SCRIPTS = ("common.js", "curves.js", "tables.js", "folder.js")
 _LEVEL = f"{100 * LEVEL:.0f} %"

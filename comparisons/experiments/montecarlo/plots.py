@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.statistics import DOF, ERRORS
-from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.report.picture import blank
+
+if TYPE_CHECKING:
+    from comparisons.experiments.montecarlo.study import Outcome
 
 COLOURS = {
     "ekf": "#d1495b",

@@ -22,7 +22,8 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.checks.consistency.nees import map_errors
-from comparisons.config import MapConfig, Preset
+from comparisons.config import MapConfig
+from comparisons.documented.row import Preset
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.drawing import draw_lines, draw_slam, plan

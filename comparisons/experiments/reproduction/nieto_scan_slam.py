@@ -17,7 +17,7 @@ from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess, assess_trajectory
-from comparisons.config import RunConfig
+from comparisons.config import RunConfig, setting_default
 from comparisons.documented.preset import published
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.drawing import SIGMAS, draw_lines, frame, plan
@@ -217,9 +217,8 @@ def drives(sources: Sources) -> ScanDrives:
 
 def published_config() -> ScanLandmarksConfig:
     """Scan landmarks by all that the thesis says of them; the filter stays as it is in runs."""
-    given = published(
-        "nieto-2005", {"extensions": {"scan_landmarks": OURS.model_dump(exclude_defaults=True)}}, ()
-    )
+    asked = {"extensions": {"scan_landmarks": OURS.model_dump(exclude_defaults=True)}}
+    given = published("nieto-2005", asked, (), setting_default)
     return ScanLandmarksConfig.of(**given["extensions"]["scan_landmarks"])
 
 
@@ -229,7 +228,7 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         raise InputError(f"{log.name}: true poses and surfaces are needed")
     config = RunConfig(extensions={"scan_landmarks": settings or OURS})
     prepared = prepare(log, config)
-    watched = replace(prepared, extensions=(*prepared.extensions, _Remember()))
+    watched = replace(prepared, extensions=(*prepared.extensions, _Remember(None, config)))
     run, setup = run_filter(watched)
     source = setup.find(_Remembering)
     if source is None or source.slam.closing is None or run.breakdown is not None:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, field_validator
 
 from comparisons.config import Configured, ExtensionConfig, setting
 from comparisons.options import SCANS, Option
 from ekf_reference.dense.layers.occupancy import Coarsening
-
-if TYPE_CHECKING:
-    from comparisons.extensions.dense_maps.extension import DenseMaps
 
 _Cell = Annotated[float, Field(ge=0.01, le=10.0)]
 FlipTest = Literal["joint", "ellipses"]
@@ -47,6 +44,7 @@ class DenseMapsConfig(ExtensionConfig):
     also look for what moves: detect_motion.
     """
 
+    extension = "comparisons.extensions.dense_maps.extension:DenseMaps"
     layers: tuple[Layer, ...] = setting(
         (),
         "Layers to build and to compare with those of the smoother. sog: sum of Gaussians",
@@ -152,9 +150,3 @@ class DenseMapsConfig(ExtensionConfig):
         usual = AMONG_POINTS if points else AMONG_SCANS
         left_open = {k: v for k, v in usual._asdict().items() if getattr(self, k) is None}
         return self.model_copy(update=left_open)
-
-    def build(self, config: Configured) -> DenseMaps:
-        """Return the extension."""
-        from comparisons.extensions.dense_maps.extension import DenseMaps
-
-        return DenseMaps(self)

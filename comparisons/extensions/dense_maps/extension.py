@@ -26,10 +26,7 @@ class DenseMaps(Extension):
     """Puts a watcher beside the filter, which others may use."""
 
     name = "dense_maps"
-
-    def __init__(self, config: DenseMapsConfig) -> None:
-        """config: what is kept."""
-        self._config = config
+    settings: DenseMapsConfig
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         """Start an empty map, anchored to the landmarks that the filter will have.
@@ -37,16 +34,16 @@ class DenseMaps(Extension):
         Raises InputError where it may need more memory than is allowed.
         """
         mapped = prepared.config.job == "map"
-        demand = Demand(prepared.log, self._config, points=POINT in setup.kinds, mapped=mapped)
+        demand = Demand(prepared.log, self.settings, points=POINT in setup.kinds, mapped=mapped)
         demand.check(prepared.log.name)
-        watcher = DenseWatcher(prepared.log, self._config, setup.kinds)
+        watcher = DenseWatcher(prepared.log, self.settings, setup.kinds)
         setup.observers.append(watcher)
         setup.offers.append(watcher)
 
     def find(self, known: Known) -> DenseMapsFinding | None:
         """Compare the layers that were asked for with the smoother's."""
         watcher = known.setup.find(DenseWatcher)
-        if watcher is None or not self._config.layers:
+        if watcher is None or not self.settings.layers:
             return None
         prepared = known.prepared
         with prepared.clock.stage("dense check"):

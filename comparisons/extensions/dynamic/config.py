@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from comparisons.config import Configured, ExtensionConfig, Needs, setting
+from comparisons.config import ExtensionConfig, Needs, setting
 from comparisons.options import SCANS, SWITCH, Option
-
-if TYPE_CHECKING:
-    from comparisons.extensions.dynamic.extension import Dynamic
 
 
 class DynamicConfig(ExtensionConfig):
     """Dynamic-object rejection: exclude where objects move (Nieto 2005, section 6.3)."""
 
+    extension = "comparisons.extensions.dynamic.extension:Dynamic"
     switch = Option(
         "--dynamic",
         SCANS,
@@ -30,9 +26,3 @@ class DynamicConfig(ExtensionConfig):
     def needs(self) -> Needs:
         """A dense map that looks for motion."""
         return {"dense_maps": {"detect_motion": True}}
-
-    def build(self, config: Configured) -> Dynamic:
-        """Return the extension."""
-        from comparisons.extensions.dynamic.extension import Dynamic
-
-        return Dynamic(self)

@@ -18,20 +18,13 @@ class Dynamic(Extension):
     """Makes the dense map the filter's guard."""
 
     name = "dynamic"
-
-    def __init__(self, config: DynamicConfig) -> None:
-        """config: what counts as a change."""
-        self._rule = Differencing(
-            look_s=config.look_s,
-            threshold=config.threshold,
-            slow_threshold=config.slow_threshold,
-        )
+    settings: DynamicConfig
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         """The map, which comes before, knows where things move."""
         watcher = setup.find(DenseWatcher)
         if watcher is not None:
-            watcher.difference_by(self._rule)
+            watcher.difference_by(Differencing(**self.settings.model_dump()))
         setup.guard = watcher
 
     def find(self, known: Known) -> DynamicFinding | None:

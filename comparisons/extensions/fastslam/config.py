@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from comparisons.config import Configured, ExtensionConfig, setting
 from comparisons.options import ABSENT, ESTIMATORS, Option
-
-if TYPE_CHECKING:
-    from comparisons.extensions.fastslam.extension import FastSlamExtension
 
 
 class FastSlamConfig(ExtensionConfig):
     """FastSLAM (Rao-Blackwellised particle filter) as a third estimator."""
 
+    extension = "comparisons.extensions.fastslam.extension:FastSlamExtension"
     switch = Option(
         "--third",
         ESTIMATORS,
@@ -48,9 +46,3 @@ class FastSlamConfig(ExtensionConfig):
         for name, option in (("scan_landmarks", "--landmarks"), ("scan_motion", "--motion")):
             if name in config.extensions:
                 raise ValueError(f"--third fastslam does not go with {option}")
-
-    def build(self, config: Configured) -> FastSlamExtension:
-        """Return the extension."""
-        from comparisons.extensions.fastslam.extension import FastSlamExtension
-
-        return FastSlamExtension(self)

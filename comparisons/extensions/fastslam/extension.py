@@ -14,7 +14,12 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.fastslam.drive import Cloud, Sampling, build_fastslam, run_fastslam
+from comparisons.extensions.fastslam.drive import (
+    Cloud,
+    Sampling,
+    build_fastslam,
+    run_fastslam,
+)
 from comparisons.extensions.fastslam.result import FastSlamResult, fastslam_result
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
 from comparisons.extensions.interface import Extension
@@ -25,6 +30,7 @@ from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
+from ekf_reference.fastslam.filter import Proposal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,16 +43,14 @@ class FastSlamExtension(Extension):
     """Runs FastSLAM on what the estimators were given, once whole and often in stretches."""
 
     name = "fastslam"
+    settings: FastSlamConfig
 
-    def __init__(self, settings: FastSlamConfig) -> None:
-        """settings: how to sample."""
-        self._settings = settings
-        self.sampling = Sampling(
-            settings.particles,
-            "motion" if settings.proposal == "1.0" else "measurement",
-            settings.seed,
-            settings.association,
-        )
+    @property
+    def sampling(self) -> Sampling:
+        """How to sample."""
+        asked = self.settings
+        proposal: Proposal = "motion" if asked.proposal == "1.0" else "measurement"
+        return Sampling(asked.particles, proposal, asked.seed, asked.association)
 
     def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:
         """Refuse surveyed landmarks, which FastSLAM would estimate anew. Raises InputError."""
@@ -62,8 +66,8 @@ class FastSlamExtension(Extension):
             cloud = self.cloud(prepared, len(known.ekf.estimate.time_s))
             stretches = StretchComparison(known.gaps, prepared.log, self.sampling)
             progress = prepared.stage_progress("fastslam, stretches")
-            check = check_clouds(stretches.run(self._settings.clouds, progress))
-        return FastSlamFinding(known, self._settings, cloud, check)
+            check = check_clouds(stretches.run(self.settings.clouds, progress))
+        return FastSlamFinding(known, self.settings, cloud, check)
 
     def cloud(self, prepared: Prepared[Any], epochs: int | None = None) -> Cloud:
         """Run one cloud through the whole log, or through its first epochs."""

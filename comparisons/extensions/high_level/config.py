@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.config import ExtensionConfig, setting
 from comparisons.options import SWITCH, Option
-
-if TYPE_CHECKING:
-    from comparisons.extensions.high_level.extension import HighLevel
 
 
 class HighLevelConfig(ExtensionConfig):
@@ -18,6 +13,7 @@ class HighLevelConfig(ExtensionConfig):
     within reach for less than half of a minute.
     """
 
+    extension = "comparisons.extensions.high_level.extension:HighLevel"
     switch = Option("--high-level", jobs=("run",), settings=SWITCH, off=True)
     cell_m: float = setting(
         0.2, "Cell size of the map and least distance of its Gaussians in metres", ge=0.05, le=2.0
@@ -27,11 +23,3 @@ class HighLevelConfig(ExtensionConfig):
     )
     least: int = setting(200, "Least number of Gaussians of a landmark", ge=3, le=10**6)
     every_s: float = setting(20.0, "Seconds between two searches", ge=0.1, le=1e6)
-
-    def build(self, config: Configured) -> HighLevel:
-        """Return the extension."""
-        from comparisons.extensions.dense_maps.config import DenseMapsConfig
-        from comparisons.extensions.high_level.extension import HighLevel
-
-        dense = DenseMapsConfig.of(**config.settings_of("dense_maps").model_dump())
-        return HighLevel(self, dense)

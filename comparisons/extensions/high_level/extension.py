@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.checks.check import Finding
+from comparisons.config import Configured
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
@@ -30,9 +31,11 @@ class HighLevel(Extension):
 
     name = "high_level"
 
-    def __init__(self, config: HighLevelConfig, dense: DenseMapsConfig) -> None:
-        """config: how landmarks are searched. dense: the map's settings by the preset."""
-        self.options = HighLevelOptions.of(config, dense)
+    def __init__(self, settings: HighLevelConfig, config: Configured) -> None:
+        """Of a dense map the options are those of the preset."""
+        super().__init__(settings, config)
+        dense = DenseMapsConfig.of(**config.settings_of("dense_maps").model_dump())
+        self.options = HighLevelOptions.of(settings, dense)
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         """Search the map that is there, if it is alike, else one of its own."""

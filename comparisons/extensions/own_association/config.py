@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.config import ExtensionConfig, setting
 from comparisons.options import Option
-
-if TYPE_CHECKING:
-    from comparisons.extensions.own_association.extension import OwnAssociation
 
 When = Literal["always", "never"]
 
@@ -16,6 +13,7 @@ When = Literal["always", "never"]
 class OwnAssociationConfig(ExtensionConfig):
     """Second solution, with an association found by the smoother itself."""
 
+    extension = "comparisons.extensions.own_association.extension:OwnAssociation"
     switch = Option(
         "--smoother-association",
         jobs=("run",),
@@ -26,9 +24,3 @@ class OwnAssociationConfig(ExtensionConfig):
         "When to solve. never: not even where a run would do it by default, for a "
         "log without labels and truth of at most 5 million pairs of measurement and landmark",
     )
-
-    def build(self, config: Configured) -> OwnAssociation:
-        """Return the extension."""
-        from comparisons.extensions.own_association.extension import OwnAssociation
-
-        return OwnAssociation(self.when)

@@ -15,6 +15,7 @@ from comparisons.arrays import Index
 from comparisons.checks.accuracy import accuracy_rows, assess
 from comparisons.checks.association import association_rows, score_association
 from comparisons.checks.check import Finding
+from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension
@@ -23,7 +24,7 @@ from comparisons.extensions.own_association.check import (
     association_cause,
     check_own_association,
 )
-from comparisons.extensions.own_association.config import When
+from comparisons.extensions.own_association.config import OwnAssociationConfig
 from comparisons.figures import in_sigma
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.gaps import Known
@@ -41,9 +42,10 @@ class OwnAssociation(Extension):
 
     name = "own_association"
 
-    def __init__(self, when: When = "always") -> None:
-        """when: never, to do nothing."""
-        self.asked = when != "never"
+    def __init__(self, settings: OwnAssociationConfig, config: Configured) -> None:
+        """Of `when` never, it does nothing."""
+        super().__init__(settings, config)
+        self.asked = settings.when != "never"
 
     def start(self, prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution] | None:
         """Associate and solve beside the smoother; neither needs the other's result."""

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from comparisons.config import Configured, ExtensionConfig
 from comparisons.options import ABSENT, Option
-
-if TYPE_CHECKING:
-    from comparisons.extensions.own_matching.extension import OwnMatching
 
 
 class OwnMatchingConfig(ExtensionConfig):
     """Second solution, with scan landmarks matched by Open3D's generalised ICP."""
 
+    extension = "comparisons.extensions.own_matching.extension:OwnMatching"
     switch = Option(
         "--smoother-matcher", jobs=("run",), settings={"ekf": ABSENT, "generalised-icp": {}}
     )
@@ -28,9 +24,3 @@ class OwnMatchingConfig(ExtensionConfig):
     def libraries(self) -> dict[str, str]:
         """The matcher is Open3D's."""
         return {"open3d": "--smoother-matcher generalised-icp"}
-
-    def build(self, config: Configured) -> OwnMatching:
-        """Return the extension."""
-        from comparisons.extensions.own_matching.extension import OwnMatching
-
-        return OwnMatching()

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from comparisons.config import Configured, ExtensionConfig, RunConfig, setting
 from comparisons.options import ABSENT, Option
-
-if TYPE_CHECKING:
-    from comparisons.extensions.posterior.extension import Posterior
 
 
 class PosteriorConfig(ExtensionConfig):
     """Draws of the smoother's exact posterior, for short logs of point landmarks."""
 
+    extension = "comparisons.extensions.posterior.extension:Posterior"
     switch = Option("--posterior", jobs=("run",), settings={"none": ABSENT, "samples": {}})
     draws: int = setting(
         8000,
@@ -34,9 +30,3 @@ class PosteriorConfig(ExtensionConfig):
             raise ValueError(
                 "--posterior samples goes with the batch smoother without a robust kernel"
             )
-
-    def build(self, config: Configured) -> Posterior:
-        """Return the extension."""
-        from comparisons.extensions.posterior.extension import Posterior
-
-        return Posterior(self.draws, self.seed)

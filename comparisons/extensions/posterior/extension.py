@@ -18,6 +18,7 @@ from comparisons.extensions.posterior.check import (
     check_posterior,
     failures,
 )
+from comparisons.extensions.posterior.config import PosteriorConfig
 from comparisons.pipeline.gaps import Known
 from comparisons.pipeline.prepare import Prepared
 from comparisons.words import Row
@@ -38,11 +39,7 @@ class Posterior(Extension):
     """Asks what neither Gaussian can say: how good they are."""
 
     name = "posterior"
-
-    def __init__(self, draws: int, seed: int) -> None:
-        """draws: of all chains together. seed: of the draws."""
-        self._options = SamplingOptions(draws=draws // SamplingOptions.chains)
-        self._seed = seed
+    settings: PosteriorConfig
 
     def start(self, prepared: Prepared[Any], run: EkfRun) -> None:
         """Refuse a log that is too long before the smoother runs. Raises InputError."""
@@ -57,7 +54,8 @@ class Posterior(Extension):
     def find(self, known: Known) -> PosteriorFinding:
         """Draw around the smoother's optimum and judge. Raises InputError."""
         prepared, gaps = known.prepared, known.gaps
-        rng = np.random.default_rng(self._seed)
+        rng = np.random.default_rng(self.settings.seed)
+        options = SamplingOptions(draws=self.settings.draws // SamplingOptions.chains)
         with prepared.clock.stage("posterior"):
             try:
                 draws = sample_posterior(
@@ -65,7 +63,7 @@ class Posterior(Extension):
                     gaps.result.poses,
                     gaps.result.landmarks,
                     rng,
-                    self._options,
+                    options,
                     lambda done, total: prepared.progress("posterior", done, total),
                 )
             except ValueError as error:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from comparisons.config import Configured, ExtensionConfig, setting
 from comparisons.options import ABSENT, SCANS, Option
-
-if TYPE_CHECKING:
-    from comparisons.extensions.scan_landmarks.extension import ScanLandmarksExtension
 
 _MAPPED = "dense_maps"
 _WITHIN = "--landmarks scans or both"
@@ -17,6 +14,7 @@ _WITHIN = "--landmarks scans or both"
 class ScanLandmarksConfig(ExtensionConfig):
     """Landmarks that are templates of laser scans (Scan-SLAM, Nieto 2005, chapter 5)."""
 
+    extension = "comparisons.extensions.scan_landmarks.extension:ScanLandmarksExtension"
     switch = Option(
         "--landmarks",
         SCANS,
@@ -111,9 +109,3 @@ class ScanLandmarksConfig(ExtensionConfig):
                 "--merge-landmarks goes without --dense and --dynamic: regions of a map are "
                 "anchored to scan landmarks for good"
             )
-
-    def build(self, config: Configured) -> ScanLandmarksExtension:
-        """Return the extension."""
-        from comparisons.extensions.scan_landmarks.extension import ScanLandmarksExtension
-
-        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions)

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.checks.check import Finding
+from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
@@ -38,10 +39,11 @@ class ScanLandmarksExtension(Extension):
 
     name = "scan_landmarks"
 
-    def __init__(self, config: ScanLandmarksConfig, *, mapped: bool) -> None:
-        """mapped: a dense map is anchored to the landmarks."""
-        self._config, self.options = config, scan_slam_options(config, mapped=mapped)
-        self.brings_landmarks = config.landmarks == "scans"
+    def __init__(self, settings: ScanLandmarksConfig, config: Configured) -> None:
+        """Settings also say whether a dense map is anchored to the landmarks."""
+        super().__init__(settings, config)
+        self.options = scan_slam_options(settings, mapped="dense_maps" in config.extensions)
+        self.brings_landmarks = settings.landmarks == "scans"
         self._scans: LogScans | None = None
 
     def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:
@@ -57,8 +59,8 @@ class ScanLandmarksExtension(Extension):
         """Put a source beside the filter that has seen no landmark yet."""
         if self._scans is None:
             raise InputError("scan landmarks: the log was not prepared")
-        setup.kinds = LANDMARKS[self._config.landmarks]
-        fusing = FusingOptions() if self._config.merge_landmarks else None
+        setup.kinds = LANDMARKS[self.settings.landmarks]
+        fusing = FusingOptions() if self.settings.merge_landmarks else None
         setup.source = ScanSlamSource(self._scans, self.options, fusing)
         setup.offers.append(setup.source)
 

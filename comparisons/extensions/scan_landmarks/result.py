@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from comparisons.checks.agreement import PlacedAgreement
+from comparisons.config import setting_default
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_slam_options
@@ -76,7 +77,7 @@ def published_rule(log_format: str | None = None) -> TemplateRule:
     from comparisons.documented.preset import published
 
     asked = {"log": {"format": log_format}, "extensions": {"scan_landmarks": {}}}
-    given = published("nieto-2005", asked, ())["extensions"]["scan_landmarks"]
+    given = published("nieto-2005", asked, (), setting_default)["extensions"]["scan_landmarks"]
     return template_rule(scan_slam_options(ScanLandmarksConfig.of(**given), mapped=False))
 
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from comparisons.config import Configured, ExtensionConfig, setting
+from comparisons.config import ExtensionConfig, setting
 from comparisons.options import ABSENT, SCANS, Option
-
-if TYPE_CHECKING:
-    from comparisons.extensions.scan_motion.extension import ScanMotionExtension
 
 
 class ScanMotionConfig(ExtensionConfig):
     """Motion by scan matching (KISS-ICP)."""
 
+    extension = "comparisons.extensions.scan_motion.extension:ScanMotionExtension"
     switch = Option(
         "--motion",
         SCANS,
@@ -30,9 +28,3 @@ class ScanMotionConfig(ExtensionConfig):
     def libraries(self) -> dict[str, str]:
         """Scan odometry is KISS-ICP's."""
         return {"kiss_icp": f"--motion {self.motion}"}
-
-    def build(self, config: Configured) -> ScanMotionExtension:
-        """Return the extension."""
-        from comparisons.extensions.scan_motion.extension import ScanMotionExtension
-
-        return ScanMotionExtension(self.motion)

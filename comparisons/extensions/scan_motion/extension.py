@@ -12,7 +12,9 @@ from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.checks.accuracy import assess
 from comparisons.checks.check import Finding
 from comparisons.checks.map_agreement import compare_maps
+from comparisons.config import Configured
 from comparisons.extensions.interface import Extension
+from comparisons.extensions.scan_motion.config import ScanMotionConfig
 from comparisons.extensions.scan_motion.increments import check_increments
 from comparisons.extensions.scan_motion.result import (
     increment_remarks,
@@ -40,9 +42,10 @@ class ScanMotionExtension(Extension):
 
     name = "scan_motion"
 
-    def __init__(self, motion: str) -> None:
-        """motion: `scan` or `both`."""
-        self.brings_motion = motion == "scan"
+    def __init__(self, settings: ScanMotionConfig, config: Configured) -> None:
+        """Of motion `scan` the wheels' is not used."""
+        super().__init__(settings, config)
+        self.brings_motion = settings.motion == "scan"
         self._motion: ScanMotion | None = None
 
     def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:

@@ -25,8 +25,9 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import poses_at
 from comparisons.logs.readers.carmen_lines import TAGS, LineReader, Sweeps
-from comparisons.logs.readers.scan_odometry import poses_at, scan_log
+from comparisons.logs.readers.scan_odometry import scan_log
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import locate_rows, read_text, shorten
 

@@ -31,15 +31,9 @@ from comparisons.logs.log import (
     Prior,
     Truth,
 )
-from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.odometry import NOISE_TEXT, RelativePoses, displacements, poses_at
 from comparisons.logs.readers import rawlog_stream as stream
-from comparisons.logs.readers.scan_odometry import (
-    NOISE_TEXT,
-    PRIOR_SIGMA,
-    displacements,
-    no_measurements,
-    poses_at,
-)
+from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import number_or_fail, read_text, shorten
 from comparisons.logs.validation import whole_numbers

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.odometry import NOISE_TEXT, RelativePoses, displacements, poses_at
 from comparisons.logs.readers.ros_messages import frame, planar_pose, stamp_ns
-from comparisons.logs.readers.scan_odometry import NOISE_TEXT, displacements, poses_at
 from comparisons.logs.validation import LARGEST
 
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.1, float(np.deg2rad(1.0))

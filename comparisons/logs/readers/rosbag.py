@@ -26,7 +26,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.from_arrays import LandmarkNumbers
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
-from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.odometry import RelativePoses, instants_of, poses_at
 from comparisons.logs.readers import ros_points
 from comparisons.logs.readers.gps_start import LARGEST_RAD, Reckoned, east_north, lay_fixes
 from comparisons.logs.readers.ros_bag import (
@@ -51,12 +51,7 @@ from comparisons.logs.readers.ros_messages import (
     stamp_ns,
     sweep,
 )
-from comparisons.logs.readers.scan_odometry import (
-    PRIOR_SIGMA,
-    instants_of,
-    no_measurements,
-    poses_at,
-)
+from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Clouds, Mount, Scans
 
 _BASES = ("base_link", "base_footprint")

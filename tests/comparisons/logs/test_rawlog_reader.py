@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.odometry import RelativePoses, displacements
 from comparisons.logs.readers import rawlog_stream, read_log
-from comparisons.logs.readers.scan_odometry import displacements
 from graphslam.increments import dead_reckoned
 from tests.comparisons.logs.rawlogs import (
     LANDMARKS,

@@ -12,14 +12,15 @@ from scipy.io import savemat
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-from comparisons.logs.readers import READERS, read_log
-from comparisons.logs.readers.scan_odometry import (
+from comparisons.logs.odometry import (
     SIGMA_M_PER_SQRT_M,
     SIGMA_RAD_PER_SQRT_RAD,
+    RelativePoses,
+    SteeringOdometry,
     displacements,
     poses_at,
 )
+from comparisons.logs.readers import READERS, read_log
 from comparisons.logs.transforms.tree_features import with_tree_features
 from tests.comparisons.logs.test_log_folder import assert_same
 from tests.comparisons.logs.test_readers import assert_refused

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
-from comparisons.config import Configured, ExtensionConfig
-
-if TYPE_CHECKING:
-    from tests.comparisons.toy_extension.extension import Docking
+from comparisons.config import ExtensionConfig
 
 
 class DockingConfig(ExtensionConfig):
     """A docking station that the vehicle sees with a direction, by an exact simulated sensor."""
 
+    extension = "tests.comparisons.toy_extension.extension:Docking"
     x_m: float = Field(0.0, description="of the station, east")
     y_m: float = Field(0.0, description="of the station, north")
     reach_m: float = Field(15.0, gt=0.0, description="from where it is seen")
     bias_m: float = Field(0.0, description="added to every second distance, to be found out")
-
-    def build(self, config: Configured) -> Docking:
-        """Return the extension."""
-        from tests.comparisons.toy_extension.extension import Docking
-
-        return Docking(self)

@@ -59,14 +59,12 @@ class Docking(Extension):
     """Puts the source beside the filter."""
 
     name = "docking"
-
-    def __init__(self, config: DockingConfig) -> None:
-        self._config = config
+    settings: DockingConfig
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         if prepared.log.truth.poses is None:
             raise InputError(f"{prepared.log.name}: holds no true poses, which docking needs")
-        setup.source = DockingSource(self._config, prepared.log.truth.poses)
+        setup.source = DockingSource(self.settings, prepared.log.truth.poses)
         setup.offers.append(setup.source)
 
     def find(self, known: Known) -> DockingFinding | None:
