@@ -23,6 +23,7 @@ class Dynamic(Extension):
         """config: what counts as a change."""
         self._rule = Differencing(
             look_s=config.look_s,
+            absence_s=config.absence_s,
             threshold=config.threshold,
             slow_threshold=config.slow_threshold,
         )
