@@ -114,6 +114,15 @@ def test_the_headline_says_what_qualifies_it(sound: Comparison) -> None:
     assert "the stated sigmas are too small" in found.remarks[0]
 
 
+def test_what_is_beyond_its_own_limit_most_is_remarked() -> None:
+    """Not what is beyond the wider limit of fewer directions, though it is farther in sigma."""
+    far = (Distance("poses", 3.0, limit(3), 0.1), Distance("landmarks", 3.1, limit(2), 0.1))
+    assert far[0].sigma / far[0].limit > far[1].sigma / far[1].limit > 1.0
+    rough = TruthGap(distances=far, measurement_m=0.15)
+    found = qualified(AGREE, rough, unchecked="", consistency=None, fail_on=())
+    assert "the RMS error of the smoother's poses is 0.1 m" in found.remarks[0]
+
+
 def off_the_band(c: Consistency, factor: float) -> Consistency:
     """The same with innovations so many times as large, and nothing else to judge by."""
     sensor = c.sensors[0]
