@@ -210,6 +210,16 @@ def test_a_start_of_its_own_is_named(solution: Solution) -> None:
     assert_named(solution, fault)
 
 
+def test_a_start_with_exchanged_rows_is_named_by_them(solution: Solution) -> None:
+    """Of a prior whose rows differ; what is near it is named by its size."""
+    prior = np.diag((1e-4, 4e-4, 1e-6))
+    log = replace(solution.log, prior=replace(solution.log.prior, covariance=prior))
+    order = [2, 1, 0]
+    exchanged = prior[np.ix_(order, order)]
+    assert "rows of x and the heading" in own_start(log, exchanged).what
+    assert "is 0.0101, 1, 100 times the log's" in own_start(log, exchanged * (1.01, 1, 1)).what
+
+
 def sound_filters(solution: Solution) -> list[Reference]:
     others = variants(solution.prepared, solution.estimate.time_s)
     return [run(solution, NONE), *(one for one in others if one.name not in APART)]
