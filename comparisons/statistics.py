@@ -6,7 +6,7 @@ scipy.stats itself evaluates, so the values are equal to the bit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -43,6 +43,8 @@ SINGULAR = 1e-11
 """Eigenvalue of a correlation matrix, relative to the largest, below which it has no inverse."""
 _TENTH = 0.1
 """Of a series: what follows a stretch and is shorter tells nothing of its end."""
+_IMPROBABLE, _PROBABLE = 1e-6, 1e-2
+"""Chance of a first error by a prior whose rows are in the wrong order, and by the right one."""
 DENSE = 2000
 """States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 
@@ -481,6 +483,57 @@ def normalised_difference(
     along = (turn.transpose(0, 2, 1) @ (white.transpose(0, 2, 1) @ scaled))[:, :, 0]
     squared = np.where(clear, along**2 / np.where(clear, gained, 1.0), 0.0).sum(axis=1)
     return squared, clear.sum(axis=1), 1.0 / left[:, -1]
+
+
+class RowOrder(NamedTuple):
+    """Rows of a prior in another order (n,). p_value: of the first error by it."""
+
+    order: Index
+    p_value: float
+
+
+def likelier_orders(
+    error: Array, prior: Array, left: Array, orders: Iterable[Index]
+) -> list[RowOrder]:
+    """Return orders of a prior's rows that make an improbable first error probable, the best first.
+
+    The measurements say of the error e: z = e + v with Cov(v) = V. The smoothed error is m = P w,
+    w = S^-1 z, and P - left = P S^-1 P, S = P + V. By another prior P' of the same measurements
+    S' = S + P' - P, so that w' = (I + S^-1 (P' - P))^-1 w.
+
+    Args:
+        error: (n,) m, or the true error.
+        prior: (n, n) P.
+        left: (n, n) the smoothed covariance; zero of the true error.
+        orders: Each (n,), rows and columns in another order.
+
+    Returns:
+        Those of orders; none where the error is probable as the rows stand, or a row says that it
+        is exactly zero.
+    """
+    if not _first_chance(error, prior, left) < _IMPROBABLE:
+        return []
+    found = []
+    try:
+        inverse = np.linalg.inv(prior)
+        told = np.column_stack((inverse @ error, inverse @ (prior - left) @ inverse))
+        for order in orders:
+            other = prior[np.ix_(order, order)]
+            change = np.eye(len(prior)) + told[:, 1:] @ (other - prior)
+            mean, gained = np.split(other @ np.linalg.solve(change, told), [1], axis=1)
+            p = _first_chance(mean[:, 0], other, other - gained @ other)
+            if p > _PROBABLE:
+                found.append(RowOrder(order, p))
+    except np.linalg.LinAlgError:
+        return []
+    return sorted(found, key=lambda one: -one.p_value)
+
+
+def _first_chance(error: Array, prior: Array, left: Array) -> float:
+    """Chance of a first error (n,) as large; 1 where nothing tells it."""
+    with np.errstate(divide="ignore"):  # of the true error nothing is left
+        squared, dof, _ = normalised_difference(error[None], prior[None], left[None])
+    return chi2_tail(float(squared[0]), int(dof[0])) if dof[0] else 1.0
 
 
 class CovarianceGap(NamedTuple):

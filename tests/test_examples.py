@@ -68,6 +68,7 @@ def test_a_dense_map_moves_with_its_landmarks() -> None:
     assert errors["in regions"] < 0.5 * errors["placed once"]
 
 
+@pytest.mark.slow
 def test_a_bug_shows_in_its_gap() -> None:
     found = list(run("06_check_my_filter").values())
     assert [one.outcome for one in found] == ["agree", "disagree", "disagree"]
@@ -235,6 +236,7 @@ def test_the_cpp_example_runs(build: Callable[..., str], log_folder: Path, tmp_p
     assert given.absent == ["landmarks", "landmark covariances", "joint covariance"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.ipynb")), ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path) -> None:
     notebook = nbformat.reads(path.read_text(), as_version=4)  # type: ignore[no-untyped-call]

@@ -109,6 +109,7 @@ class Audit:
         nees_by_block: The same of each block that the prior has, where it has several.
         spurious: What was learnt of directions that sensors cannot tell; None where none are
             recorded.
+        timed: Every update has a time, and times do not fall.
     """
 
     trace: Path
@@ -129,6 +130,7 @@ class Audit:
     nees: Averaged | None
     nees_by_block: Mapping[str, Averaged]
     spurious: Learnt | None
+    timed: bool
 
     @property
     def verdict(self) -> Verdict:
@@ -180,6 +182,7 @@ class _Pass:
         self.first_open: AlgebraGap | None = None
         self.agreement, self.snapshots = 0.0, 0
         self.acted, self.compared = False, 0
+        self.timed, self.last_s = trace.counts.updates > 0, -math.inf
         self.spurious: SpuriousInformation | None = None
         self.every = max(1, trace.counts.snapshots // MOST_ANCHORS)
         self.each_gap = max(1, trace.counts.snapshots // _MOST_GAPS)
@@ -190,6 +193,7 @@ class _Pass:
         for event in self.trace:
             if event.number % 1000 == 0:
                 progress("events", event.number, total)
+            self._date(event)
             self._do(event)
         self.algebra.end()
         sensors = self.innovations.figures()
@@ -224,7 +228,16 @@ class _Pass:
             nees=nees.pop("", None),
             nees_by_block=nees,
             spurious=spurious,
+            timed=self.timed,
         )
+
+    def _date(self, event: Event) -> None:
+        """Note whether an update has no time, or time falls."""
+        if event.time_s is None:
+            self.timed &= not isinstance(event, Update)
+            return
+        self.timed &= event.time_s >= self.last_s
+        self.last_s = event.time_s
 
     def _do(self, event: Event) -> None:
         """Let both solutions do an event; least squares end at a noise that is no covariance."""

@@ -8,7 +8,7 @@ of the same events, run back from the last snapshot over some snapshots on the w
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,7 @@ from comparisons.statistics import (
     averaged,
     chi2_tail,
     faults,
+    likelier_orders,
     normalised_difference,
     onset,
     rarest,
@@ -58,6 +59,8 @@ _WHOLE = 0.9
 """A sensor's figure goes behind that of a component which tells nearly as much."""
 _MOST_BLOCKS = 50
 """Of the prior, whose errors are judged one by one."""
+_MOST_ORDERS = 3
+"""Of P0's rows, that are named."""
 _MOST_STRETCHES, _IN_STRETCH = 10, 10.0
 """Of a run, of which NEES is judged, and how many independent errors each has at least."""
 
@@ -344,8 +347,12 @@ def first_error(
         left: (n, n) its own covariance, by the truth zero: Cov(error) = P0 - left.
         level: Of all blocks together, of a sound filter.
     """
-    found: Departure | None = None
     names = list(layout.dims)[:_MOST_BLOCKS]
+    layout = layout.of(names)
+    some = slice(layout.size)
+    prior, error, left = prior[some, some], error[some], left[some, some]
+    found: Departure | None = None
+    row = 0
     for name in names:
         part = layout.entries(name)
         with np.errstate(divide="ignore"):  # by the truth nothing is left
@@ -358,15 +365,54 @@ def first_error(
             continue
         gained = np.sqrt(np.maximum((prior - left).diagonal()[part], 0.0))
         sigmas = np.abs(error[part]) / np.where(gained > 0.0, gained, np.inf)
-        at = int(np.argmax(sigmas))
-        of = f"block `{name}`" if len(gained) == 1 else f"entry {at} of block `{name}`"
-        sigma = float(np.sqrt(prior.diagonal()[part][at]))
-        text = (
-            f"the first error of {of} is {error[part][at]:.3g}, P0 says {sigma:.3g}: P0 is too "
-            "small there, or stands in other rows"
-        )
-        found = Departure(text, p, 0, None, weight)
-    return found
+        row = part.start + int(np.argmax(sigmas))
+        found = Departure("", p, 0, None, weight)
+    if found is None:
+        return None
+    text = (
+        f"the first error of {_entry(layout, row)} is {error[row]:.3g}, P0 says "
+        f"{np.sqrt(prior[row, row]):.3g}: "
+    )
+    orders = likelier_orders(error, prior, left, _exchanges(layout, row))
+    if not orders:
+        return found._replace(what=f"{text}P0 is too small there, or stands in other rows")
+    listed = ", or ".join(
+        f"{_exchanged(layout, one.order)} (p = {one.p_value:.2g})" for one in orders[:_MOST_ORDERS]
+    )
+    return found._replace(
+        what=f"{text}P0 is too small there, or its rows are exchanged, by which it is probable: "
+        f"{listed}"
+    )
+
+
+def _exchanges(layout: Layout, row: int) -> Iterator[Index]:
+    """Yield orders of the entries: a row exchanged with each other, its block with its likes."""
+    rows = np.arange(layout.size)
+    own = layout.entries(layout.holder(row))
+    pairs = [(slice(row, row + 1), slice(other, other + 1)) for other in rows[rows != row]]
+    likes = (layout.entries(name) for name, width in layout.dims.items() if width > 1)
+    pairs += [(own, one) for one in likes if one != own and len(rows[one]) == len(rows[own])]
+    for first, second in pairs:
+        order = rows.copy()
+        order[first], order[second] = rows[second], rows[first]
+        yield order
+
+
+def _exchanged(layout: Layout, order: Index) -> str:
+    """Name the two rows, or blocks, that an order exchanges."""
+    moved = np.flatnonzero(order != np.arange(len(order)))
+    names = dict.fromkeys(
+        _entry(layout, int(row)) if len(moved) == 2 else f"block `{layout.holder(int(row))}`"
+        for row in moved
+    )
+    return " and ".join(names)
+
+
+def _entry(layout: Layout, row: int) -> str:
+    """Name an entry of the state."""
+    name = layout.holder(row)
+    of = f"block `{name}`"
+    return of if layout.dims[name] == 1 else f"entry {row - layout.start[name]} of {of}"
 
 
 class Departure(NamedTuple):

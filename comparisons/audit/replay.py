@@ -70,6 +70,10 @@ class Layout:
         """Return the entries of one block."""
         return slice(self.start[name], self.start[name] + self.dims[name])
 
+    def holder(self, row: int) -> str:
+        """Return the block of an entry."""
+        return next(name for name, first in reversed(self.start.items()) if first <= row)
+
     def add(self, name: str, dim: int) -> None:
         """Append a block."""
         self.dims[name] = dim

@@ -121,13 +121,10 @@ def coverage(
     own = min(float(np.median(np.diff(t))), _HOLE_S[1]) if len(t) > 1 else 0.0
     longest = float(np.clip(_INTERVALS * own, *_HOLE_S))
     far = np.diff(t) > longest + CLOCK_S
-    holes = np.column_stack((t[:-1][far], t[1:][far]))
-    if (late := t[0] - own) > begin + CLOCK_S:
-        holes = np.vstack(((begin, late), holes))
-    if (early := t[-1] + own) < end - CLOCK_S:
-        holes = np.vstack((holes, (early, end)))
+    between = np.column_stack((t[:-1][far], t[1:][far]))
+    holes = np.vstack(((begin, t[0] - own), between, (t[-1] + own, end)))
     inner = np.searchsorted(observed_s, holes - (-CLOCK_S, CLOCK_S))
-    holes = holes[inner[:, 1] > inner[:, 0]]
+    holes = holes[inner[:, 1] > inner[:, 0]]  # no hole ends before it begins
     if len(t) >= _ENOUGH:
         moves = [not _stands(start, stop, t, epoch_s, path) for start, stop in holes.tolist()]
         holes = holes[np.array(moves, dtype=bool)]

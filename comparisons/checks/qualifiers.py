@@ -83,6 +83,7 @@ class TruthGap:
         lost: no landmark is near a true one.
         reference: what it is compared with, in words.
         association: of the filter, against the log's labels; no part of a result file.
+        prior: rows of the prior's covariance that the truth exchanges, in words; neither.
     """
 
     distances: tuple[Distance, ...]
@@ -90,6 +91,7 @@ class TruthGap:
     lost: bool = False
     association: Aside[AssociationScore | None] = None
     reference: str = "the truth"
+    prior: Aside[str] = ""
 
     @computed_field
     @property
@@ -142,6 +144,10 @@ class CheckTruthGap(Check):
             from comparisons.checks.truth_by_labels import labels_gap, with_labels
 
             gap = labels_gap(known, association) if gap is None else with_labels(known, gap)
+        if gap is not None and gap.stands:
+            from comparisons.checks.diagnosis.first_pose import rows_by_truth
+
+            gap = replace(gap, prior=rows_by_truth(prepared.log.prior, prepared.log.truth.poses))
         if gap is None:
             return Absent("the log has neither truth nor labels that nobody has used")
         return TruthGapFinding(gap)
@@ -236,6 +242,8 @@ def _cause(gap: TruthGap) -> Cause:
         for d in gap.distances
         if d.off
     ]
+    if gap.prior:
+        parts.insert(0, gap.prior)
     if gap.lost:
         parts.append("none of its landmarks lies near a true landmark")
     hint = "check the stated noise, the models and the start pose, which EKF and smoother share"

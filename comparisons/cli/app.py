@@ -152,9 +152,8 @@ def main() -> None:
     known fault shows its traceback and exits with 70, never with a verdict's code.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    for stream in ("stdout", "stderr"):  # closed by the caller
-        if getattr(sys, stream) is None:
-            setattr(sys, stream, open(os.devnull, "w"))  # noqa: SIM115
+    for name in ("stdout", "stderr"):
+        setattr(sys, name, _for_any_reader(getattr(sys, name)))
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
     stopped = _stop_on_signals()
@@ -164,6 +163,43 @@ def main() -> None:
         if stopped:  # whatever a library's import or our own guard made of the exit
             sys.exit(128 + stopped[0])
         raise
+
+
+class _Pipe(io.FileIO):
+    """Where a command writes. What a reader who has left, as `head` does, no longer takes is lost.
+
+    Neither the command line's libraries nor Python's exit see that: each has an exit code of its
+    own for it, and 1 is a verdict.
+    """
+
+    def write(self, data: Any) -> int:
+        """Return how many bytes were written or lost."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            return memoryview(data).nbytes
+
+
+def _for_any_reader(stream: Any) -> Any:
+    """Return a standard stream whose reader may leave; None was closed by the caller."""
+    if stream is None:
+        return open(os.devnull, "w")
+    buffer = getattr(stream, "buffer", None)
+    raw = getattr(buffer, "raw", buffer)  # the same of python -u
+    if not isinstance(raw, io.FileIO):
+        return stream
+    try:
+        pipe = _Pipe(stream.fileno(), "wb", closefd=False)
+    except OSError:  # closed beneath it
+        return stream
+    stream.flush()
+    return io.TextIOWrapper(
+        pipe if raw is buffer else io.BufferedWriter(pipe),
+        encoding=stream.encoding,
+        errors=stream.errors,
+        line_buffering=stream.line_buffering,
+        write_through=stream.write_through,
+    )
 
 
 def _run(stopped: Sequence[int]) -> NoReturn:

@@ -60,13 +60,13 @@ def print_result(summary: Summary, file: Path, output: Output) -> None:
 
 
 def print_text(write: Callable[[Console], object]) -> None:
-    """Write to the terminal; a reader who has left changes nothing."""
+    """Write to standard output; a full disk does not change the verdict."""
     from rich.console import Console
 
     try:
         write(Console(soft_wrap=True))
         sys.stdout.flush()
-    except OSError:  # nobody listens any more; that does not change the verdict
+    except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 

@@ -17,7 +17,7 @@ _FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
 _TRIAL = "ekf_reference.scan_landmarks.template_extraction:TRIAL"
 _SEGMENTS = "ekf_reference.scan_landmarks.segmentation:SegmentationOptions"
 _SEARCH = "ekf_reference.scan_landmarks.high_level:SearchOptions"
-_LIFE = "ekf_reference.scan_landmarks.high_level_lifecycle"
+_LIFE = "ekf_reference.scan_landmarks.high_level_lifecycle:HighLevelLandmarks"
 
 _TEMPLATES = (
     Documented(
@@ -238,7 +238,8 @@ _HIGH_LEVEL = (
         place="N 6.1.3, with 5.2.1",
         what="only what should be in view of a high level landmark's template is aligned",
         value=False,
-        at=f"{_LIFE}:MATCHED.visible",
+        at="high_level.only_in_view",
+        defaults=(f"{_LIFE}.only_in_view",),
         reason="a template has several sides of an object, a scan sees one: aligned as a whole 8.1 "
         "landmarks are kept and 112 of 1,562 measurements fail the gate, by what is in view 9.5 "
         "and 52 of 1,687 (means and sums of seeds 0 to 9 of occupancy-loop, two loops)",
@@ -247,7 +248,8 @@ _HIGH_LEVEL = (
         place="N 6.1.3, with 5.4",
         what="variance of a high level landmark's measurement over that of its alignment",
         value=1.0,
-        at=f"{_LIFE}:REPEATED",
+        at="high_level.variance_factor",
+        defaults=(f"{_LIFE}.variance_factor",),
         reason="measurements of a visit share the template's errors: means of its halves differ "
         "with 4.1 NEES per degree of freedom, single ones with 1.4 (the same drives)",
     ),

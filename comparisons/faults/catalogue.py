@@ -19,6 +19,7 @@ from comparisons.logs.odometry import (
     VelocityOdometry,
 )
 from comparisons.logs.transforms.calibration import controlled, driven, sensed
+from comparisons.statistics import ROUNDING
 
 NAMED = (*algebra.FAULTS, *models.FAULTS, *noise.FAULTS, *data.FAULTS)
 """Faults with a short name each, planted in the filter."""
@@ -89,6 +90,14 @@ def catalogue(log: Log) -> Iterator[Fault]:
         yield Fault("the turn counts to the right", feed=lambda log: driven(log, turn=(-1.0, 0.0)))
 
 
+EXCHANGED_ROWS = {
+    "x and the heading": (2, 1, 0),
+    "y and the heading": (0, 2, 1),
+    "x and y": (1, 0, 2),
+}
+"""Orders of a pose's rows."""
+
+
 def own_start(log: Log, covariance: Array) -> Fault:
     """The fault of a filter whose first pose has a covariance (3, 3) of its own."""
     prior = log.prior.covariance
@@ -97,6 +106,11 @@ def own_start(log: Log, covariance: Array) -> Fault:
     if np.ptp(ratio) <= 1e-6 * ratio.max():
         named = f"{ratio[0]:.3g}"
     what = f"the prior's covariance is {named} times the log's"
+    sigma = np.sqrt(np.diag(covariance))
+    for names, order in EXCHANGED_ROWS.items():
+        apart = (covariance - prior[np.ix_(order, order)]) / np.outer(sigma, sigma)
+        if np.abs(apart).max() <= ROUNDING:
+            what = f"the rows of {names} in the prior's covariance are exchanged"
     return Fault(what, feed=lambda log: _with_prior(log, covariance))
 
 

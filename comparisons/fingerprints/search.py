@@ -15,7 +15,8 @@ from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import Family, Fault
-from comparisons.fingerprints.companion import EXPLAINED
+from comparisons.fingerprints.companion import EXPLAINED, NEAR
+from comparisons.fingerprints.fit import Fit
 from comparisons.fingerprints.trial import Fingerprint, Trial, Way
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Named, RelativePoses, own_integration
@@ -27,15 +28,21 @@ from comparisons.pipeline.size import counts
 
 
 def fingerprints(
-    given: ExternalEstimate, prepared: Prepared[SolveConfig], sound: Likeness, progress: Progress
+    given: ExternalEstimate,
+    prepared: Prepared[SolveConfig],
+    sound: Likeness,
+    progress: Progress,
+    *,
+    several: bool = True,
 ) -> list[Fingerprint]:
     """Return the faults that explain an estimate, the nearest first.
 
     given: its poses at the reference's times, and no others. sound: what it is most like of what
-    has no fault. Each fault is tried with each order of updates, until a run leaves the estimate;
-    then those of the log's numbers in filters of other kinds, and several together; then each with
-    other integrations, which another core does meanwhile where one is free. What reproduces it to
-    rounding ends the search.
+    has no fault. several: whether to look for faults that explain it only together. Each fault is
+    tried with each order of updates, until a run leaves the estimate; then those of the log's
+    numbers in filters of other kinds, and several together; then each with other integrations,
+    which another core does meanwhile where one is free. What reproduces it to rounding ends the
+    search.
     """
     log, search = prepared.log, _Search(given, prepared, sound)
     ordered = [Way(by, log, order) for order, by in ORDERS.items()]
@@ -50,8 +57,11 @@ def fingerprints(
         with Beside(search.through, moving, size=counts(prepared), pays_from=0) as second:
             found += search.through(kinds, progress)
             if not _exact(found):
-                progress("fingerprints together", 0, 0)
-                found += search.together(ordered) or second.result()
+                if several:
+                    progress("fingerprints together", 0, 0)
+                    found += search.together(ordered)
+                if not _exact(found):
+                    found += second.result()
     return _exact(found) or sorted(found, key=lambda one: one.sigma)
 
 
@@ -103,8 +113,18 @@ class _Search:
     def together(self, ways: Iterable[Way]) -> list[Fingerprint]:
         """The faults that explain the estimate only together; none where none do."""
         faults, numbers = self._faults, list(families(self.prepared.log))
-        several = (self._trial(way).several(faults, numbers) for way in ways)
-        return next(([one] for one in several if one is not None), [])
+        left: list[tuple[Trial, Fit]] = []
+        for trial in (self._trial(way) for way in ways):
+            if any(before.hopeless(fit, trial) for before, fit in left):
+                continue
+            fit = trial.several(faults, numbers)
+            if fit is None:
+                continue
+            left.append((trial, fit))
+            found = trial.of(fit.fault) if fit.near(NEAR) else None
+            if found is not None and found.exact:
+                return [found._replace(several=True)]
+        return []
 
 
 def _start(given: ExternalEstimate, log: Log) -> list[Fault]:

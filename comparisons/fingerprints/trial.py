@@ -30,6 +30,8 @@ _POSES = 10
 """A number is fitted to the poses until the sound filter leaves the estimate, and so many more."""
 _BESIDE = 2
 """Numbers beside which a fault without one is looked for: none, and one."""
+_FAR = 10.0
+"""What several faults leave, and so many times more than another order of updates can move."""
 
 
 class Fingerprint(NamedTuple):
@@ -81,7 +83,7 @@ class Trial:
         self._first, self._count = beside, beside.first(_POSES)
 
     @cached_property
-    def _neutral(self) -> Array | None:
+    def neutral(self) -> Array | None:
         """What is left of the first poses without a fault."""
         return self._left(NONE)
 
@@ -135,32 +137,36 @@ class Trial:
 
         None where nothing fits.
         """
-        if self._neutral is None:
+        if self.neutral is None:
             return None
-        fit = settled(Fit(NONE, (), np.empty(0), self._neutral).with_one(family), self._left)
+        fit = settled(Fit(NONE, (), np.empty(0), self.neutral).with_one(family), self._left)
         enough = max(NEAR, (1.0 - EXPLAINED) * self._first.sound_until(self._count))
         return self.of(fit.fault) if fit is not None and fit.near(enough) else None
 
-    def several(self, faults: Sequence[Fault], families: Sequence[Family]) -> Fingerprint | None:
-        """What faults explain only together: up to three numbers, alone or beside one without.
+    def several(self, faults: Sequence[Fault], families: Sequence[Family]) -> Fit | None:
+        """Up to three numbers, alone or beside a fault without one, that leave the least together.
 
         Without a number is one that leaves the least of the first poses, beside no number or one.
+        None where the filter without a fault does not reach them. What is left only by rounding
+        ends the search.
         """
-        bases = []
+        tried, bases = [], []
         for fit in selected(NONE, families, self._left):
-            if fit.near(NEAR):
-                return self._together(fit)
-            if len(fit.at) < _BESIDE:
+            tried.append(fit)
+            if len(fit.at) < _BESIDE and not fit.near(NEAR):
                 bases.append(nearest(fit, faults, self._left))
         for base in filter(None, bases):
-            for fit in selected(base, families, self._left):
-                if fit.near(NEAR):
-                    return self._together(fit)
-        return None
+            if any(fit.near(NEAR) for fit in tried):
+                break
+            tried += selected(base, families, self._left)
+        return min(tried, key=lambda fit: float(np.linalg.norm(fit.left)), default=None)
 
-    def _together(self, fit: Fit) -> Fingerprint | None:
-        found = self.of(fit.fault)
-        return found._replace(several=True) if found is not None and found.exact else None
+    def hopeless(self, fit: Fit, other: Trial) -> bool:
+        """Whether what a fit leaves is far more than what another filter does otherwise."""
+        if self.neutral is None or other.neutral is None:
+            return False
+        apart = float(np.linalg.norm(self.neutral - other.neutral))
+        return bool(np.linalg.norm(fit.left) > _FAR * apart)
 
     def _run(self, fault: Fault, beside: FilterObserver) -> Reference | None:
         def started(ekf: Ekf) -> FilterObserver:
@@ -168,7 +174,8 @@ class Trial:
                 fault.plant(ekf)
             return beside
 
-        log = self.prepared.log if fault.feed is None else fault.feed(self.prepared.log)
-        other = replace(self.prepared, log=log)
+        prepared = self.prepared
+        if fault.feed is not None:
+            prepared = replace(prepared, log=fault.feed(prepared.log))
         with np.errstate(all="ignore"):  # a fault may make it diverge
-            return filter_named(self.way.name, other, self.given.time_s, started)
+            return filter_named(self.way.name, prepared, self.given.time_s, started)

@@ -35,10 +35,8 @@ _VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
 _PLACE = ("time_s", "x_m", "y_m")
 _DEGREES = ("latitude", "longitude")
 _FIX = ("time_s", *_DEGREES)
-_ALONE = {
-    "bearing_rad": " (ranges alone are not supported)",
-    "range_m": " (bearings alone are not supported)",
-}
+_NEXT = "are not supported in a log: record your filter and slamcheck audit it, see docs/audit.md"
+_ALONE = {"bearing_rad": f" (ranges alone {_NEXT})", "range_m": f" (bearings alone {_NEXT})"}
 """What is said where one of two columns is missing."""
 _LARGEST = {"bearing_rad": 2 * np.pi, "steering_rad": 1.55, "yaw_rate_radps": 20.0}
 """Larger angles and rates than a vehicle has are degrees, or wrong."""

@@ -357,7 +357,8 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
         return None
     if sound is None or sound.reference.smoothed:
         sound = likeness(inside, filters[0], labelled=prepared.labelled)
-    known = fingerprints(inside, prepared, sound, progress)
+    moved = bool(found.causes) and found.causes[0].gap in MOTIONS
+    known = fingerprints(inside, prepared, sound, progress, several=not moved)
     if not known:
         return None
     others = found.causes

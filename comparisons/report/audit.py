@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 from pydantic import Field
 
+from comparisons.arrays import Array
 from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import AlgebraGap, Audit, Verdict
 from comparisons.audit.spurious import Learnt, LearntDirection
@@ -22,8 +24,10 @@ from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.job import Report
 from comparisons.report.marks import (
     EKF_COLOUR,
+    EVENT,
     SCANS_COLOUR,
     SMOOTHER_COLOUR,
+    TIME,
     Curve,
     Panel,
     nis_panel,
@@ -45,7 +49,7 @@ _LACKING = (
     "no snapshot, gain or correction is recorded after a prediction or an update, so that no "
     "algebra could be checked: record snapshots of the covariance, or the gains of updates"
 )
-_EVENT = "event"
+_BY_EVENT = "by the number of the event, for the trace has not all times"
 _LEAST = 1e-17
 """What a gap of nothing is drawn as."""
 
@@ -208,6 +212,7 @@ class AuditReport(Report[Audit, AuditResult]):
             reasons=summary.reasons,
             facts=facts_of(summary),
             remarks=summary.remarks,
+            reported=_BY_EVENT if panels and not audit.timed else "",
             panels=panels,
             curves_file="curves.png",
             rows=summary.rows,
@@ -274,8 +279,9 @@ def _algebra_line(audit: Audit) -> str:
     if gap is None or audit.sound:  # what only least squares sees is small, and no finding
         worst = audit.largest.worst
         return f"equal to least squares at every snapshot{until}, to {worst:.1g}"
+    at = f" ({gap.time_s:.6g} s)" if audit.timed and gap.time_s is not None else ""
     return (
-        f"gap opens at event {gap.event:,}: {gap.sigma:.2g} sigma, {gap.covariance:.2g} in "
+        f"gap opens at event {gap.event:,}{at}: {gap.sigma:.2g} sigma, {gap.covariance:.2g} in "
         "covariance"
     )
 
@@ -358,46 +364,57 @@ def _sensor_rows(one: SensorInnovations) -> list[Row]:
 
 
 def audit_panels(audit: Audit) -> list[Panel]:
-    """Return what is drawn over events: the algebra gap, and NIS by sensor."""
-    panels = []
+    """Return what is drawn over time, or over events: the algebra gap, and NIS by sensor."""
+    panels, x_label = [], TIME if audit.timed else EVENT
     if audit.gaps:
-        event = np.array([gap.event for gap in audit.gaps], dtype=float)
+        times = [np.nan if gap.time_s is None else gap.time_s for gap in audit.gaps]
+        at = _along(audit, [gap.event for gap in audit.gaps], times)
         sigma, covariance = (
             np.log10(np.maximum(np.array(values, dtype=float), _LEAST))
             for values in zip(*((gap.sigma, gap.covariance) for gap in audit.gaps), strict=True)
         )
         curves = (
-            Curve("estimate [sigma]", EKF_COLOUR, event, sigma),
-            Curve("covariance", SMOOTHER_COLOUR, event, covariance),
+            Curve("estimate [sigma]", EKF_COLOUR, at, sigma),
+            Curve("covariance", SMOOTHER_COLOUR, at, covariance),
         )
         panels.append(
             Panel(
                 title="log10 of the gap from least squares",
-                x_label=_EVENT,
+                x_label=x_label,
                 curves=curves,
                 bands=(),
                 level=float(np.log10(max(audit.tolerance, _LEAST))),
             )
         )
     panels += [
-        nis_panel(one, EKF_COLOUR, one.windows.event, _EVENT)
+        nis_panel(one, EKF_COLOUR, _along(audit, one.windows.event, one.windows.time_s), x_label)
         for one in audit.sensors
         if len(one.windows.event) > 1
     ]
     if audit.spurious is not None and len(audit.spurious.event) > 1:
-        panels.append(_spurious_panel(audit.spurious))
+        at = _along(audit, audit.spurious.event, audit.spurious.time_s)
+        panels.append(_spurious_panel(audit.spurious, at, x_label))
     return panels
 
 
-def _spurious_panel(found: Learnt) -> Panel:
-    event, colours = found.event.astype(float), cycle((EKF_COLOUR, SMOOTHER_COLOUR, SCANS_COLOUR))
+def _along(audit: Audit, event: ArrayLike, time_s: ArrayLike) -> Array:
+    """Return where on the axis events lie. What precedes the first time lies there."""
+    if not audit.timed:
+        return np.asarray(event, dtype=float)
+    at = np.asarray(time_s, dtype=float)
+    found: Array = np.where(np.isnan(at), np.nanmin(at), at)
+    return found
+
+
+def _spurious_panel(found: Learnt, at: Array, x_label: str) -> Panel:
+    colours = cycle((EKF_COLOUR, SMOOTHER_COLOUR, SCANS_COLOUR))
     curves = (
-        Curve(one.name, colour, event, growth)
+        Curve(one.name, colour, at, growth)
         for one, colour, growth in zip(found.directions, colours, found.growth.T, strict=False)
         if one.largest is not None
     )
     return Panel(
-        title="spurious information", x_label=_EVENT, curves=tuple(curves), bands=(), level=0.0
+        title="spurious information", x_label=x_label, curves=tuple(curves), bands=(), level=0.0
     )
 
 

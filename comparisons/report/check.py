@@ -55,7 +55,7 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import about_job, smoother_result
+from comparisons.report.sections import about_job, about_log, smoother_result
 from comparisons.report.settings import (
     setting_lines,
     settings_rows,
@@ -463,7 +463,7 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             colour=result.verdict,
             words=_verdict_words(result),
             facts=_facts(result),
-            about=f"estimate: {source}; log: {result.log.format}, {result.log.duration_s:,.0f} s",
+            about=f"estimate: {source}; log: {about_log(result.log)}",
             causes=result.causes,
             remarks=result.remarks,
             steps=check_ladder(result),

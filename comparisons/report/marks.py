@@ -13,6 +13,8 @@ EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"
 TRUTH_COLOUR = "#444444"
 SCANS_COLOUR = "#edae49"
+TIME, EVENT = "time [s]", "event"
+"""Axes that all curves over them share."""
 DEPARTURE = "first departure"
 DEPARTURE_COLOUR = "#7b4fa3"
 

@@ -25,6 +25,7 @@ from comparisons.report.marks import (
     EKF_COLOUR,
     SCANS_COLOUR,
     SMOOTHER_COLOUR,
+    TIME,
     Band,
     Curve,
     Moment,
@@ -107,7 +108,7 @@ def _learnt(comparison: Comparison) -> Panel | None:
     own = unit * np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     return Panel(
         title="spurious knowledge of the heading, sigma [deg]",
-        x_label="time [s]",
+        x_label=TIME,
         curves=(
             Curve("spurious", SCANS_COLOUR, time_s, known),
             Curve("EKF's own", EKF_COLOUR, ekf.time_s, own),
@@ -145,7 +146,7 @@ def distance_panel(
         curves.append(Curve(name, colour, common, apart))
     return Panel(
         title="distance from the smoother [m]",
-        x_label="time [s]",
+        x_label=TIME,
         curves=tuple(curves),
         bands=(),
         level=0.0,
@@ -251,7 +252,7 @@ def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:
     low, high = np.broadcast_to(np.array(nees.single_band)[:, None], (2, len(at)))
     return Panel(
         title="NEES of the pose (3 dof)",
-        x_label="time [s]",
+        x_label=TIME,
         curves=tuple(curves),
         bands=(Band(name="95 % band", colour="#999999", x=at, low=low, high=high),),
         logarithmic=True,
@@ -277,7 +278,7 @@ def _against_smoother(
     squares = np.where(f.dof > 0, f.squared, np.nan)
     squared = Panel(
         title="pose's difference, squared",
-        x_label="time [s]",
+        x_label=TIME,
         curves=(Curve(name, EKF_COLOUR, f.time_s, squares),),
         bands=(
             Band(name="95 % band", colour="#999999", x=f.time_s, low=low, high=high, lack=lack),
@@ -305,9 +306,7 @@ def _errors(
                     name="3 sigma", colour=EKF_COLOUR, x=time_s, low=-spread, high=spread, lack=lack
                 ),
             )
-        panels.append(
-            Panel(title=label, x_label="time [s]", curves=(curve,), bands=bands, level=0.0)
-        )
+        panels.append(Panel(title=label, x_label=TIME, curves=(curve,), bands=bands, level=0.0))
     return tuple(panels)
 
 

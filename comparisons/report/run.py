@@ -45,7 +45,7 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import about_job, ekf_result, smoother_result
+from comparisons.report.sections import about_job, about_log, ekf_result, smoother_result
 from comparisons.report.settings import setting_lines, settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -159,7 +159,7 @@ class RunReport(Report[Comparison, Result]):
                     if not (inconsistent and name == "consistency")  # a note says it
                 ),
             ],
-            about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
+            about=about_log(result.log),
             notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
             causes=result.causes,
             remarks=result.remarks,

@@ -62,6 +62,13 @@ def log_result(log: Log) -> LogResult:
     )
 
 
+def about_log(log: LogResult) -> str:
+    """Return format and duration, and what stands in place of seconds, if anything does."""
+    times = str(log.provenance.get("times", ""))
+    said = f"; {times}" if "in place of seconds" in times else ""
+    return f"{log.format}, {log.duration_s:,.0f} s{said}"
+
+
 def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = None) -> EkfResult:
     """The filter and what it used. fixes: what its gate rejected, where a smoother judged it."""
     streaks = {}
@@ -147,7 +154,7 @@ def job_page(
         name=result.log.name,
         headline=summary.headline.removeprefix("verdict: "),
         colour="agree" if colour == "verified" else colour,
-        about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
+        about=about_log(result.log),
         reasons=summary.reasons,
         facts=facts_of(summary),
         remarks=summary.remarks,

@@ -94,7 +94,7 @@ class DelayedInitialisation:
     """
 
     capacity: int = 5_000
-    patience: int = 50
+    patience: int = 16
     counts: DelayedCounts = field(default_factory=DelayedCounts)
     points: Points = field(default_factory=Points.none)
     axis: Index = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))

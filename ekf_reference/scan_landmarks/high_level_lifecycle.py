@@ -37,15 +37,9 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _COUNTED_AS = {BLANK: "no returns", APART: "no counterpart"}
 """Names of reasons in `counts`, where these are not the reasons themselves."""
-REPEATED = 4.0
-"""Variance of a measurement over that of its alignment, since measurements of a visit share the
-template's errors: means of the two halves of a visit (about ten measurements each) differ with 4.1
-NEES per degree of freedom, single measurements within a half with 1.4 (85 landmarks,
-`occupancy-loop`, seeds 0 to 9)."""
 _SHARE = 0.3
-"""Of a template, in view: it holds what was seen from several sides, which no scan sees at once.
-What is out of view is left out of the alignment, else it draws the rest towards other returns."""
-MATCHED = ObservationOptions(overlap=0.4, ambiguous=0.8, visible=True)
+"""Of a template, in view: it holds what was seen from several sides, which no scan sees at once."""
+_MATCHED = ObservationOptions(overlap=0.4, ambiguous=0.8)
 _OBSERVATION = RelativePose()
 
 
@@ -99,11 +93,18 @@ class HighLevelLandmarks:
     """All that were found.
 
     settled: sigmas [m, m, rad] of where the dense map holds a landmark within the frame of two
-    others. counts: of looks that came to nothing, by reason, and of `seen`. guard: knows where
-    things move. moving: numbers of those that are deactivated because their template lies there.
+    others. only_in_view: what is out of view is left out of the alignment, else it draws the rest
+    towards other returns. variance_factor: variance of a measurement over that of its alignment,
+    since measurements of a visit share the template's errors: means of the two halves of a visit
+    (about ten measurements each) differ with 4.1 NEES per degree of freedom, single measurements
+    within a half with 1.4 (85 landmarks, `occupancy-loop`, seeds 0 to 9).
+    counts: of looks that came to nothing, by reason, and of `seen`. guard: knows where things
+    move. moving: numbers of those that are deactivated because their template lies there.
     """
 
     settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
+    only_in_view: bool = True
+    variance_factor: float = 4.0
     landmark: list[HighLevelLandmark] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
     guard: DynamicPlaces | None = None
@@ -200,7 +201,8 @@ class HighLevelLandmarks:
         turn = there.jacobian_landmark[0]
         prior = turn @ expected.covariance @ turn.T
         view = replace(scan.view, share=_SHARE)
-        matching = TemplateMatching(view, MATCHED, belief=one.belief)
+        options = replace(_MATCHED, visible=self.only_in_view)
+        matching = TemplateMatching(view, options, belief=one.belief)
         seen = observe(one.template, scan.shape, there.z[0], prior, matching)
         if not seen.usable or seen.alignment is None:
             return None, _COUNTED_AS.get(seen.reason, seen.reason)
@@ -208,7 +210,7 @@ class HighLevelLandmarks:
             return None, "a direction is open"
         back = _OBSERVATION.invert(scan.mount, seen.alignment.pose[None])
         turn = back.jacobian_z[0]
-        noise = REPEATED * turn @ seen.alignment.covariance @ turn.T
+        noise = self.variance_factor * turn @ seen.alignment.covariance @ turn.T
         innovation = _OBSERVATION.innovation(back.landmark[0], expected.z)
         distance = innovation @ np.linalg.solve(expected.covariance + noise, innovation)
         if distance > GATE:

@@ -10,6 +10,7 @@ from comparisons.checks.association import (
     association_rows,
     compare_partitions,
     counterparts,
+    differing_measurements,
     score_association,
     score_partition,
 )
@@ -52,8 +53,8 @@ PLACES = np.array(((0.0, 0.0), (0.3, 0.0), (5.0, 0.0)))
 def with_a_clump() -> Log:
     """Three landmarks in turn, of which two stand close together."""
     log = simulated(loop_s=5.0)
-    truth = Truth(landmarks=Landmarks(np.array((1, 2, 3)), PLACES, np.zeros((3, 2, 2))))
-    label = np.resize((1, 2, 3), len(log.measurements.time_s))
+    truth = Truth(landmarks=Landmarks(np.array((0, 1, 2)), PLACES, np.zeros((3, 2, 2))))
+    label = np.resize((0, 1, 2), len(log.measurements.time_s))
     return replace(log, truth=truth, measurements=replace(log.measurements, landmark=label))
 
 
@@ -130,6 +131,17 @@ def test_counterparts_are_mutual() -> None:
     assert ours.tolist() == [0, 2]
     assert theirs.tolist() == [5, 3]
     assert counterparts(np.array([-1]), np.array([0]))[0].tolist() == []
+
+
+def test_measurements_differ_where_their_landmarks_are_no_counterparts() -> None:
+    """Landmarks 0 and 1 swap their numbers, which is no difference; the rest is."""
+    filters = np.array([0, 0, 1, 1, 1, -1, -1, 0, 2])
+    own = np.array([1, 1, 0, 0, 1, 0, -1, -1, 3])
+    first, second = counterparts(filters, own)
+    matched = np.full(4, -1)
+    matched[second] = first
+    assert differing_measurements(filters, own, matched).tolist() == [4, 5, 7]
+    assert np.flatnonzero(filters != own).tolist() != [4, 5, 7]  # a broken variant: the numbers
 
 
 def test_searches_that_were_cut_off_are_counted_and_said() -> None:

@@ -12,7 +12,10 @@ from comparisons.adapters.smoother_input import build_problem, model_system_at, 
 from comparisons.checks import causes
 from comparisons.checks.diagnosis.data_usage import odometry_remarks
 from comparisons.checks.diagnosis.dropouts import find_dropouts
-from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
+from comparisons.checks.diagnosis.linearisation_growth import (
+    LinearisationGrowth,
+    linearisation_growth,
+)
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
@@ -182,6 +185,31 @@ def test_sound_logs_have_neither_dropouts_nor_too_much_noise() -> None:
     assert found.coverage == 1.0
     assert causes.dropout(found) == []
     assert causes.noise(c.smoother.optimality.chi_square, c.consistency) == []
+
+
+def test_the_variance_that_is_off_most_is_named() -> None:
+    """A tenth is farther off than five times."""
+    c = sound()
+    blocks = [
+        replace(one, agrees=False, distance_sigma=0.0, variance_ratio_least=1.0 / ratio,
+                variance_ratio_largest=1.0)
+        for one, ratio in zip(c.agreement.landmarks, (1.5, 10.0, 5.0), strict=False)
+    ]  # fmt: skip
+    blocks[2] = replace(blocks[2], variance_ratio_least=1.0, variance_ratio_largest=5.0)
+    said = causes.linearisation(replace(c.agreement, landmarks=tuple(blocks)), c.ekf).evidence
+    second = c.ekf.estimate.names[1]
+    assert f"the variance of landmark {second} is 0.1 times the smoother's" in said
+
+
+def test_the_headings_sigma_is_that_around_the_worst_relation() -> None:
+    """Of the epoch and the one before it: 4 degrees here, not the 9 before, nor the 7 behind."""
+    c = sound()
+    sigma = np.zeros(len(c.ekf.estimate.time_s))
+    sigma[2:7] = np.radians((9.0, 4.0, 3.0, 7.0, 8.0))
+    growth = LinearisationGrowth(np.ones(len(sigma)), "odometry", 4, -1, 2.0)
+    said = causes._grew(growth, c.ekf, sigma)
+    assert "the largest linearisation error is that of odometry at " in said
+    assert "the heading's sigma was 4.0 degrees" in said
 
 
 @pytest.mark.parametrize(

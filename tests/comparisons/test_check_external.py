@@ -18,8 +18,9 @@ from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
+from comparisons.checks.agreement import Band, BlockAgreement
 from comparisons.checks.diagnosis.diagnosis import Paths, diagnose
-from comparisons.checks.external_agreement import coverage
+from comparisons.checks.external_agreement import _widened, clock_words, coverage
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -84,6 +85,7 @@ def test_a_right_estimate_agrees(log: Log, whole: ExternalEstimate) -> None:
     assert not found.causes
     assert not found.remarks
     assert found.agreement.outside == 0.0
+    assert found.consistency.unjudged == ""
 
 
 def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: ExternalEstimate) -> None:
@@ -91,6 +93,7 @@ def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: Externa
     assert found.outcome == "agree"
     assert "the estimate has no landmarks, no pose covariances" in found.remarks[0]
     assert "compared: the last pose" in found.remarks[0]
+    assert found.consistency.unjudged == "the estimate has no pose covariances"
 
 
 def mirrored(given: ExternalEstimate) -> ExternalEstimate:
@@ -459,6 +462,35 @@ def test_a_clock_that_is_off_is_the_first_cause(
     assert found.outcome == "disagree"
     assert said in found.causes[0].evidence
     assert "clock" in found.causes[0].hint
+
+
+@pytest.mark.parametrize(
+    ("time_s", "said"),
+    [
+        ((1e5, 2e5), "; they look like milliseconds"),
+        ((110.0, 212.0), "; they look 10.0 s too late"),
+        ((110.0, 212.1), ""),
+    ],
+)
+def test_a_clock_is_named_where_the_time_is_as_long(time_s: tuple[float, float], said: str) -> None:
+    """To 2 %, of a log from 100 to 200 s."""
+    assert clock_words(np.array(time_s), (100.0, 200.0)) == said
+
+
+@pytest.mark.parametrize(
+    ("ratios", "band"),
+    [((0.8, 1.5), (0.4, 3.0)), ((1.2, 0.9), (0.5, 2.0)), ((0.1, 9.0), (0.25, 4.0))],
+)
+def test_a_band_of_variances_is_as_wide_as_linearising_makes_it(
+    ratios: tuple[float, float], band: tuple[float, float]
+) -> None:
+    """By a factor of two around what a right filter has, and never beyond four."""
+    peer = BlockAgreement.of(np.zeros(2), np.eye(2), np.diag(ratios))
+    peer = replace(peer, variance_ratio_least=ratios[0], variance_ratio_largest=ratios[1])
+    assert _widened(Band(0.5, 2.0), peer) == pytest.approx(band)
+    assert _widened(Band(0.5, 2.0), None) == Band()
+    unsure = replace(peer, variance_ratio_least=-np.inf)
+    assert _widened(Band(0.5, 2.0), unsure) == Band()
 
 
 def as_degrees(heading: Array) -> Array:

@@ -102,6 +102,7 @@ def test_the_worst_of_many_landmarks_is_no_worse_than_that_of_two_hundred() -> N
     assert all(abs(own - 0.5) < 0.1 for own, _ in passing.values()), passing
     assert passing[2000][1] < 0.02
     assert {largest_distance(count, 2) for count in (0, 1, 200)} == {1.0}
+    assert [round(largest_distance(count, 2), 2) for count in (500, 2000)] == [1.08, 1.19]
 
 
 def test_each_landmark_is_judged_as_one_of_all() -> None:

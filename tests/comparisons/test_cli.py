@@ -14,9 +14,11 @@ import sys
 import termios
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
+from comparisons.cli import app
 from comparisons.cli.app import PANELS
 from comparisons.estimates.folder import read_estimate
 from comparisons.logs.log_folder import write_log_folder
@@ -196,6 +198,68 @@ def test_a_closed_pipe_keeps_the_verdict(tmp_path: Path) -> None:
     )
     assert python(code, tmp_path).returncode == 0
     assert (tmp_path / "report" / "result.json").exists()
+
+
+def unread(*arguments: str, cwd: Path) -> object:
+    """The exit code of a command of whose output nothing is read, as `| head -0`."""
+    code: object = None
+    read, write = os.pipe()
+    os.close(read)
+    with (
+        contextlib.suppress(BrokenPipeError),
+        open(write, "w") as out,
+        contextlib.chdir(cwd),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(out),
+        patch.object(sys, "argv", ["slamcheck", *arguments]),
+    ):
+        try:
+            app.main()
+        except SystemExit as stop:
+            code = stop.code
+    return code
+
+
+UNREAD = {
+    "run simulated-loop --end 20 --trace -v --out agree": 0,
+    "solve simulated-loop --end 20 --json --out solved": 0,
+    "check simulated-loop --end 20 --estimate agree/ekf -v --out same": 0,
+    "audit agree/ekf/filter.trace -v --out audited": 0,
+    "compare agree same": 0,
+    "baseline save simulated-loop kept.json --end 20 --runs 1": 0,
+    "baseline compare simulated-loop kept.json": 0,
+    "convert simulated-loop folder": 0,
+    "logs": 0,
+    "config run": 0,
+    "explain": 0,
+    "run --help": 0,
+    "--help": 0,
+    "run nowhere": 2,
+    "run --associaton nn": 2,
+}
+"""Commands in an order that lets one use what another has written, with their exit codes."""
+
+
+@pytest.mark.slow
+def test_a_reader_who_leaves_changes_no_exit_code(tmp_path: Path) -> None:
+    """1 is a verdict: neither rich's nor typer's code for a broken pipe."""
+    works("run", "simulated-loop", "--end", "20", "--out", "read", cwd=tmp_path)
+    assert {words: unread(*words.split(), cwd=tmp_path) for words in UNREAD} == UNREAD
+    kept = tmp_path / "kept.json"
+    other = json.loads(kept.read_text())
+    other["metrics"]["smoother.poses"]["value"] += 1
+    kept.write_text(json.dumps(other))
+    assert unread("baseline", "compare", "simulated-loop", str(kept), cwd=tmp_path) == 1
+    written = {file.name for file in (tmp_path / "read").iterdir()}
+    assert written <= {file.name for file in (tmp_path / "agree").iterdir()}
+
+
+def test_a_stream_that_tells_of_its_reader_would_be_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert unread("logs", cwd=tmp_path) == 0
+    monkeypatch.setattr(app, "_for_any_reader", lambda stream: stream)
+    assert unread("logs", cwd=tmp_path) == 1
 
 
 @pytest.mark.slow

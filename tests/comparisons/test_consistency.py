@@ -72,6 +72,7 @@ def test_smoother_is_consistent(part: slice, dimension: int) -> None:
     assert low < np.mean(values) < high
 
 
+@pytest.mark.slow
 def test_the_band_rejects_a_smoother_with_wrong_sigmas() -> None:
     """The same errors against covariances a fifth too small, or too large, fall outside."""
     values = [nees(run(s).smoothed, true_state(run(s)), slice(0, None)) for s in range(SEEDS)]
@@ -80,6 +81,7 @@ def test_the_band_rejects_a_smoother_with_wrong_sigmas() -> None:
     assert np.mean(values) / 1.2 < low
 
 
+@pytest.mark.slow
 def test_the_filters_innovations_fit_over_all_seeds() -> None:
     """Averages of some 37,000 numbers, each a standard normal one squared."""
     sensors = [run(s).consistency.sensors[0] for s in range(SEEDS)]
@@ -92,6 +94,7 @@ def test_the_filters_innovations_fit_over_all_seeds() -> None:
     assert least > 0.01 / (4 * SEEDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["ekf", "smoother"])
 def test_nees_of_what_no_frame_touches(estimator: str) -> None:
     found = []
@@ -113,6 +116,7 @@ def test_nees_of_what_no_frame_touches(estimator: str) -> None:
     assert not low < total / 1.25 < high
 
 
+@pytest.mark.slow
 def test_filter_against_smoother_over_all_seeds() -> None:
     """Runs are independent, epochs are not: one epoch of each, halfway."""
     squared, dof = 0.0, 0

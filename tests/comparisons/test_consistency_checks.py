@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,11 @@ from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
 )
+from comparisons.checks.consistency.finding import (
+    consistency_line,
+    innovation_rows,
+    smoothed_rows,
+)
 from comparisons.checks.consistency.nees import distances, map_errors, pose_errors, spanning_tree
 from comparisons.innovations import SensorInnovations, whiten_alone
 from comparisons.statistics import (
@@ -26,6 +31,7 @@ from comparisons.statistics import (
     independent,
     mean_band,
     normalise,
+    normalised_difference,
     whiteness,
 )
 from comparisons.trace.events import Sensor
@@ -204,6 +210,28 @@ def test_short_distances_are_left_out() -> None:
     assert (found.distances.dof, found.skipped) == (1, 1)
 
 
+@pytest.mark.parametrize(("sigmas", "skipped"), [(4.9, 1), (5.1, 0)])
+def test_a_distance_counts_from_five_of_its_sigmas_on(sigmas: float, skipped: int) -> None:
+    mean = np.array([0.0, 0.0, 0.0, sigmas * np.sqrt(0.02), 0.0])
+    found = map_errors(mean, 0.01 * np.eye(5), mean, np.zeros((5, 5)), with_pose=True)
+    assert found.skipped == skipped
+
+
+def test_units_of_the_state_change_no_comparison() -> None:
+    """Kilometres, or thousandths of a degree: the same squares, directions and ratios."""
+    rng = np.random.default_rng(6)
+    smoothed = np.array([random_covariance(rng, 3) for _ in range(20)])
+    filtered = smoothed + np.array([random_covariance(rng, 3) for _ in range(20)])
+    difference, unit = rng.standard_normal((20, 3)), np.array((1e5, 1.0, 1e-5))
+    plain = normalised_difference(difference, filtered, smoothed)
+    scaled = normalised_difference(
+        difference * unit, filtered * np.outer(unit, unit), smoothed * np.outer(unit, unit)
+    )
+    assert plain[1].tolist() == [3] * 20
+    for one, other in zip(plain, scaled, strict=True):
+        assert other == pytest.approx(one, rel=1e-6)
+
+
 def test_one_landmark_alone_has_no_distances() -> None:
     mean = np.array([0.0, 0.0, 0.0, 5.0, 0.0])
     found = map_errors(mean, 0.01 * np.eye(5), mean, np.zeros((5, 5)), with_pose=False)
@@ -278,6 +306,29 @@ def innovations(runs: Runs) -> SensorInnovations:
     return drawn_sensor(
         Sensor(None, ("range", "bearing")), standard, epoch.astype(float), landmark_index
     )
+
+
+@pytest.mark.parametrize(("first", "inside"), [(0.2, False), (-0.2, False), (0.1, True)])
+def test_a_first_coefficient_has_the_first_band(first: float, inside: bool) -> None:
+    sensor = innovations(simulate(1))
+    one = replace(sensor.whiteness[0], autocorrelation=(first, 0.0), band=(0.15, 0.3))
+    row = innovation_rows([replace(sensor, whiteness=(one,))])[-1]
+    assert (row.value, row.band) == (f"{first:.2g}", "-0.15 to 0.15")
+    assert row.inside is inside
+
+
+def test_a_line_has_what_there_is() -> None:
+    runs = simulate(1)
+    sensor, smoothed = innovations(runs), against_smoother(runs, 0)
+    nis = f"NIS {sensor.nis[0].mean / sensor.nis[0].dof:.2g}"
+    beside = f"vs smoother {present(smoothed.squared_per_dof):.2g}"
+    ((_, line),) = consistency_line((), None, replace(smoothed, departure=None), [sensor])
+    assert line == f"per dof, expect 1: {nis}; {beside}"
+    unclear = replace(smoothed, squared_per_dof=None)
+    ((_, line),) = consistency_line((), None, unclear, [sensor])
+    assert line == f"per dof, expect 1: {nis}"
+    assert smoothed_rows("EKF", smoothed)
+    assert smoothed_rows("EKF", unclear) == smoothed_rows("EKF", None) == []
 
 
 def figures(runs: Runs) -> dict[str, tuple[float | None, tuple[float, float]]]:
@@ -377,6 +428,10 @@ def test_the_mean_against_the_smoother_stays_in_its_band(factor: float, holds: b
     ]
     assert len(inside) == RUNS
     assert bool(np.mean(inside) >= 0.9) is holds
+    single = [present(f.inside) for f in found]  # of a sound filter's epochs, one by one
+    assert np.mean(single) == pytest.approx(0.95, abs=0.02)
+    gap = np.diagonal(runs.covariance - runs.smoothed_covariance, 0, 1, 2)[:, :3]
+    assert found[0].sigma == pytest.approx(np.sqrt(np.maximum(gap, 0.0)))
 
 
 def test_correlated_numbers_count_for_fewer() -> None:

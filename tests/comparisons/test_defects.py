@@ -76,6 +76,7 @@ def test_a_sound_filter_passes_the_logs_that_show_defects(name: str) -> None:
     assert_followed(found, 1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_a_sound_filter_is_not_flagged(seed: int) -> None:
     verdict = compared(simulated(seed=seed, loop_s=30.0, noise_scale=0.3)).verdict

@@ -108,6 +108,7 @@ def test_a_dense_disagreement_is_a_cause(
     assert len(result.regions) <= 20
 
 
+@pytest.mark.slow
 def test_poses_at_are_led_on_by_the_wheels(comparison: Comparison) -> None:
     """At epochs the estimate's, in between composed from the one before."""
     estimate, log = comparison.smoothed, comparison.log
@@ -121,6 +122,7 @@ def test_poses_at_are_led_on_by_the_wheels(comparison: Comparison) -> None:
     assert np.array_equal(beyond, estimate.pose[-1:])
 
 
+@pytest.mark.slow
 def test_scans_between_relative_poses_are_led_on_evenly(comparison: Comparison) -> None:
     """As slamcheck run --motion scan has them, whose poses are some scans only."""
     estimate, log = comparison.smoothed, comparison.log
@@ -137,6 +139,7 @@ def test_scans_between_relative_poses_are_led_on_evenly(comparison: Comparison) 
     assert np.allclose(found, expected, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_cloud_distances_are_open3ds(comparison: Comparison, open3d_library: ModuleType) -> None:
     """The k-d tree's figures against a library made for clouds."""
     check, o3d = comparison.find(DenseMapsFinding).agreement, open3d_library

@@ -54,6 +54,7 @@ def test_one_grid_keeps_its_double_walls(maps: list[DenseMapping]) -> None:
     assert np.mean(median) < 0.6 * np.mean([m.errors["classic"].median_m for m in maps])
 
 
+@pytest.mark.slow
 def test_returns_that_waited_are_a_good_part_of_the_map(maps: list[DenseMapping]) -> None:
     for m in maps:
         tally = m.dense.dense.tally

@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -30,6 +31,7 @@ def legend(axis: Axes) -> set[str]:
     return {text.get_text() for text in found.get_texts()}
 
 
+@pytest.mark.slow
 def test_the_decorrelation_is_drawn_as_in_fig_3_5(tmp_path: Path) -> None:
     shown = example()
     figure = blank(9.0, 7.5)

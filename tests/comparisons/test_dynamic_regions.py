@@ -54,7 +54,10 @@ def mapped(
     ("preset", "rule"),
     [
         ("recommended", Differencing()),
-        ("nieto-2005", Differencing(look_s=1.0, threshold=0.5, slow_threshold=0.5)),
+        (
+            "nieto-2005",
+            Differencing(look_s=1.0, absence_s=150.0, threshold=0.5, slow_threshold=0.5),
+        ),
     ],
 )
 def test_the_preset_reaches_the_rule_of_what_moves(preset: str, rule: Differencing) -> None:

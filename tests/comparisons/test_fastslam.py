@@ -91,6 +91,7 @@ def test_a_run_reports_the_third_estimate(comparison: Comparison) -> None:
     assert line.startswith("agrees with the smoother over 6 stretches of ")
 
 
+@pytest.mark.slow
 def test_the_joint_covariance_has_the_clouds_own_blocks(comparison: Comparison) -> None:
     extension = FastSlamExtension(FastSlamConfig(particles=12), RunConfig())
     cloud = extension.cloud(comparison.prepared, len(comparison.ekf.estimate.time_s))
@@ -115,6 +116,7 @@ def test_stretches_cover_the_log_and_end_before_the_cloud_is_depleted(
     assert [one.first for one in few[:: len(few) - 1]] == [0, found[-1].first]
 
 
+@pytest.mark.slow
 def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
     comparison: Comparison, stretches: StretchComparison
 ) -> None:
@@ -131,6 +133,7 @@ def test_a_stretch_has_the_motion_and_measurements_of_its_epochs(
     assert part.landmark_count == len(landmarks) == len(np.unique(part.measurement_landmark))
 
 
+@pytest.mark.slow
 def test_draws_of_a_cloud_have_its_means_and_covariances(comparison: Comparison) -> None:
     cloud = FastSlamExtension(FastSlamConfig(particles=30), RunConfig()).cloud(
         comparison.prepared, len(comparison.ekf.estimate.time_s)

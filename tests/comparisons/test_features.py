@@ -39,6 +39,7 @@ def with_scans(log: Log, mount: Mount = Mount()) -> Log:  # noqa: B008 - frozen
     return replace(log, scans=scans)
 
 
+@pytest.mark.slow
 def test_trunks_become_landmarks_with_their_diameters() -> None:
     log = with_tree_features(with_scans(simulated(seed=1)))
     near = log.measurements.range_m < 15.0
@@ -51,6 +52,7 @@ def test_trunks_become_landmarks_with_their_diameters() -> None:
     assert present(c.accuracy.smoother.landmark_rmse_aligned_m) < 0.05
 
 
+@pytest.mark.slow
 def test_trunks_are_told_from_the_vehicle_wherever_its_scanner_sits() -> None:
     log = with_tree_features(with_scans(simulated(seed=1), Mount(1.5, -0.4, 0.3)))
     c = compared(log, association="nn")

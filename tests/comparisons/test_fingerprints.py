@@ -191,6 +191,7 @@ def test_a_fault_may_leave_a_motion_without_full_rank(tmp_path: Path) -> None:
     assert_named(each, fault)
 
 
+@pytest.mark.slow
 def test_no_fault_stops_a_filter_that_associates_for_itself() -> None:
     """Whatever a fault does to the numbers: the estimate of a stranger is to be judged."""
     blind = solve(without_labels(of_speeds_and_yaw_rates(3.0)))
@@ -207,6 +208,16 @@ def test_a_start_of_its_own_is_named(solution: Solution) -> None:
     fault = own_start(solution.log, prior)
     assert "is 3e+04, 2e+04, 1e+04 times the log's" in fault.what
     assert_named(solution, fault)
+
+
+def test_a_start_with_exchanged_rows_is_named_by_them(solution: Solution) -> None:
+    """Of a prior whose rows differ; what is near it is named by its size."""
+    prior = np.diag((1e-4, 4e-4, 1e-6))
+    log = replace(solution.log, prior=replace(solution.log.prior, covariance=prior))
+    order = [2, 1, 0]
+    exchanged = prior[np.ix_(order, order)]
+    assert "rows of x and the heading" in own_start(log, exchanged).what
+    assert "is 0.0101, 1, 100 times the log's" in own_start(log, exchanged * (1.01, 1, 1)).what
 
 
 def sound_filters(solution: Solution) -> list[Reference]:

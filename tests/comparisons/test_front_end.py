@@ -161,6 +161,7 @@ def test_scans_surer_than_they_may_be_are_remarked_upon(
     assert any("too small" in remark for remark in result.remarks)
 
 
+@pytest.mark.slow
 def test_wrong_wheels_are_found_out(wrong_wheels: Comparison) -> None:
     """Algebra and model are right, and both estimators on wheels agree; only the scans tell."""
     c = wrong_wheels
@@ -172,6 +173,7 @@ def test_wrong_wheels_are_found_out(wrong_wheels: Comparison) -> None:
     assert "motion" in {cause.gap for cause in c.verdict.causes}
 
 
+@pytest.mark.slow
 def test_maps_that_share_nothing_cannot_be_compared(wrong_wheels: Comparison) -> None:
     estimate = wrong_wheels.smoothed
     other = replace(estimate, landmark_id=estimate.landmark_id + 1000)
@@ -244,6 +246,7 @@ def test_scans_alone_make_a_log(tmp_path: Path, scan_loop: Log) -> None:
         compared(bare)
 
 
+@pytest.mark.slow
 def test_a_culprit_needs_evidence(wrong_wheels: Comparison) -> None:
     optimality = wrong_wheels.smoother.optimality
     assert find_inconsistent_source(optimality, optimality, None, None)[0] == ""

@@ -64,6 +64,7 @@ def error_m(log: Log, found: EkfRun) -> Array:
     return distance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["full", "compressed", "misono-full"])
 def test_a_filter_that_is_locked_out_recovers_with_the_option_only(name: str) -> None:
     log = slipped()
@@ -83,6 +84,7 @@ def test_wild_positions_that_disagree_are_not_admitted() -> None:
     assert np.array_equal(without.estimate.pose, offered.estimate.pose)
 
 
+@pytest.mark.slow
 def test_a_recovery_that_only_counts_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     def counted(self: Streak, innovation: EkfArray, covariance: EkfArray, gate: float) -> int:
         return self.length + 1

@@ -31,7 +31,14 @@ from comparisons.arrays import Array
 from comparisons.checks.agreement import Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis.covariance_signatures import fit
-from comparisons.checks.grade import GRADES, Grade, Part, eigenvalues
+from comparisons.checks.grade import (
+    GRADES,
+    Grade,
+    Part,
+    _missing,
+    eigenvalues,
+    joint_pair,
+)
 from comparisons.config import EkfConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
@@ -224,6 +231,7 @@ def test_covariances_of_another_moment_are_named(
     assert said not in evidence(check_external(right, solution, "like"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["R a third", "Q 3 times", "bearing off by 0.5 degrees"])
 def test_a_filter_that_was_fed_something_else_is_not_like_one(
     solution: Solution, name: str
@@ -286,6 +294,7 @@ def test_an_optimum_that_is_not_verified_leaves_open_what_needs_it(
     assert smoothed.outcome == "unverified"
 
 
+@pytest.mark.slow
 def test_a_smoother_is_compared_with_the_smoother(solution: Solution) -> None:
     found = check_external(ExternalEstimate.of(solution.estimate), solution, "equal")
     assert (found.outcome, nearest(found)) == ("agree", "the smoother")
@@ -327,8 +336,8 @@ def test_eigenvalues_are_those_of_the_pair() -> None:
     second = np.array([[[2.0, 0.5], [0.5, 1.0]]])
     low, high = eigenvalues(3.0 * second, second)
     assert (low[0], high[0]) == (pytest.approx(3.0), pytest.approx(3.0))
-    skewed = second + np.array([[0.0, 0.2], [0.0, 0.0]])
-    assert eigenvalues(skewed, second)[1][0] > 1.1
+    skewed = np.eye(2)[None] + np.array([[0.0, 0.2], [0.0, 0.0]])
+    assert eigenvalues(skewed, np.eye(2)[None])[1][0] == pytest.approx(1.2)  # 1.1 of its even part
     low, high = eigenvalues(second, -second)
     assert (low[0], high[0]) == (-np.inf, np.inf)
 
@@ -347,6 +356,42 @@ def test_what_is_not_a_number_is_not_like_anything() -> None:
     assert Part("poses", np.zeros(2), none, none).within(0.05, 0.05)
     assert not Part("poses", none, none, none).within(0.05, 0.05)
     assert not Part("poses", np.zeros(2), np.zeros(2), np.full(2, np.inf)).within(0.05, 0.05)
+
+
+def test_what_single_precision_may_change_is_added_to_each_limit() -> None:
+    """The limits themselves are within."""
+    at_the_limit = Part("poses", np.ones(1), np.ones(1), np.array([1.25]), (0.5, 0.125))
+    assert at_the_limit.within(0.5, 0.125)
+    assert not at_the_limit.within(0.25, 0.125)
+    assert not at_the_limit.within(0.5, 0.0625)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "said"),
+    [
+        ([5.0, 60.0, 100.0], []),
+        ([5.5, 60.0, 100.0], ["the trajectory starts at 5.5 s, the log at 0.0 s"]),
+        ([0.0, 60.0, 90.0], ["the trajectory ends at 90.0 s, the log at 100.0 s"]),
+    ],
+)
+def test_a_path_may_start_a_twentieth_late(
+    solution: Solution, right: ExternalEstimate, time_s: list[float], said: list[str]
+) -> None:
+    near = present(check_external(right, solution).grade.by).reference
+    known = np.ones(len(time_s), dtype=bool)
+    part = replace(near, span_s=(0.0, 100.0), time_s=np.array(time_s), known=known)
+    assert list(_missing(part)) == said
+
+
+def test_the_last_pose_is_compared_jointly_where_both_know_it(
+    solution: Solution, right: ExternalEstimate
+) -> None:
+    found = present(check_external(right, solution).grade.by)
+    rows, size = (found.ours, found.theirs), 2 * len(found.ours)
+    assert not found.single
+    for joint_s, more in ((found.reference.joint_s, 3), (found.reference.joint_s + 1.0, 0)):
+        pair = present(joint_pair(right, replace(found.reference, joint_s=joint_s), rows))
+        assert [one.shape for one in pair] == [(size + more, size + more)] * 2
 
 
 @pytest.mark.slow

@@ -151,6 +151,17 @@ const here = { clientX: r.left + r.width / 2, clientY: r.top + r.height / 2, poi
 map.dispatchEvent(new PointerEvent('pointerdown', here));
 map.dispatchEvent(new PointerEvent('pointerup', here));
 noted.chosen = document.querySelector('#landmarks tr.chosen').dataset.key !== row.dataset.key;
+const width = () => map.viewBox.baseVal.width, alone = width();
+const touch = (kind, id, x) => map.dispatchEvent(new PointerEvent(kind,
+  { clientX: r.left + x, clientY: r.top, pointerId: id, pointerType: 'touch' }));
+touch('pointerdown', 1, -20);
+touch('pointerdown', 2, 20);
+touch('pointermove', 2, 60);
+noted.pinched = Math.abs(width() / alone - 0.5) < 0.01;
+touch('pointerup', 2, 60);
+touch('pointerup', 1, -20);
+touch('pointermove', 1, 0);
+noted.left = Math.abs(width() / alone - 0.5) < 0.01;
 const find = document.getElementById('find');
 const rows = [...document.querySelectorAll('#landmarks tbody tr')];
 const left = sought => {
@@ -176,7 +187,7 @@ def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
     whole, wheel, drag = (shown(dom, name) for name in ("whole", "wheel", "drag"))
     assert len({whole, wheel, drag}) == 3
     assert shown(dom, "none") == "0"
-    for name in ("zoomed", "label", "chosen", "one", "all", "linked", "slid"):
+    for name in ("zoomed", "label", "chosen", "pinched", "left", "one", "all", "linked", "slid"):
         assert shown(dom, name) == "true", name
 
 

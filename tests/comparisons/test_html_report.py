@@ -120,10 +120,34 @@ def test_a_cause_comes_with_what_it_means(comparison: Comparison, kind: str) -> 
     cause = Cause(gap=kind, evidence="measured", hint="look")
     text = drawn(comparison, RunReport.build(comparison).model_copy(update={"causes": [cause]}))
     known = EXPLANATIONS[kind]
-    card = text[text.index('class="cause"') : text.index('id="gaps"')]
-    places = [card.index(escape(part)) for part in (known.title, "measured", "look", known.meaning)]
+    card = text[text.index('id="outcome"') : text.index('id="gaps"')]
+    sought = (">look.", escape(known.title), ">measured<", escape(known.meaning))
+    places = [card.index(part) for part in sought]
     assert places == sorted(places)
     assert escape(known.check) in card
+
+
+def test_what_to_do_comes_first_and_each_fact_is_a_sentence(comparison: Comparison) -> None:
+    """Of the first cause above all, of others at the head of their cards."""
+    causes = [
+        Cause(gap="model", evidence="it is 3 off; two things (a; b); and 5 more", hint="mend it"),
+        Cause(gap="algebra", evidence="one thing (a; b)", hint="then this."),
+    ]
+    text = drawn(comparison, RunReport.build(comparison).model_copy(update={"causes": causes}))
+    top = text[text.index('id="outcome"') : text.index('id="gaps"')]
+    assert top.startswith('id="outcome"><p class="words">mend it. EKF and smoother')
+    first, second = top.split('class="cause"')[1:]
+    assert "mend it" not in first
+    assert re.findall("<li>(.*?)</li>", first) == ["it is 3 off", "two things (a; b)", "and 5 more"]
+    assert second.index('<p class="hint">then this.') < second.index("<p>one thing (a; b)</p>")
+
+
+def test_the_page_says_where_numbers_stand_in_place_of_seconds(comparison: Comparison) -> None:
+    result = RunReport.build(comparison)
+    said = "pose numbers in place of seconds"
+    log = result.log.model_copy(update={"provenance": {"times": said}})
+    assert f"; {said}</span>" in drawn(comparison, result.model_copy(update={"log": log}))
+    assert said not in drawn(comparison, result)
 
 
 def test_a_number_with_an_exponent_stays_in_one_line() -> None:
@@ -247,6 +271,7 @@ def test_of_many_landmarks_the_farthest_apart_are_shown(
 def test_no_wheel_is_asked_for_where_there_is_none(comparison: Comparison) -> None:
     text = drawn(comparison, RunReport.build(comparison)).split("<main>")[1]
     assert text.count("Wheel") == len(re.findall(r'class="[^"]*mouse">Wheel', text)) == 2
+    assert text.count("Pinch") == len(re.findall(r'class="[^"]*touch">Pinch', text)) == 1
     assert "@media (hover: none) { .mouse { display: none; }" in style()
 
 

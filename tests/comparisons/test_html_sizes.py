@@ -44,6 +44,12 @@ noted.map = Math.min(...[...document.querySelectorAll('#map .layer:not(.filled)'
 noted.letters = Math.min(...[...document.querySelectorAll('.ladder text')]
   .map(one => one.getBoundingClientRect().height));
 const svg = document.querySelector('.ladder svg').getBoundingClientRect();
+const main = document.querySelector('main'), times = document.getElementById('times');
+noted.share = frame.getBoundingClientRect().width / main.getBoundingClientRect().width;
+noted.below = ['where', 'when'].map(name => {
+  document.getElementById(name).scrollIntoView();
+  return times.getBoundingClientRect().bottom - innerHeight;
+});
 noted.outside = [...document.querySelectorAll('.ladder text')]
   .filter(one => one.getBoundingClientRect().right > svg.right).length;
 """
@@ -71,6 +77,8 @@ def test_everything_fits_and_can_be_read(
     assert found["ladder"] >= 4.5
     assert found["map"] >= (3.0 if dark else 2.5)
     assert found["letters"] >= 10.0
+    assert found["share"] == pytest.approx(1.0)
+    assert max(found["below"]) < 2.0  # the slider stays in view beside map and curves
 
 
 def test_what_is_cut_or_broken_is_seen(report: Path, tmp_path: Path) -> None:
@@ -85,6 +93,10 @@ def test_what_is_cut_or_broken_is_seen(report: Path, tmp_path: Path) -> None:
     wide = "<main><table><td>" + "9" * 80 + "</td></table>"
     page.write_text(text.replace("<main>", wide))
     assert noted(page, tmp_path, LOOK, width=390)["over"] > 0
+    stays = "position: sticky; bottom: 0;"
+    assert stays in text
+    page.write_text(text.replace(stays, ""))
+    assert max(noted(page, tmp_path, LOOK, width=390)["below"]) > 100.0
 
 
 COPY = """

@@ -69,6 +69,7 @@ def test_a_surveyed_landmark_never_seen_keeps_its_prior() -> None:
         assert np.allclose(estimate.landmark[unseen[0]], log.known_landmarks.position_m[unseen[0]])
 
 
+@pytest.mark.slow
 def test_a_wrong_measurement_of_a_surveyed_landmark_is_rejected() -> None:
     log = with_survey(simulated(seed=2))
     known = log.known_measurements

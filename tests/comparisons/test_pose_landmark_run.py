@@ -107,6 +107,7 @@ def _compress(ekf: Ekf) -> None:
     ekf.state = CompressedState(log().prior.pose, log().prior.covariance, LocalAreas(8.0, 20.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("choices", "modify"),
     [

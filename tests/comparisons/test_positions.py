@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import gtsam
 import numpy as np
 import pytest
 
@@ -21,14 +20,11 @@ from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import UpdateSplitter
-from graphslam.graph_builder import position_factor
 from tests.helpers import (
     Array,
     assert_followed,
-    central_difference,
     compared,
     present,
-    relative_error,
     simulated,
 )
 
@@ -192,28 +188,6 @@ def test_no_position_judges_what_it_was_given_to() -> None:
         assert sorted(given + judges) == every
     c = compared(log, association="known", gps="on")
     assert present(c.accuracy.ekf).gps_median_m is None
-
-
-def test_our_position_factor_equals_central_differences() -> None:
-    lever, z = (1.5, -0.4), np.array((3.0, 4.0))
-    factor = position_factor(0, z, np.diag((0.04, 0.09)), lever)
-    pose = gtsam.Pose2(1.0, 2.0, 0.8)
-
-    def values(xi: Array) -> gtsam.Values:
-        result = gtsam.Values()
-        result.insert(0, pose.retract(xi))
-        return result
-
-    def whitened(xi: Array) -> Array:
-        p = pose.retract(xi)
-        antenna = p.transformFrom(np.array(lever))
-        residual: Array = (antenna - z) / (0.2, 0.3)
-        return residual
-
-    linear = factor.linearize(values(np.zeros(3)))
-    a, b = linear.jacobian()
-    assert relative_error(a, central_difference(whitened, np.zeros(3))) < 1e-8
-    assert np.allclose(b.ravel(), -whitened(np.zeros(3)))
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ import pytest
 from comparisons.checks import truth_by_labels
 from comparisons.checks.consistency.consistency import Consistency, inconsistencies
 from comparisons.checks.consistency.nees import limit
+from comparisons.checks.diagnosis.first_pose import rows_by_smoother, rows_by_truth
 from comparisons.checks.qualifiers import (
     TRUTH_GAP,
     UNCHECKED,
@@ -23,7 +24,7 @@ from comparisons.checks.qualifiers import (
 )
 from comparisons.checks.verdict import Outcome, Verdict
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Log, Truth
+from comparisons.logs.log import Log, Poses, Prior, Truth
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline import second_association
@@ -112,6 +113,58 @@ def test_the_headline_says_what_qualifies_it(sound: Comparison) -> None:
     assert found.headline == "agree, association unchecked"
     assert found.failed_on == ("association",)
     assert "the stated sigmas are too small" in found.remarks[0]
+
+
+def test_what_is_beyond_its_own_limit_most_is_remarked() -> None:
+    """Not what is beyond the wider limit of fewer directions, though it is farther in sigma."""
+    far = (Distance("poses", 3.0, limit(3), 0.1), Distance("landmarks", 3.1, limit(2), 0.1))
+    assert far[0].sigma / far[0].limit > far[1].sigma / far[1].limit > 1.0
+    rough = TruthGap(distances=far, measurement_m=0.15)
+    found = qualified(AGREE, rough, unchecked="", consistency=None, fail_on=())
+    assert "the RMS error of the smoother's poses is 0.1 m" in found.remarks[0]
+
+
+STATED = np.diag(np.square((0.003, 0.5, 1.0)))
+"""A start that is known to 1 m in x and to 0.003 rad, with these two rows exchanged."""
+
+
+@pytest.mark.parametrize(
+    ("off", "named"),
+    [
+        (
+            (0.8, 0.3, 0.001),
+            "rows of its covariance are exchanged, by which that is probable: x and the heading (p",
+        ),
+        ((0.8, 0.3, 1.2), ""),
+        ((0.001, 0.3, 1.2), ""),
+    ],
+    ids=["exchanged", "too small", "sound"],
+)
+def test_rows_of_the_prior_that_are_exchanged_are_named(
+    off: tuple[float, float, float], named: str
+) -> None:
+    """By the truth, and by measurements of a centimetre and a hundredth of a radian."""
+    true, told = np.array((3.0, -2.0, 3.1)), np.square(0.01) * np.eye(3)
+    prior = Prior(0.0, true + off, STATED)
+    gain = STATED @ np.linalg.inv(STATED + told)
+    found = [
+        rows_by_smoother(prior, prior.pose - gain @ off, STATED - gain @ STATED),
+        rows_by_truth(prior, Poses(np.array((0.0, 1.0)), np.array((true, true)))),
+    ]
+    assert [named in one for one in found] == [True, True]
+    assert [bool(one) for one in found] == [bool(named)] * 2
+
+
+def test_a_run_names_the_rows_of_its_prior(sound: Comparison) -> None:
+    prior = sound.log.prior
+    moved = Prior(prior.time_s, prior.pose + (0.8, 0.3, 0.001), STATED)
+    found = compared(first_seconds(replace(sound.log, prior=moved), 5.0))
+    (cause,) = [one for one in found.verdict.causes if one.gap == "truth"]
+    assert "the prior is off by 0.8 m, 0.3 m and 0.001 rad, and says 0.003, 0.5, 1: " in (
+        cause.evidence
+    )
+    assert "rows of its covariance are exchanged" in cause.evidence
+    assert "probable: x and the heading (p = " in cause.evidence
 
 
 def off_the_band(c: Consistency, factor: float) -> Consistency:

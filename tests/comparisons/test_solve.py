@@ -16,8 +16,6 @@ from comparisons.adapters.smoother_input import position_rows
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.association import (
     compare_partitions,
-    counterparts,
-    differing_measurements,
     score_association,
 )
 from comparisons.config import EkfConfig, SmootherConfig, SolveConfig
@@ -196,17 +194,6 @@ def test_a_wrong_association_of_the_filter_is_named() -> None:
     more = len(own.differing) - 200
     assert f"{len(own.differing):,} of {len(seen.time_s):,} measurements differ" in table
     assert f"{more:,} more are not" in table
-
-
-def test_measurements_differ_where_their_landmarks_are_no_counterparts() -> None:
-    """Landmarks 0 and 1 swap their numbers, which is no difference; the rest is."""
-    filters = np.array([0, 0, 1, 1, 1, -1, -1, 0, 2])
-    own = np.array([1, 1, 0, 0, 1, 0, -1, -1, 3])
-    first, second = counterparts(filters, own)
-    matched = np.full(4, -1)
-    matched[second] = first
-    assert differing_measurements(filters, own, matched).tolist() == [4, 5, 7]
-    assert np.flatnonzero(filters != own).tolist() != [4, 5, 7]  # a broken variant: the numbers
 
 
 def test_measurements_that_are_left_out_make_no_landmark() -> None:

@@ -111,6 +111,7 @@ def test_the_log_keeps_its_zeros_on_disk(tmp_path: Path) -> None:
     assert again.noise.variance_rate_position == again.noise.variance_rate_heading == 0.0
 
 
+@pytest.mark.slow
 def test_a_stop_is_refused_and_the_advice_makes_it_regular() -> None:
     log = with_rates(standing(simulated(seed=1, loop_s=12.0), 4.0, 6.0))
     said = refusal(log)
@@ -156,6 +157,7 @@ def test_the_car_park() -> None:
     assert c.agreement.algebra.within(1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real logs (../shared/data) are not here")
 @pytest.mark.parametrize(
     ("folder", "begin_s", "end_s"),

@@ -155,6 +155,36 @@ def test_elimination_in_parts_is_that_at_once(
         assert relative_error(last_pose_and_landmarks(*arguments)[1], whole.covariance) < 1e-3
 
 
+def test_parts_are_joined_two_by_two(problem: SlamProblem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a knockout: few wait at a time, and none is joined again and again."""
+    result, joined, eliminated = smooth(problem, {}), elimination._joined, elimination._eliminated
+    waiting: list[tuple[object, int]] = []  # with the joins behind each
+    most = [0, 0]
+
+    def eliminate(*arguments: Any) -> Any:
+        waiting.append((eliminated(*arguments), 0))
+        most[0] = max(most[0], len(waiting))
+        return waiting[-1][0]
+
+    def join(both: list[Any], *arguments: Any) -> Any:
+        behind = []
+        for one in both:
+            place = next(i for i, (left, _) in enumerate(waiting) if left is one)
+            behind.append(waiting.pop(place)[1])
+        waiting.append((joined(both, *arguments), max(behind) + 1))
+        most[1] = max(most[1], waiting[-1][1])
+        return waiting[-1][0]
+
+    monkeypatch.setattr(elimination, "POSES", 7)
+    monkeypatch.setattr(elimination, "_eliminated", eliminate)
+    monkeypatch.setattr(elimination, "_joined", join)
+    kept = [POSE_KEY + problem.pose_count - 1]
+    elimination.remaining_rows(result.graph.linearize(result.values), kept)
+    parts = -(-problem.pose_count // 7)
+    assert parts == 15
+    assert most == [4, 4]  # the logarithm of the parts to the base of two, rounded up
+
+
 @pytest.mark.parametrize("beyond", [0, marginals.PARTS_BEYOND], ids=["in parts", "at once"])
 def test_missing_information_is_reported(
     problem: SlamProblem, beyond: int, monkeypatch: pytest.MonkeyPatch
@@ -172,10 +202,13 @@ def test_missing_information_is_reported(
         last_pose_and_landmarks(linear, problem.pose_count, problem.landmark_count)
 
 
-def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
+@pytest.mark.parametrize("heading_variance", [0.01, 0.0], ids=["unsure", "exact"])
+def test_frozen_smoother_on_one_step_equals_the_kalman_filter(heading_variance: float) -> None:
     """By hand: prior, one step, one measurement of a landmark that a first measurement placed."""
     rng = np.random.default_rng(2)
-    p0, q, r = np.diag((0.1, 0.2, 0.01)), np.diag((0.05, 0.04, 0.002)), np.diag((0.01, 0.02))
+    p0 = np.diag((0.1, 0.2, heading_variance))
+    q = np.diag((0.05, 0.04, 0.2 * heading_variance))
+    r = np.diag((0.01, 0.02))
     f, gx = np.eye(3) + 0.1 * rng.standard_normal((3, 3)), rng.standard_normal((2, 3))
     hv, hl = rng.standard_normal((2, 3)), rng.standard_normal((2, 2)) + 2 * np.eye(2)
     x0, x1, l0 = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal(2)
@@ -240,6 +273,8 @@ def test_chi_square_has_two_sides(error: float, reading: str) -> None:
     test = chi_square_test(error, 100)
     assert test.reading == reading
     assert 50 < test.lower < 100 < test.upper < 160
+    on_the_edge = replace(test, chi2=test.upper), replace(test, chi2=test.lower)
+    assert [one.reading for one in on_the_edge] == ["plausible", "plausible"]
 
 
 SOUND = Optimality(

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
 from graphslam.arrays import Array, Index
-from graphslam.graph_builder import COMPONENTS
+from graphslam.graph_builder import (
+    COMPONENTS,
+    POSE_LANDMARK_KEY,
+    build_graph,
+    row_components,
+)
 from graphslam.variance_components import Component, estimate_components
+from tests.graphslam import worlds
 
 _STEPS = 80
 _LANDMARKS = 5
@@ -87,6 +94,25 @@ def test_what_is_known_beforehand_is_taken_as_stated() -> None:
     (one,) = estimate_components(csr_matrix(jacobian), rng.standard_normal(603), component)
     assert one.name == "position"
     assert one.dof == pytest.approx(600.0, abs=3.0)
+
+
+def test_each_row_of_a_graph_has_the_noise_of_its_factor() -> None:
+    """By the factors' own types and keys: a prior's and a merge's rows are of no component."""
+    problem = worlds.with_frames(worlds.loop(0, poses=40), 0).problem
+    graph, expected = build_graph(problem), list[int]()
+    odometry, bearing, range_, template = (
+        COMPONENTS.index(name) for name in ("odometry", "bearing", "range", "pose landmark")
+    )
+    for factor in map(graph.at, range(graph.size())):
+        frames = sum(key - POSE_LANDMARK_KEY in range(100) for key in factor.keys())  # noqa: SIM118
+        if isinstance(factor, gtsam.BearingRangeFactor2D):
+            expected += [bearing, range_]
+        elif isinstance(factor, gtsam.BetweenFactorPose2) and frames < 2:
+            expected += [(odometry, template)[frames]] * 3
+        else:
+            expected += [-1] * 3
+    assert set(expected) == {-1, odometry, bearing, range_, template}
+    assert row_components(problem).tolist() == expected
 
 
 def test_data_without_noise_have_the_least_factor() -> None:

@@ -12,7 +12,7 @@ from comparisons.experiments.montecarlo.plots import colour_of
 from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, LEVEL, Pair, per_run
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import again, document, number, script, sortable, table
-from comparisons.report.marks import Band, Curve, Panel
+from comparisons.report.marks import TIME, Band, Curve, Panel
 
 if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.study import Outcome
@@ -141,7 +141,7 @@ def _panels(outcome: Outcome) -> list[Panel]:
         panels.append(
             Panel(
                 title=f"mean NEES of {block} ({dof} dof)",
-                x_label="time [s]",
+                x_label=TIME,
                 curves=_curves(time_s, {name: f.nees_curve[block] for name, f in figures.items()}),
                 bands=(band,) if np.isfinite(widest).all() else (),
                 logarithmic=True,
@@ -152,7 +152,7 @@ def _panels(outcome: Outcome) -> list[Panel]:
         panels.append(
             Panel(
                 title=f"RMSE of {what} [{unit}]",
-                x_label="time [s]",
+                x_label=TIME,
                 curves=_curves(time_s, {name: f.rmse_curve[what] for name, f in figures.items()}),
                 bands=(),
             )

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator
 
 from comparisons.config import Configured, ExtensionConfig, setting
 from comparisons.options import SCANS, Option
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.layers.occupancy import Coarsening
 
 _Cell = Annotated[float, Field(ge=0.01, le=10.0)]
@@ -27,7 +28,9 @@ class Bounds(NamedTuple):
     capacity: int
 
 
-AMONG_POINTS = Bounds(0.5, 35.0, 35.0, 16, 5_000)
+AMONG_POINTS = Bounds(
+    0.5, 35.0, 35.0, DelayedInitialisation.patience, DelayedInitialisation.capacity
+)
 AMONG_SCANS = Bounds(1.5, 60.0, 50.0, 64, 20_000)
 """Of regions anchored to scan landmarks alone, which stand 20 m apart and more where points stand
 5 m apart: regions are larger, and it takes longer until there are three landmarks."""

@@ -18,6 +18,9 @@ class DynamicConfig(ExtensionConfig):
         off=True,
     )
     look_s: float = setting(0.25, "Seconds between two map differences", gt=0.0)
+    absence_s: float = setting(
+        10.0, "Seconds out of view after which a place is compared with the last visit", gt=0.0
+    )
     threshold: float = setting(0.3, "Least change of occupancy of a fast object", gt=0.0, lt=1.0)
     slow_threshold: float = setting(
         0.35, "Least change of occupancy of an object that was added or removed", gt=0.0, lt=1.0

@@ -23,3 +23,7 @@ class HighLevelConfig(ExtensionConfig):
     )
     least: int = setting(200, "Least number of Gaussians of a landmark", ge=3, le=10**6)
     every_s: float = setting(20.0, "Seconds between two searches", ge=0.1, le=1e6)
+    only_in_view: bool = setting(True, "Align only what of a template should be in view")
+    variance_factor: float = setting(
+        4.0, "Variance of a measurement over that of its alignment", ge=1.0, le=100.0
+    )

@@ -39,7 +39,8 @@ _APART_S = 0.05
 class HighLevelOptions:
     """every_s: between two searches. resolution_m: of the occupancy layer. d_min_m: of the sum's.
 
-    dense: settings of the map but for its layers and cells.
+    dense: settings of the map but for its layers and cells. only_in_view, variance_factor: of a
+    measurement; see HighLevelLandmarks.
 
     Nieto 2005, section 6.1.3, searches every minute; in the worlds here a loop takes 77 s, and an
     object stays within reach for less than half of a minute.
@@ -50,6 +51,8 @@ class HighLevelOptions:
     resolution_m: float = 0.2
     d_min_m: float = 0.2
     dense: DenseMapsConfig = field(default_factory=DenseMapsConfig)
+    only_in_view: bool = HighLevelLandmarks.only_in_view
+    variance_factor: float = HighLevelLandmarks.variance_factor
 
     @classmethod
     def of(cls, config: HighLevelConfig, dense: DenseMapsConfig | None = None) -> HighLevelOptions:
@@ -59,7 +62,15 @@ class HighLevelOptions:
             usual, cell_m=max(usual.cell_m, cell_m), pair_m=config.pair_m, least=config.least
         )
         dense = dense or DenseMapsConfig()
-        return cls(config.every_s, looked, resolution_m=cell_m, d_min_m=cell_m, dense=dense)
+        return cls(
+            config.every_s,
+            looked,
+            resolution_m=cell_m,
+            d_min_m=cell_m,
+            dense=dense,
+            only_in_view=config.only_in_view,
+            variance_factor=config.variance_factor,
+        )
 
     @property
     def kept(self) -> DenseMapsConfig:
@@ -133,7 +144,9 @@ class HighLevelSource:
         """
         self._searched = searched
         self.options = options or HighLevelOptions()
-        self.landmarks = HighLevelLandmarks()
+        self.landmarks = HighLevelLandmarks(
+            only_in_view=self.options.only_in_view, variance_factor=self.options.variance_factor
+        )
         self._map = shared or DenseWatcher(log, self.options.kept)
         self._watcher: FilterObserver = NoObserver() if shared else self._map
         self._scans = PlanarScans(log)

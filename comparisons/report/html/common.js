@@ -3,6 +3,11 @@ const data = JSON.parse(document.getElementById('data').textContent);
 const tell = (name, detail) => document.dispatchEvent(new CustomEvent(name, { detail }));
 const hear = (name, listener) => document.addEventListener(name, e => listener(e.detail));
 
+hear('time', t => {
+  const now = document.getElementById('now'), at = round(data.start + t, 9);
+  if (now) now.textContent = data.event ? `at event ${Math.round(at)}` : `at ${at.toFixed(1)} s`;
+});
+
 const make = (name, attributes = {}, parent = null) => {
   const made = document.createElementNS('http://www.w3.org/2000/svg', name);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);

@@ -170,7 +170,7 @@
         const x = this.across(t - shift);
         make('line', { x1: x, x2: x, y1: TOP, y2: bottom, class: 'grid' }, svg);
         const tick = make('text', { x, y: bottom + 14, class: 'tick' }, svg);
-        tick.textContent = panel.timed ? `${t} s` : t;
+        tick.textContent = panel.timed && !data.event ? `${t} s` : t;
       }
       make('path', { d: `M${LEFT},${TOP}V${bottom}H${right}`, class: 'axis' }, svg);
     }
@@ -234,10 +234,8 @@
   }
 
   const figures = data.panels.map(panel => new Figure(panel));
-  const now = document.getElementById('now');
   hear('time', t => {
     pointed = t;
-    now.textContent = `at ${round(data.start + t, 9).toFixed(1)} s`;
     for (const f of figures) if (f.panel.timed) f.point(t);
   });
   hear('view', ([a, b]) => zoom(a, b));

@@ -12,7 +12,7 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.figures import json_text
 from comparisons.report.html.shell import themed
-from comparisons.report.marks import Panel
+from comparisons.report.marks import EVENT, TIME, Panel
 
 MOST_POINTS = 2000
 _DIGITS = 4
@@ -39,8 +39,8 @@ def thinned(*values: Array, most: int = MOST_POINTS) -> Index:
 
 
 def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:
-    """For the script. Times count from start_s; figures are rounded to what can be seen."""
-    timed = panel.x_label.startswith("time")
+    """For the script. Times and events count from start_s; figures are rounded to what is seen."""
+    timed = panel.x_label in (TIME, EVENT)
     start = start_s if timed else 0.0
     curves, bands = [], []
     for curve in panel.curves:

@@ -45,29 +45,55 @@
   const reset = () => { [box.x, box.y, box.width, box.height] = whole; sized(); };
   const place = e => new DOMPoint(e.clientX, e.clientY).matrixTransform(map.getScreenCTM().inverse());
 
-  map.addEventListener('wheel', e => {
-    e.preventDefault();
-    const p = place(e), wanted = box.width * (e.deltaY > 0 ? 1.2 : 1 / 1.2);
-    const width = Math.min(Math.max(wanted, whole[2] / 2000), whole[2] * 3);
+  const zoomed = (p, factor) => {
+    const width = Math.min(Math.max(box.width * factor, whole[2] / 2000), whole[2] * 3);
     const f = width / box.width;
     show(p.x - (p.x - box.x - box.width / 2) * f, p.y - (p.y - box.y - box.height / 2) * f, width);
+  };
+  map.addEventListener('wheel', e => {
+    if (e.deltaY > 0 && box.width >= whole[2]) return;  // all is seen: let the page scroll
+    e.preventDefault();
+    zoomed(place(e), e.deltaY > 0 ? 1.2 : 1 / 1.2);
   }, { passive: false });
 
-  let from = null, pressed = null;
+  // Of one finger or the mouse, what lies below it is moved along; of two, what lies between them
+  // is, and their distance zooms.
+  const down = new Map();
+  const between = () => {
+    const [a, b = a] = [...down.values()];
+    return { clientX: (a.clientX + b.clientX) / 2, clientY: (a.clientY + b.clientY) / 2 };
+  };
+  const apart = () => {
+    const [a, b] = [...down.values()];
+    return Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
+  };
+  let from = null, far = 0, pressed = null;
+  const held = () => {
+    from = down.size ? place(between()) : null;
+    if (down.size === 2) far = apart();
+  };
   map.addEventListener('pointerdown', e => {
-    from = place(e); pressed = [e.clientX, e.clientY];
+    if (down.size === 2) return;
+    down.set(e.pointerId, e);
+    pressed = down.size === 1 ? [e.clientX, e.clientY] : null;
     map.setPointerCapture(e.pointerId);
+    held();
   });
   map.addEventListener('pointermove', e => {
-    if (!from) return;
-    const p = place(e);
+    if (!down.has(e.pointerId)) return;
+    down.set(e.pointerId, e);
+    if (down.size === 2 && apart() > 0) zoomed(from, far / apart());
+    const p = place(between());
     box.x += from.x - p.x; box.y += from.y - p.y;
+    held();
   });
+  const lifted = e => { if (down.delete(e.pointerId)) held(); };
   map.addEventListener('pointerup', e => {
-    if (from && Math.hypot(e.clientX - pressed[0], e.clientY - pressed[1]) < 5) choose(e);
-    from = null;
+    const still = pressed && Math.hypot(e.clientX - pressed[0], e.clientY - pressed[1]) < 5;
+    if (down.has(e.pointerId) && still) choose(e);
+    lifted(e);
   });
-  map.addEventListener('pointercancel', () => { from = null; });
+  map.addEventListener('pointercancel', lifted);
   map.addEventListener('dblclick', reset);
 
   const hidden = c => c.parentNode.getAttribute('display') === 'none';
@@ -116,7 +142,7 @@
   if (lasting.length) {
     [slider.min, slider.max] = [Math.min(...lasting), Math.max(...lasting)];
     slider.value = slider.min;
-    slider.hidden = false;
+    document.getElementById('times').hidden = false;
     slider.addEventListener('input', () => tell('time', Number(slider.value)));
   }
   hear('time', t => {

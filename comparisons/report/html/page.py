@@ -5,6 +5,7 @@ What a section needs is loaded where the page has it: an audit's page knows noth
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.shell import again, document, figures, picture, prose, script, table
-from comparisons.report.marks import Panel
+from comparisons.report.marks import EVENT, Panel
 from comparisons.report.terminal import Summary
 from comparisons.words import SETTINGS, SPENT, Row, cause_name
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 _ROW = "; click a landmark to find its row"
 _TIME = "Point at a time to see it on all curves and on the map. "
+_FACT = re.compile(r"; (?![^(]*\))")
+"""Between the facts of a cause's evidence; not within brackets."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +37,8 @@ class PageContent:
 
     Of what a job lacks there is no section. job: the command that `config.toml` beside the page
     runs again, if one is there. name: of the log. headline: the verdict in full. colour: `agree`,
-    `disagree`, `unverified`, or none. about: of log and estimate. words: the verdict as sentences.
+    `disagree`, `unverified`, or none. about: of log and estimate. words: the verdict as sentences,
+    behind what to do about the first cause.
     reasons: for it, that are no causes. facts: the figures that it rests on, by name. steps: the
     ladder of gaps. reported: what the curves show, and why others are not there. curves_file: a
     picture with the same curves. pictures: files, to be embedded. sections: HTML of ours.
@@ -91,10 +95,12 @@ def page(content: PageContent) -> str:
     where = when = ""
     if c.map is not None:
         where, data = _where(c.map, start_s, _ROW if c.landmarks else "")
-    data |= {"start": start_s, "panels": curve_data(c.panels, start_s)}
+    event = any(panel.x_label == EVENT for panel in c.panels)
+    data |= {"start": start_s, "event": event, "panels": curve_data(c.panels, start_s)}
+    now = '<output id="now"></output>'
     if c.panels or c.reported:
         when = (
-            f'<section id="when"><h2>Curves <span id="now"></span></h2>'
+            f'<section id="when"><h2>Curves {"" if where else now}</h2>'
             f'<p class="note">{escape(c.reported)}</p>'
             f'<div id="curves"></div><p class="note hand">{_TIME if where else ""}'
             '<span class="mouse">Wheel or drag to zoom, double click for all.</span></p></section>'
@@ -105,7 +111,7 @@ def page(content: PageContent) -> str:
         _top(c),
         f'<noscript><p class="note">Curves, layers and sorting need JavaScript{same}.</p>'
         "</noscript>",
-        f"<main>{where}{when}</main>",
+        f"<main>{where}{when}{_slider(now) if where else ''}</main>",
         _figures(c.rows),
         *_embedded(c.pictures),
         *c.sections,
@@ -128,7 +134,8 @@ def _start(c: PageContent) -> float:
 def _top(c: PageContent) -> str:
     """Verdict and causes, gaps, and what stands beside them."""
     facts = "".join(f"<dt>{escape(name)}</dt><dd>{prose(text)}</dd>" for name, text in c.facts)
-    words = f'<p class="words">{escape(c.words)}</p>' if c.words else ""
+    first = [f"{prose(c.causes[0].hint.removesuffix('.'))}."] if c.causes else []
+    words = f'<p class="words">{" ".join([*first, escape(c.words)])}</p>' if c.words else ""
     why = "".join(f"<li>{prose(reason)}</li>" for reason in c.reasons)
     gaps = ""
     if c.steps:
@@ -139,7 +146,7 @@ def _top(c: PageContent) -> str:
     return "".join(
         [
             f'<div id="top"><section id="outcome">{words}',
-            *map(_cause, c.causes),
+            *(_cause(cause, led=bool(words) and i == 0) for i, cause in enumerate(c.causes)),
             f'<ul class="reasons">{why}</ul>' if why else "",
             f'</section>{gaps}<section id="beside">',
             *(f"<p>{prose(note)}</p>" for note in c.notes),
@@ -158,13 +165,18 @@ def _where(content: MapContent, start_s: float, more: str) -> tuple[str, dict[st
     return (
         '<section id="where"><h2>Map</h2><div id="layers"></div>'
         f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>'
-        '<input type="range" id="time" aria-label="time" step="any" hidden>'
         f'{ratio_legend(drawn.decades)}<p id="chosen" role="status"></p>'
         f'<p class="note">{escape(off)}<span class="hand mouse">Wheel to zoom, drag to move, '
-        f'double click for all{more}.</span><span class="hand touch">Drag to move{more}.</span>'
-        "</p></section>",
+        f'double click for all{more}.</span><span class="hand touch">Pinch to zoom, drag to '
+        f"move{more}.</span></p></section>",
         {"tracks": tracks, "spreads": drawn.spreads, "ratioLayer": RATIO_LAYER},
     )
+
+
+def _slider(now: str) -> str:
+    """What moves the vehicle, its ellipse and the cursors of the curves; it stays in view."""
+    slider = '<input type="range" id="time" aria-label="time" step="any">'
+    return f'<div id="times" class="hand" hidden>{slider}{now}</div>'
 
 
 def _figures(rows: Sequence[Row]) -> str:
@@ -188,8 +200,11 @@ def _versions(versions: Mapping[str, str]) -> str:
     return f"<h2>Versions</h2>{listed}" if versions else ""
 
 
-def _cause(cause: Cause) -> str:
-    """What was found, what to look at, and what such a cause means."""
+def _cause(cause: Cause, *, led: bool) -> str:
+    """What to do, what was found, a sentence a fact, and what such a cause means.
+
+    led: what to do stands above already.
+    """
     from comparisons.checks.causes import EXPLANATIONS
 
     kind = cause_name(cause.gap)
@@ -200,10 +215,11 @@ def _cause(cause: Cause) -> str:
             f"<details><summary>What this means</summary><p>{escape(known.meaning)}</p>"
             f"<p>{escape(known.check)}</p></details>"
         )
-    return (
-        f'<div class="cause"><h3>{title}</h3><p>{prose(cause.evidence)}</p>'
-        f'<p class="hint">{prose(cause.hint)}</p>{more}</div>'
-    )
+    hint = "" if led else f'<p class="hint">{prose(cause.hint)}</p>'
+    facts = _FACT.split(cause.evidence)
+    shown = "".join(f"<li>{prose(fact)}</li>" for fact in facts)
+    found = f"<ul>{shown}</ul>" if facts[1:] else f"<p>{prose(cause.evidence)}</p>"
+    return f'<div class="cause"><h3>{title}</h3>{hint}{found}{more}</div>'
 
 
 def _remarks(remarks: Sequence[str]) -> str:

@@ -565,6 +565,50 @@ def test_the_first_error_is_told_by_all_measurements(
     assert len(found) == told
     assert not told or "of entry 2 of block `pose` is 0.7" in found[0].text
     assert not told or "P0 says 0.05" in found[0].text
+    assert not told or "P0 is too small there, or" in found[0].text
+
+
+@pytest.mark.parametrize("recorded", [True, False], ids=["truth", "measurements"])
+@pytest.mark.parametrize(
+    ("first", "told"),
+    [
+        (
+            (0.002, 0.3, 0.8, 0.1),
+            "probable: entry 0 of block `pose` and entry 2 of block `pose` (p",
+        ),
+        ((0.5, 0.3, 0.8, 0.1), "P0 is too small there, or stands in other rows"),
+        ((0.002, 0.3, 0.002, 0.1), ""),
+    ],
+    ids=["exchanged", "too small", "sound"],
+)
+def test_the_rows_of_p0_that_are_exchanged_are_named(
+    tmp_path: Path, first: tuple[float, ...], told: str, *, recorded: bool
+) -> None:
+    """P0 says 1 of x, and 0.003 of the heading, as if their rows were each other's.
+
+    One that is too small alone leaves the error of x as improbable there.
+    """
+    rng, e = np.random.default_rng(2), np.array(first)
+    p = np.diag(np.square((1.0, 1.0, 0.003, 0.2)))
+    h = np.eye(4)[:3] if recorded else np.eye(4)
+    with Recorder(tmp_path / "run.trace") as record:
+        record.prior({"pose": 3, "bias": 1}, p)
+        if recorded:
+            record.snapshot(p, error=e)
+        for _ in range(30):
+            record.predict(np.eye(4), 1e-8 * np.eye(4))
+            p = p + 1e-8 * np.eye(4)
+            z = h @ e + 1e-3 * rng.standard_normal(len(h))
+            r = 1e-6 * np.eye(len(h))
+            k = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
+            record.update("pose", z, h, r, correction=k @ z)
+            p, e = p - k @ h @ p, e - k @ z
+            record.snapshot(p)
+    found = [
+        one.text for one in audit(tmp_path / "run.trace").findings if "first error" in one.text
+    ]
+    assert len(found) == bool(told)
+    assert not told or told in found[0]
 
 
 def test_an_error_of_many_sigmas_goes_before_a_sensor_that_is_too_good(tmp_path: Path) -> None:

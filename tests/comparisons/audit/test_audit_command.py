@@ -13,6 +13,7 @@ import pytest
 
 import slamcheck
 from comparisons.report.audit import AuditReport, AuditResult, audit_panels
+from comparisons.report.html.page import page
 from tests.commands import refused
 from tests.commands import slamcheck as command
 from tests.comparisons.audit.test_audit import once, stays
@@ -82,9 +83,9 @@ def test_a_page_shows_what_file_names_say_as_text(tmp_path: Path) -> None:
     Toy(seed=1, steps=30).record(path)
     found = slamcheck.audit(path)
     slamcheck.write_report(found, tmp_path / "out")
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "&lt;b&gt;x&amp;amp;.trace" in page
-    assert "<b>x" not in page
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert "&lt;b&gt;x&amp;amp;.trace" in text
+    assert "<b>x" not in text
 
 
 @pytest.mark.slow
@@ -99,6 +100,37 @@ def test_in_python(tmp_path: Path) -> None:
     assert audit_panels(found)[0].title.startswith("log10 of the gap")
     with pytest.raises(slamcheck.InputError, match="no such file"):
         slamcheck.audit(tmp_path / "none")
+
+
+@pytest.mark.parametrize("times", ["given", "none", "falling", "not of all"])
+def test_curves_run_over_time_where_times_are_given(tmp_path: Path, times: str) -> None:
+    """Where not every update has a time, or time falls, they run over the events' numbers."""
+    path, given = tmp_path / "run.trace", times in ("given", "falling")
+    with slamcheck.Recorder(path) as record:
+        record.prior({"state": 1}, np.eye(1))
+        record.snapshot(np.eye(1))
+        for step in range(25):
+            if given or (times == "not of all" and step == 3):
+                record.at(100.0 + (0.1 * step if times == "given" or step < 20 else 0.0))
+            record.update("gps", [0.3], np.eye(1), np.eye(1))
+            record.snapshot(np.eye(1) / (step + 2.0))
+    found = slamcheck.audit(path)
+    text = page(AuditReport(found, AuditReport.build(found)).page())
+    gap, nis = audit_panels(found)
+    if times == "given":
+        assert gap.x_label == nis.x_label == "time [s]"
+        assert gap.curves[0].x == pytest.approx([100.0, *(100.0 + 0.1 * np.arange(25))])
+        assert nis.curves[0].x[[0, -1]] == pytest.approx([100.6, 101.85], abs=0.2)
+    else:
+        assert gap.x_label == nis.x_label == "event"
+        assert gap.curves[0].x.tolist() == [1.0, *range(3, 52, 2)]
+    assert ("by the number of the event" in text) == (times != "given")
+    assert json.loads(data(text))["event"] == (times != "given")
+
+
+def data(text: str) -> str:
+    """Return what a page gives its script."""
+    return text.split('id="data">')[1].split("</script>")[0]
 
 
 def test_a_trace_without_snapshots_is_judged_by_its_innovations(tmp_path: Path) -> None:

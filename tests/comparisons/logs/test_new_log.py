@@ -299,11 +299,17 @@ BAD: dict[str, tuple[str, str, str]] = {
     "no time": ("v,w\n1,0\n", TREES, r"no column for time_s, expected one named time or t or"),
     "ranges alone": (
         VELOCITY, "id,range,t\n1,5,0.1\n",
-        r"no column for bearing_rad, .*named bearing \(ranges alone are not supported\); found id,",
+        r"no column for bearing_rad, .*named bearing \(ranges alone are not supported in a log: "
+        r"record your filter and slamcheck audit it, see docs/audit.md\); found id,",
+    ),
+    "bearings alone": (
+        VELOCITY, "id,bearing,t\n1,0.5,0.1\n",
+        r"no column for range_m, .* \(bearings alone are not supported in a log: record your "
+        r"filter and slamcheck audit it, see docs/audit.md\); found id,",
     ),
     "empty bearings": (
         VELOCITY, "id,range,bearing,t\n1,5,,0.1\n1,5, ,0.2\n",
-        r"named bearing \(ranges alone are not supported\); found id, range, bearing \(empty\), t;",
+        r"named bearing \(ranges alone are not .*\); found id, range, bearing \(empty\), t;",
     ),
     "a bearing lacks": (
         VELOCITY, "id,range,bearing,t\n1,5,0,0.1\n1,5,,0.2\n",

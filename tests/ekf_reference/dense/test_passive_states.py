@@ -145,6 +145,7 @@ class NoiseForS(PassiveStates):
         self.value = self.value + (seen @ np.linalg.solve(noise, innovation)).reshape(-1, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken", [WithoutF, WrongSign, StaleCross, NoiseForS])
 def test_the_equality_rejects(broken: type[PassiveStates]) -> None:
     assert max(gaps(watched(broken)[0])) > 1e-3

@@ -16,13 +16,8 @@ from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
-from ekf_reference.scan_landmarks import high_level_lifecycle
 from ekf_reference.scan_landmarks.high_level import Found, search, to_world
-from ekf_reference.scan_landmarks.high_level_lifecycle import (
-    REPEATED,
-    Glimpse,
-    HighLevelLandmarks,
-)
+from ekf_reference.scan_landmarks.high_level_lifecycle import Glimpse, HighLevelLandmarks
 from ekf_reference.scan_landmarks.templates import View
 from ekf_reference.scan_matching.scan_shape import of_scan
 from tests.ekf_reference.numerics import central_difference, relative_error
@@ -66,8 +61,13 @@ def found() -> list[Found]:
     return list(search(around(), NONE, FEW).found)
 
 
-def kept(settled: tuple[float, float, float] = (0.3, 0.3, 0.05)) -> HighLevelLandmarks:
-    landmarks = HighLevelLandmarks(settled)
+def kept(
+    settled: tuple[float, float, float] = (0.3, 0.3, 0.05),
+    *,
+    only_in_view: bool = True,
+    variance_factor: float = 4.0,
+) -> HighLevelLandmarks:
+    landmarks = HighLevelLandmarks(settled, only_in_view, variance_factor)
     for one in found():
         landmarks.take(one, np.array((0, 1, 2)), POINTS)
     return landmarks
@@ -152,32 +152,27 @@ def test_what_lies_elsewhere_does_not_pass_the_gate() -> None:
     assert looked((1.0, 1.0, 0.02)).counts["seen"] > 0
 
 
-def test_a_measurement_has_the_noise_of_a_visit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_measurement_has_the_noise_of_a_visit() -> None:
     """Not of its scan alone: what the template holds wrongly is in all of a visit."""
 
-    def noises() -> Array:
-        seen = kept().look(filter_at(START), glimpse(START, np.zeros(3)))
+    def noises(factor: float) -> Array:
+        landmarks = kept(variance_factor=factor)
+        seen = landmarks.look(filter_at(START), glimpse(START, np.zeros(3)))
         return np.array([one.covariance for one in seen])
 
-    of_a_visit = noises()
-    monkeypatch.setattr(high_level_lifecycle, "REPEATED", 1.0)
-    assert np.allclose(of_a_visit, REPEATED * noises())
+    assert np.allclose(noises(HighLevelLandmarks.variance_factor), 4.0 * noises(1.0))
 
 
-def test_what_a_scan_cannot_see_of_a_template_does_not_count(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_a_scan_cannot_see_of_a_template_does_not_count() -> None:
     """Of the second box one wall is in view; broken: its other walls have no counterpart."""
 
-    def looked() -> HighLevelLandmarks:
-        landmarks = kept()
+    def looked(only_in_view: bool) -> HighLevelLandmarks:
+        landmarks = kept(only_in_view=only_in_view)
         landmarks.look(filter_at(START), glimpse(START, np.zeros(3)))
         return landmarks
 
-    assert looked().counts == {"seen": 2, "a direction is open": 1}
-    whole = replace(high_level_lifecycle.MATCHED, visible=False)
-    monkeypatch.setattr(high_level_lifecycle, "MATCHED", whole)
-    assert looked().counts == {"seen": 2, "no counterpart": 1}
+    assert looked(True).counts == {"seen": 2, "a direction is open": 1}
+    assert looked(False).counts == {"seen": 2, "no counterpart": 1}
 
 
 def test_no_landmark_begins_with_an_open_direction() -> None:

@@ -1,0 +1,41 @@
+"""The prior of a log beside what truth or the measurements say of its first pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from comparisons.arrays import Array
+from comparisons.faults.catalogue import EXCHANGED_ROWS
+from comparisons.logs.log import Poses, Prior
+from comparisons.statistics import likelier_orders
+from ekf_reference.core.geometry import wrap_angle
+
+
+def rows_by_truth(prior: Prior, true: Poses | None) -> str:
+    """Return which rows of the prior's covariance the true first pose exchanges, in words."""
+    if true is None or not true.time_s[0] <= prior.time_s <= true.time_s[-1]:
+        return ""
+    return _rows(prior, true.at(np.array([prior.time_s]))[0], np.zeros((3, 3)))
+
+
+def rows_by_smoother(prior: Prior, pose: Array, covariance: Array) -> str:
+    """Return which rows the smoother's first pose (3,), (3, 3) exchanges, in words."""
+    return _rows(prior, pose, covariance)
+
+
+def _rows(prior: Prior, pose: Array, left: Array) -> str:
+    """Name them; empty where the first pose is probable, or no exchange makes it so."""
+    error = prior.pose - pose
+    error[2:] = wrap_angle(error[2:])
+    orders = {names: np.array(order) for names, order in EXCHANGED_ROWS.items()}
+    found = likelier_orders(error, prior.covariance, left, orders.values())
+    if not found:
+        return ""
+    named = {id(order): names for names, order in orders.items()}
+    listed = ", or ".join(f"{named[id(one.order)]} (p = {one.p_value:.2g})" for one in found)
+    x, y, heading = (f"{one:.3g}" for one in error)
+    sigma = ", ".join(f"{one:.3g}" for one in np.sqrt(np.diag(prior.covariance)))
+    return (
+        f"the prior is off by {x} m, {y} m and {heading} rad, and says {sigma}: it is too certain, "
+        f"or rows of its covariance are exchanged, by which that is probable: {listed}"
+    )
