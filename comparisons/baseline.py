@@ -317,7 +317,7 @@ def read_baseline(path: Path) -> Baseline:
     text = read_text(path)
     if version := _FIRST.match(text):
         raise InputError(
-            f"{path}: version {version[1]} of slamcheck 0.1, which 0.2 reads; save a new one beside it"
+            f"{path}: version {version[1]} of slamcheck 0.1, which 0.2 reads; save a new one"
         )
     try:
         kept = Baseline.model_validate_json(text)
