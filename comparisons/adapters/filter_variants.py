@@ -29,7 +29,9 @@ Order = Callable[[Array, NDArray[np.int64]], Index]
 class SequentialEkf(Ekf):
     """The EKF that updates by, or initialises from, one measurement after the other."""
 
-    order: ClassVar[Order] = staticmethod(lambda z, label: np.arange(len(z)))
+    order: ClassVar[staticmethod[[Array, NDArray[np.int64]], Index]] = staticmethod(
+        lambda z, label: np.arange(len(z))
+    )
 
     def observe(
         self,
