@@ -154,7 +154,9 @@ class Baseline(_Model):
         """The configuration with the log that a name or a path gives. Raises InputError."""
         over = merge(self.config, {"log": {"source": source}})
         over.get("log", {}).pop("sha256", None)  # compared by compare_with, which names both logs
-        return configure(CheckConfig if self.of_estimate else RunConfig, over=over)
+        if self.of_estimate:
+            return configure(CheckConfig, over=over)
+        return configure(RunConfig, over=over)
 
 
 @dataclass(frozen=True)
