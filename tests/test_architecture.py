@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -43,10 +44,16 @@ MOST_POSITIONAL = 5
 """Fields of a dataclass that may be given by position."""
 
 
+@cache
+def parsed(source: str) -> ast.Module:
+    """The tree of a source, which many tests walk."""
+    return ast.parse(source)
+
+
 def imported(source: str) -> set[str]:
     """Top-level names of everything a module imports, anywhere in it."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -58,7 +65,7 @@ def imported(source: str) -> set[str]:
 def foreign(source: str, package: str) -> list[str]:
     """Return the modules that a test of a package imports and may not, in full."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -127,7 +134,7 @@ def graph(
     """Which modules of the house each one loads, or reaches."""
     known = modules()
     return {
-        name: {one for one in found(ast.parse(path.read_text()).body) if one in known} - {name}
+        name: {one for one in found(parsed(path.read_text()).body) if one in known} - {name}
         for name, path in known.items()
     }
 
@@ -213,7 +220,7 @@ def test_the_check_itself_sees_a_hidden_import() -> None:
 
 def positional_dataclasses(sources: Iterable[str]) -> list[str]:
     """Names of the dataclasses with too many fields, those of their bases counted, by position."""
-    trees = [ast.walk(ast.parse(source)) for source in sources]
+    trees = [ast.walk(parsed(source)) for source in sources]
     classes = [node for tree in trees for node in tree if isinstance(node, ast.ClassDef)]
     named = {one.name: one for one in classes if "dataclass" in decorators(one)}
 
@@ -291,7 +298,7 @@ def reached(edges: dict[str, set[str]], starts: Iterable[str]) -> set[str]:
 
 def mentions(source: str) -> Iterator[str]:
     """Modules that a module imports anywhere, names as a string, or is a part of."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         yield from named(node)
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value.partition(":")[0]
@@ -404,11 +411,11 @@ def test_an_import_inside_a_function_is_one() -> None:
     hidden = (
         "def f():\n    if x:\n        with y:\n            from comparisons.report import rows\n"
     )
-    assert list(reaches(ast.parse(hidden).body)) == [
+    assert list(reaches(parsed(hidden).body)) == [
         "comparisons.report",
         "comparisons.report.rows",
     ]
-    assert list(loads(ast.parse(hidden).body)) == []
+    assert list(loads(parsed(hidden).body)) == []
 
 
 def test_an_import_upward_is_found() -> None:
@@ -439,7 +446,7 @@ def trespasses(sources: Iterable[tuple[str, str]]) -> list[str]:
         {
             f"{room} imports {name.split('.')[1]}"
             for room, source in sources
-            for name in loads(ast.parse(source).body)
+            for name in loads(parsed(source).body)
             if name.startswith("ekf_reference.") and name.split(".")[1] not in ROOMS[room]
         }
     )

@@ -180,17 +180,17 @@ def run(log: slamcheck.Log) -> slamcheck.Comparison:
 
 @pytest.fixture(scope="module")
 def checked(log: slamcheck.Log, run: slamcheck.Comparison) -> slamcheck.ExternalCheck:
-    """Of lists, with half of the variance."""
-    e = run.ekf.estimate
+    """Of lists, in another frame."""
+    e, shift = run.ekf.estimate, np.array((5.0, -3.0, 0.0))
     return slamcheck.check(
         log,
         slamcheck.ExternalEstimate(
             time_s=e.time_s.tolist(),
-            pose=e.pose.tolist(),
-            pose_covariance=0.5 * e.pose_covariance,
+            pose=(e.pose + shift).tolist(),
+            pose_covariance=e.pose_covariance,
             landmark_id=e.landmark_id,
-            landmark=e.landmark,
-            joint_covariance=0.5 * e.joint_covariance,
+            landmark=e.landmark + shift[:2],
+            joint_covariance=e.joint_covariance,
             estimator="ekf",
         ),
     )
