@@ -52,10 +52,6 @@ from comparisons.pipeline.check import ExternalCheck, check_external
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
-from ekf_reference.core.measurements import (
-    REJECTED,
-    Measurements,
-)
 
 QUICK_S = 30.0
 
@@ -113,17 +109,6 @@ class IteratedThrice(filter_variants.IteratedEkf):
     """An iterated EKF that stops after three rounds."""
 
     most_iterations = 3
-
-
-class EarlyInitialising(Ekf):
-    """New landmarks are initialised before the measurements of the others are fused."""
-
-    def use(self, seen: Measurements, landmark_indices: Index) -> None:
-        """As `Ekf.use`, in another order."""
-        known = landmark_indices < self.state.landmark_count
-        super().use(seen, np.where(known, REJECTED, landmark_indices))
-        self.take_numbers(seen.kind.name, -len(seen))
-        super().use(seen, np.where(known, landmark_indices, REJECTED))
 
 
 class Cases:
@@ -187,7 +172,7 @@ class Cases:
             ("unscented", filter_variants.UnscentedEkf),
             ("iterated three times", IteratedThrice),
             ("unscented, wide", filter_variants.WideUnscentedEkf),
-            ("landmarks initialised before the update", EarlyInitialising),
+            ("landmarks initialised before the update", filter_variants.NewFirstEkf),
         ):
             yield Case(name, True, partial(self._variant, kind), True)
         for name in ("compressed-suboptimal", "misono-full"):

@@ -26,13 +26,13 @@ from comparisons.checks.consistency.finding import (
 from comparisons.checks.grade import GRADES
 from comparisons.config import CheckConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.figures import current, finite, kept_fields
+from comparisons.figures import finite, kept_fields
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.options import merge
 from comparisons.report.check import CheckResult
 from comparisons.report.models import Result, metrics
-from comparisons.settings import configure, run_options
+from comparisons.settings import configure
 from comparisons.statistics import Nis, NormalisedFigures
 
 Found = Result | CheckResult
@@ -109,6 +109,7 @@ NOISE = 3.0
 """A tolerance is at least so many times the range over repetitions."""
 
 _EXACT = ("ekf.landmarks", "smoother.poses", "landmarks.count", "landmarks.agreeing")
+_FIRST = re.compile(r'\{\s*"version": ([12]),')
 _METRIC = re.compile(r'\{\s+("value": .*),\s+("tolerance": .*)\s+\}')
 _WHICH = ("source", "sha256")
 _APART = ("settings", "log", "consistency")
@@ -131,7 +132,6 @@ class Metric(_Model):
 class Baseline(_Model):
     """The file. config: of the run or check, all of which a comparison uses again.
 
-    settings: in files of version 1, a few options by name, an empty text for one not given.
     words: of a check, as its grade.
     """
 
@@ -139,7 +139,6 @@ class Baseline(_Model):
     log: str
     sha256: str
     config: dict[str, Any] = Field(default_factory=dict)
-    settings: dict[str, str | int | float] = Field(default_factory=dict, exclude=True)
     runs: int
     verdict: str
     words: dict[str, str | None] = Field(default_factory=dict)
@@ -153,12 +152,11 @@ class Baseline(_Model):
 
     def config_at(self, source: str) -> RunConfig | CheckConfig:
         """The configuration with the log that a name or a path gives. Raises InputError."""
-        options = {name: value for name, value in self.settings.items() if value != ""}
         over = merge(self.config, {"log": {"source": source}})
         over.get("log", {}).pop("sha256", None)  # compared by compare_with, which names both logs
         if self.of_estimate:
             return configure(CheckConfig, over=over)
-        return configure(RunConfig, flags=run_options(options), over=over)
+        return configure(RunConfig, over=over)
 
 
 @dataclass(frozen=True)
@@ -257,7 +255,6 @@ def updated(baseline: Baseline, found: Found, config: RunConfig | CheckConfig) -
         update={
             "version": Baseline.model_fields["version"].default,
             "config": baseline.config or _kept_config(config),
-            "settings": {},
             "verdict": found.verdict,
             "words": _words(found),
             "metrics": kept,
@@ -319,14 +316,18 @@ def changes_of(
 
 def read_baseline(path: Path) -> Baseline:
     """Raises InputError."""
+    text = read_text(path)
+    if version := _FIRST.match(text):
+        raise InputError(
+            f"{path}: version {version[1]} of slamcheck 0.1, which 0.2 reads; save a new one"
+        )
     try:
-        kept = Baseline.model_validate_json(read_text(path))
+        kept = Baseline.model_validate_json(text)
     except ValidationError as error:
         raise InputError(f"{path}: not a baseline: {first_fault(error)}") from None
-    if kept.version not in (1, 2, 3, 4):
-        raise InputError(f"{path}: version {kept.version}, expected 1 to 4")
-    metrics = kept.metrics if kept.version > 3 else current(kept.metrics)
-    there = {name: metric for name, metric in metrics.items() if name not in _GONE}
+    if kept.version not in (3, 4):
+        raise InputError(f"{path}: version {kept.version}, expected 3 or 4")
+    there = {name: metric for name, metric in kept.metrics.items() if name not in _GONE}
     kept = kept.model_copy(update={"metrics": there})
     try:
         kept.config_at(kept.log)

@@ -19,33 +19,15 @@ from pydantic_core import CoreSchema, core_schema
 from comparisons.errors import InputError
 
 T = TypeVar("T")
-_FORMER = {
-    "sighting": "measurement",
-    "begun": "initialised",
-    "retired": "deactivated",
-    "surer": "overconfident",
-    "closures": "loop_closures",
-}
 _PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
 """Those that the results depend on."""
 _MEANING = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
-_WORDS = re.compile(rf"(?<![a-z])(?<!loop_)({'|'.join(_FORMER)})")
 
 
 class Model(BaseModel):
     """Nothing but the fields that are written down."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-def current(stored: Any) -> Any:
-    """Return what a file holds, its names at any depth in today's words, not those of 0.1."""
-    if isinstance(stored, dict):
-        return {
-            _WORDS.sub(lambda found: _FORMER[found[0]], name): current(value)
-            for name, value in stored.items()
-        }
-    return [current(one) for one in stored] if isinstance(stored, list) else stored
 
 
 def finite(value: float | None) -> float | None:

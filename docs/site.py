@@ -32,11 +32,11 @@ from comparisons.config import JOBS, Configured
 from comparisons.experiments.montecarlo.folder import MonteCarloResult
 from comparisons.experiments.reproduction.interface import ReproductionResult
 from comparisons.extensions.dense_maps.check import DenseAgreement
-from comparisons.extensions.fastslam.result import FastSlamResult
+from comparisons.extensions.fastslam.extension import FastSlamResult
 from comparisons.extensions.high_level.source import HighLevelRun
 from comparisons.extensions.own_association.check import OwnAssociationCheck
 from comparisons.extensions.own_matching.check import OwnMatchingCheck
-from comparisons.extensions.posterior.check import PosteriorCheck
+from comparisons.extensions.posterior.extension import PosteriorCheck
 from comparisons.extensions.registry import config_class
 from comparisons.extensions.scan_landmarks.result import ScanSlamResult
 from comparisons.extensions.scan_motion.increments import IncrementCheck

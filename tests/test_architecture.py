@@ -335,8 +335,8 @@ LAYERS = {
     "cli": 9, "experiments": 9,
     "options.source": 3,
     # Jobs that are made of an extension stand on it.
-    "pipeline.dense_map": 7, "report.dense_map": 7, "report.figures.dense_map": 7,
-    "pipeline.odometry": 7, "report.odometry": 7, "report.figures.odometry": 7,
+    "pipeline.dense_map": 7, "report.dense_map": 7,
+    "pipeline.odometry": 7, "report.odometry": 7,
     "report.notebook": 7,
     # The contract and the names are what all know of checks and extensions.
     "checks.check": 0, "extensions.interface": 0, "extensions.registry": 0,

@@ -22,12 +22,16 @@ from ekf_reference.core.state import Correction, KalmanState
 _CONVERGED_SIGMA = 1e-9
 
 
+Order = Callable[[Array, NDArray[np.int64]], Index]
+"""The rows (m,) of measurements in the order of use, by z (m, 2) and labels (m,)."""
+
+
 class SequentialEkf(Ekf):
     """The EKF that updates by, or initialises from, one measurement after the other."""
 
-    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
-        """Return the rows (m,) in the order of use: as they stand in the log."""
-        return np.arange(len(z))
+    order: ClassVar[staticmethod[[Array, NDArray[np.int64]], Index]] = staticmethod(
+        lambda z, label: np.arange(len(z))
+    )
 
     def observe(
         self,
@@ -46,44 +50,16 @@ class SequentialEkf(Ekf):
         return landmark_indices
 
 
-class BackwardEkf(SequentialEkf):
-    """The same from the last measurement of an instant to the first."""
-
-    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
-        """Return the rows from the last to the first."""
-        return np.arange(len(z))[::-1]
+def in_order(order: Order) -> type[SequentialEkf]:
+    """Return the same that takes the measurements of an instant in another order."""
+    return type("InOrderEkf", (SequentialEkf,), {"order": staticmethod(order)})
 
 
-class ByLabelEkf(SequentialEkf):
-    """The same by ascending labels."""
-
-    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
-        """Return the rows by their labels."""
-        return np.argsort(identity, kind="stable")
-
-
-class ByLabelBackwardEkf(SequentialEkf):
-    """The same by descending labels."""
-
-    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
-        """Return the rows by their labels, the largest first."""
-        return np.argsort(-identity, kind="stable")
-
-
-class NearestFirstEkf(SequentialEkf):
-    """The same by ascending ranges."""
-
-    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
-        """Return the rows by their ranges."""
-        return np.argsort(z[:, 0], kind="stable")
-
-
-class FarthestFirstEkf(SequentialEkf):
-    """The same by descending ranges."""
-
-    def order(self, z: Array, identity: NDArray[np.int64]) -> Index:
-        """Return the rows by their ranges, the largest first."""
-        return np.argsort(-z[:, 0], kind="stable")
+BackwardEkf = in_order(lambda z, label: np.arange(len(z))[::-1])
+ByLabelEkf = in_order(lambda z, label: np.argsort(label, kind="stable"))
+ByLabelBackwardEkf = in_order(lambda z, label: np.argsort(-label, kind="stable"))
+NearestFirstEkf = in_order(lambda z, label: np.argsort(z[:, 0], kind="stable"))
+FarthestFirstEkf = in_order(lambda z, label: np.argsort(-z[:, 0], kind="stable"))
 
 
 class NewFirstEkf(Ekf):

@@ -117,14 +117,13 @@ def _former_arrays(path: Path) -> dict[str, Array]:
         kind = _kind(part)
         shapes |= {name: (f"{kind}s", *shape) for name, shape in part.items()}
         shapes |= {} if part is _STEPS else {f"{kind}_weight": (f"{kind}s",)}
-    stored = read_arrays(path, shapes | {_former(name): one for name, one in shapes.items()})
-    found = {_current(name): array for name, array in stored.items()}
+    found = read_arrays(path, shapes)
     if next(iter(_POSITIONS)) not in found:
         found |= {name: np.zeros((0, *shape)) for name, shape in _POSITIONS.items()}
     needed = (*_PRIOR, *_STEPS, *_UPDATES, *_INITIALISATIONS, *_POSITIONS)
     missing = [name for name in needed if name not in found]
     if missing:
-        raise InputError(f"{path}: holds no {missing[0]}")
+        raise InputError(f"{path}: holds no {missing[0]} (traces of 0.1: slamcheck 0.2 reads them)")
     for part in (_UPDATES, _INITIALISATIONS, _POSITIONS):
         found.setdefault(f"{_kind(part)}_weight", np.ones(len(found[next(iter(part))])))
     for name, array in found.items():
@@ -180,15 +179,6 @@ def _checked(
         unsound=unsound,
         rounding=rounding,
     )
-
-
-def _former(name: str) -> str:
-    """Return what 0.1 called an array."""
-    return name.replace("initialise_", "begin_").replace("measurement", "sighting")
-
-
-def _current(name: str) -> str:
-    return name.replace("begin_", "initialise_").replace("sighting", "measurement")
 
 
 def _is_figure(name: str) -> bool:

@@ -28,6 +28,7 @@ from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension
+from comparisons.extensions.registry import config_class
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Gaps, Known, compute_gaps
 from comparisons.pipeline.prepare import (
@@ -51,8 +52,11 @@ if TYPE_CHECKING:
     from comparisons.pipeline.beside import Beside
     from comparisons.trace.events import Event
 
+
 F = TypeVar("F", bound=Finding)
 
+MOST_PAIRS = 5_000_000
+"""Pairs of measurement and landmark up to which a run makes a second association unasked."""
 REQUIRED = Required(
     measurements="try --features trees, --landmarks scans, or slamcheck odometry for its scans",
     odometry="use --motion scan",
@@ -264,16 +268,29 @@ def _started(
 
 
 def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extension | None, str]:
-    """Return the smoother's own where no other check is possible, or else why it is not asked."""
-    log = prepared.log
+    """Return the smoother's own where no other check is possible, or else why it is not made.
+
+    Neither where the configuration asks for it. It is made where its work is bounded: by a count,
+    so that a run repeats on every machine.
+    """
+    log, name = prepared.log, "own_association"
     reported = (
         log.measurements.labelled or log.truth.poses is not None or log.truth.landmarks is not None
     )
     if prepared.labelled or reported or not len(log.measurements.time_s):
         return None, ""
-    from comparisons.pipeline.second_association import own_association
-
-    return own_association(prepared, run)
+    if name in prepared.config.extensions:
+        if any(one.asked for one in prepared.extensions if one.name == name):
+            return None, ""
+        return None, "the association is unchecked, as --smoother-association ekf asks"
+    pairs = len(run.landmark_index) * len(run.estimate.landmark)
+    if pairs > MOST_PAIRS:
+        return None, (
+            f"the association is unchecked: {pairs / 1e6:.1f} million pairs of measurement and "
+            f"landmark, more than {MOST_PAIRS / 1e6:.0f} million, are many for the smoother's own; "
+            "ask for it with --smoother-association own"
+        )
+    return config_class(name).of().build(prepared.config), ""
 
 
 def _ask(second: Extension, known: Known) -> str:

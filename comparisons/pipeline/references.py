@@ -35,60 +35,41 @@ from comparisons.pipeline.solve import Solution
 from ekf_reference.core.ekf import Ekf
 
 EKF = "the reference EKF"
-ROBOCENTRIC = "a robocentric EKF"
-ORDERS = {
-    EKF: "",
-    "an EKF that updates by one landmark after the other": "it updates by one landmark after the "
-    "other",
-    "an EKF that updates by one landmark after the other, the last first": "it updates by one "
-    "landmark after the other, the last first",
+_ONE_BY_ONE = "an EKF that updates by one landmark after the other"
+_VARIANTS: dict[str, type[Ekf]] = {
+    "an iterated EKF": IteratedEkf,
+    _ONE_BY_ONE: SequentialEkf,
+    f"{_ONE_BY_ONE}, the last first": BackwardEkf,
+    f"{_ONE_BY_ONE}, by label": ByLabelEkf,
+    f"{_ONE_BY_ONE}, by label, the largest first": ByLabelBackwardEkf,
+    f"{_ONE_BY_ONE}, the nearest first": NearestFirstEkf,
+    f"{_ONE_BY_ONE}, the farthest first": FarthestFirstEkf,
+    "an EKF that initialises new landmarks before it updates": NewFirstEkf,
+    "an EKF that initialises new landmarks, then updates by one landmark after the "
+    "other": NewFirstSequentialEkf,
+    "an EKF that places new landmarks with a vast covariance, then updates by one after the "
+    "other": UnknownFirstSequentialEkf,
+    "a first-estimates EKF": FirstEstimatesEkf,
+    "a right-invariant EKF": InvariantEkf,
+    "a robocentric EKF": RobocentricEkf,
+    "an unscented Kalman filter": UnscentedEkf,
+    "an unscented Kalman filter with wide sigma points": WideUnscentedEkf,
+}
+FILTERS = (EKF, *_VARIANTS)
+ORDERS = {EKF: ""} | {
+    name: name.replace("an EKF that", "it")
+    for name, kind in _VARIANTS.items()
+    if kind in (SequentialEkf, BackwardEkf)
 }
 """The same filter but for the order of updates, and that in words."""
-_NEW_FIRST: tuple[tuple[str, type[Ekf]], ...] = (
-    ("an EKF that initialises new landmarks before it updates", NewFirstEkf),
-    (
-        "an EKF that initialises new landmarks, then updates by one landmark after the other",
-        NewFirstSequentialEkf,
-    ),
-    (
-        "an EKF that places new landmarks with a vast covariance, then updates by one after the "
-        "other",
-        UnknownFirstSequentialEkf,
-    ),
+APART = tuple(
+    name for name, kind in _VARIANTS.items() if issubclass(kind, RobocentricEkf | NewFirstEkf)
 )
-APART = (ROBOCENTRIC, *dict(_NEW_FIRST))
 """Sound, but farther from the others than most faults are."""
-_VARIANTS: tuple[tuple[str, type[Ekf]], ...] = (
-    ("an iterated EKF", IteratedEkf),
-    ("an EKF that updates by one landmark after the other", SequentialEkf),
-    ("an EKF that updates by one landmark after the other, the last first", BackwardEkf),
-    ("an EKF that updates by one landmark after the other, by label", ByLabelEkf),
-    (
-        "an EKF that updates by one landmark after the other, by label, the largest first",
-        ByLabelBackwardEkf,
-    ),
-    (
-        "an EKF that updates by one landmark after the other, the nearest first",
-        NearestFirstEkf,
-    ),
-    (
-        "an EKF that updates by one landmark after the other, the farthest first",
-        FarthestFirstEkf,
-    ),
-    *_NEW_FIRST,
-    ("a first-estimates EKF", FirstEstimatesEkf),
-    ("a right-invariant EKF", InvariantEkf),
-    (ROBOCENTRIC, RobocentricEkf),
-    ("an unscented Kalman filter", UnscentedEkf),
-    ("an unscented Kalman filter with wide sigma points", WideUnscentedEkf),
-)
-FILTERS = (EKF, *dict(_VARIANTS))
-KINDS = (
-    "an iterated EKF",
-    "a first-estimates EKF",
-    "a right-invariant EKF",
-    "an unscented Kalman filter",
-    "an unscented Kalman filter with wide sigma points",
+KINDS = tuple(
+    name
+    for name, kind in _VARIANTS.items()
+    if issubclass(kind, IteratedEkf | FirstEstimatesEkf | InvariantEkf | UnscentedEkf)
 )
 """Of these, filters of other equations that strangers write."""
 
@@ -106,7 +87,7 @@ def reference_ekf(
 
 def variants(prepared: Prepared[SolveConfig], time_s: Array) -> Iterator[Reference]:
     """Other sound filters on the same log, made when they are asked for."""
-    for name, kind in _VARIANTS:
+    for name, kind in _VARIANTS.items():
         run = _run(prepared, kind, time_s)
         if run is not None:
             yield _of_run(name, run, time_s)
@@ -143,7 +124,7 @@ def filter_named(
 
     started: as of run_reference.
     """
-    return filter_of(name, dict(_VARIANTS).get(name, Ekf), prepared, time_s, started)
+    return filter_of(name, _VARIANTS.get(name, Ekf), prepared, time_s, started)
 
 
 def filter_of(

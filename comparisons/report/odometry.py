@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows
 from comparisons.estimates.folder import tum_text
 from comparisons.extensions.scan_motion.increments import IncrementCheck
@@ -23,12 +25,19 @@ from comparisons.figures import Model
 from comparisons.logs.transforms.scan_motion import measurements_kept
 from comparisons.pipeline.odometry import FrontEnd
 from comparisons.pipeline.prepare import Clock
-from comparisons.report.figures.odometry import front_end_figure
+from comparisons.report.figures.style import (
+    draw_aside,
+    draw_cloud,
+    draw_reference,
+    draw_trajectory,
+    entitle,
+    plan,
+)
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import Track, estimate_map
 from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.job import Report
-from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
+from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import JobResult, SmootherResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
 from comparisons.report.sections import about_job, job_page, smoother_result
@@ -197,3 +206,29 @@ def _remarks(f: FrontEnd) -> list[str]:
         remarks.append(f"{beyond} measurements lie outside the time of the scans and were left out")
     remarks += f.motion.remarks
     return remarks + increment_remarks(f.increments)
+
+
+def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
+    """The map that the scans make, with the trajectories of wheels, scan odometry and graph."""
+    f = front_end
+    figure, axis = plan()
+    draw_cloud(axis, points)
+    if f.log.truth.poses is not None:
+        draw_reference(axis, f.log.truth.poses.pose, ".", "truth")
+    elif f.log.positions is not None:
+        draw_reference(axis, f.log.positions.position_m, ".", "GPS")
+    draw_trajectory(axis, f.odometry, EKF_COLOUR, "scan odometry", "--")
+    draw_trajectory(axis, f.estimate.pose, SMOOTHER_COLOUR, "scan graph")
+    closed = f.graph.problem.loop_closures
+    for first, second in zip(closed.first, closed.second, strict=True):
+        ends = f.estimate.pose[[first, second]]
+        axis.plot(ends[:, 0], ends[:, 1], color=SCANS_COLOUR, linewidth=0.7, zorder=3)
+    if f.wheels is not None:
+        draw_aside(axis, f.wheels, "wheels")
+    title = (
+        f"{f.log.name}: {len(f.motion.row)} scans, {len(f.graph.problem.loop_closures.first)} "
+        "loops "
+        "closed (yellow)"
+    )
+    entitle(axis, title)
+    return figure

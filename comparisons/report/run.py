@@ -221,8 +221,7 @@ class RunReport(Report[Comparison, Result]):
 
 def _figures(comparison: Comparison, panels: ConsistencyPanels) -> dict[str, Figure]:
     """Return as figures what the page draws in any case, by name."""
-    from comparisons.report.consistency_figure import consistency_figure
-    from comparisons.report.figures.run import correlation_figure, map_figure
+    from comparisons.report.figures.run import consistency_figure, correlation_figure, map_figure
 
     return {
         "map": map_figure(comparison),

@@ -20,7 +20,6 @@ from rich.text import Text
 
 from comparisons.atomic import Kind, begins, check_file, write_whole
 from comparisons.errors import InputError, printable
-from comparisons.figures import current
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.models import Result, metrics
@@ -145,14 +144,14 @@ def _read(folder: Path) -> Found:
     path, (job, names) = folder / f"{name}.json", _FILES[name]
     text = read_text(path)
     try:
-        found = current(json.loads(text))
+        found = json.loads(text)
     except (ValueError, RecursionError):
         found = None
+    if _at(found, "versions", "slamcheck").startswith("0.1."):
+        raise InputError(f"{path}: of slamcheck 0.1, which compare of slamcheck 0.2 reads")
     if job == "run":
         try:
-            run = (
-                Result.model_validate_json(text) if found is None else Result.model_validate(found)
-            )
+            run = Result.model_validate_json(text)
         except ValidationError as error:
             raise InputError(f"{path}: not a run's result: {first_fault(error)}") from None
         return Found({**_words(run.model_dump(), job), "verdict": run.headline}, metrics(run))

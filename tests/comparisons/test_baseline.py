@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,12 +28,11 @@ from comparisons.baseline import (
 )
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import Agreement
-from comparisons.config import CheckConfig, RunConfig
+from comparisons.config import CheckConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import tum_text, write_estimate
-from comparisons.figures import current
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check
 from comparisons.pipeline.compare import Comparison
@@ -122,17 +120,6 @@ def test_a_measure_that_older_baselines_lack_is_not_compared(
     assert all(change.holds for change in changes)
 
 
-def test_results_of_older_runs_are_read(result: Result) -> None:
-    data = result.model_dump()
-    for name in ("dynamic", "deactivated", "attributes"):
-        del data["ekf"][name]
-    del data["schema"], data["config"]
-    data["smoother"]["rejected_sightings"] = data["smoother"].pop("rejected_measurements")
-    older = Result.model_validate(current(data) | {"scan_slam": None, "dense": None})
-    assert older.schema_version == 1
-    assert older.ekf == result.ekf
-
-
 def test_repetitions_tell_the_noise_floor(result: Result) -> None:
     other = changed(result, optimism=1.2 * present(result.agreement.optimism))
     noisy = build_baseline([result, other], run_config())
@@ -162,16 +149,12 @@ def test_files_round_trip_and_damage_is_named(tmp_path: Path, kept: Baseline) ->
         read_baseline(path)
 
 
-def test_a_file_of_version_1_is_read_with_its_settings(tmp_path: Path, kept: Baseline) -> None:
-    data = kept.model_dump()
-    del data["config"]
-    settings = {"filter": "compressed", "association": "", "gps": "off", "seed": 3, "format": ""}
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_file_of_0_1_is_refused_by_its_name(tmp_path: Path, kept: Baseline, version: int) -> None:
     path = tmp_path / "b.json"
-    path.write_text(json.dumps({**data, "version": 1, "settings": settings}))
-    config = read_baseline(path).config_at("simulated-loop")
-    assert isinstance(config, RunConfig)
-    assert (config.ekf.filter, config.ekf.association, config.log.seed) == ("compressed", None, 3)
-    assert config.log.source == "simulated-loop"
+    path.write_text(json.dumps({**kept.model_dump(), "version": version, "settings": {}}, indent=1))
+    with pytest.raises(InputError, match=rf"version {version} of slamcheck 0\.1, which 0\.2 reads"):
+        read_baseline(path)
 
 
 def test_a_junit_report_says_what_broke(tmp_path: Path, result: Result, kept: Baseline) -> None:
@@ -334,20 +317,13 @@ def test_an_update_keeps_tolerances_made_by_hand(checked: CheckResult) -> None:
     assert states(compare_with(new, worse)) == {}
 
 
-def test_files_of_version_2_are_read_and_updated(
+def test_files_of_version_3_are_read_and_updated(
     tmp_path: Path, result: Result, kept: Baseline
 ) -> None:
     data = kept.model_dump()
-    del data["words"]
-    former = {"measurement": "sighting", "deactivated": "retired", "overconfident": "surer"}
-    data["metrics"] = {
-        re.sub("|".join(former), lambda found: former[found[0]], n): m
-        for n, m in data["metrics"].items()
-        if "consistency" not in n
-    }
-    assert {"smoother.rejected_sightings", "ekf.retired"} <= set(data["metrics"])
+    data["metrics"] = {n: m for n, m in data["metrics"].items() if "consistency" not in n}
     path = tmp_path / "b.json"
-    path.write_text(json.dumps({**data, "version": 2}))
+    path.write_text(json.dumps({**data, "version": 3}))
     older = read_baseline(path)
     assert set(states(compare_with(older, result)).values()) == {"new"}
     write_baseline(updated(older, result, run_config()), path)

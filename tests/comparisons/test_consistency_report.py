@@ -25,7 +25,7 @@ from comparisons.faults.fault import with_state
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.compare import Comparison, Modified
-from comparisons.report.consistency_figure import consistency_figure
+from comparisons.report.figures.run import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.run import RunReport, run_rows

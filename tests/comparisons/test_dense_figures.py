@@ -12,7 +12,7 @@ from comparisons.experiments.reproduction.decorrelation_example import (
     DecorrelationExample,
     decorrelation_example,
 )
-from comparisons.experiments.reproduction.dense_figures import (
+from comparisons.experiments.reproduction.nieto_regions import (
     draw_displacement,
     draw_example_3_1,
     draw_example_3_2,

@@ -15,7 +15,7 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
 from comparisons.config import EkfConfig, MapConfig
-from comparisons.experiments.reproduction.dynamic_accuracy import middles, score_dynamic
+from comparisons.experiments.reproduction.nieto_motion import middles, score_dynamic
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding

@@ -23,8 +23,7 @@ from comparisons.extensions.fastslam.extension import (
     FastSlamFinding,
     cloud_estimate,
 )
-from comparisons.extensions.fastslam.reference import between
-from comparisons.extensions.fastslam.stretches import StretchComparison, draw_particle
+from comparisons.extensions.fastslam.stretches import StretchComparison, between, draw_particle
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
 from comparisons.pipeline.compare import Comparison, compare

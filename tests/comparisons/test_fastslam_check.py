@@ -10,10 +10,13 @@ from scipy.stats import kstest
 from comparisons.arrays import Array
 from comparisons.extensions.fastslam.check import (
     LEVEL,
+    SIMULATIONS,
     CloudCheck,
     check_clouds,
+    energy,
+    permuted,
+    simulated,
 )
-from comparisons.extensions.fastslam.energy import SIMULATIONS, energy, permuted, simulated
 from comparisons.extensions.fastslam.stretches import StretchClouds, standardised_moments
 
 CLOUDS, STRETCHES, DIMENSION = 16, 6, 9

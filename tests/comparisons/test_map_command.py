@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps import memory
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
-from comparisons.extensions.dense_maps.memory import Demand
+from comparisons.extensions.dense_maps.extension import Demand
 from comparisons.logs.bundled import open_log
 from comparisons.report.dense_map import MapResult
 from comparisons.report.map_export import (

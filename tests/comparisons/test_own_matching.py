@@ -20,8 +20,7 @@ from comparisons.extensions.own_matching.check import (
     common_shift,
     compare_frames,
 )
-from comparisons.extensions.own_matching.extension import OwnMatchingFinding
-from comparisons.extensions.own_matching.page import matching_differences
+from comparisons.extensions.own_matching.extension import OwnMatchingFinding, matching_differences
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.figures import stored
 from comparisons.pipeline.compare import Comparison

@@ -12,14 +12,14 @@ import pytest
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.extensions.posterior.check import (
+from comparisons.extensions.posterior.extension import (
     Judged,
+    PosteriorFinding,
     check_posterior,
     fails,
     failures,
     judged,
 )
-from comparisons.extensions.posterior.extension import PosteriorFinding
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.report.run import RunReport, run_rows
 from comparisons.settings import run_config

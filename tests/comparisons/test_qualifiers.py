@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.checks import truth_by_labels
+from comparisons.checks import qualifiers
 from comparisons.checks.consistency.consistency import Consistency, inconsistencies
 from comparisons.checks.consistency.nees import limit
 from comparisons.checks.diagnosis.first_pose import rows_by_smoother, rows_by_truth
@@ -27,7 +27,7 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Poses, Prior, Truth
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.transforms.time_window import cut_log
-from comparisons.pipeline import second_association
+from comparisons.pipeline import compare as comparing
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.run import RunReport, finding_lines
 from comparisons.settings import run_config
@@ -312,7 +312,7 @@ def test_without_truth_and_labels_the_own_association_is_asked() -> None:
 
 
 def test_what_is_too_much_work_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(second_association, "MOST_PAIRS", 10)
+    monkeypatch.setattr(comparing, "MOST_PAIRS", 10)
     found = compared(blind(first_seconds(simulated(0), 20.0)), association="nn")
     assert UNCHECKED in found.verdict.qualifiers
     assert any("pairs of measurement and landmark" in remark for remark in found.verdict.remarks)
@@ -334,7 +334,7 @@ def test_labels_that_do_not_fit_are_no_truth(monkeypatch: pytest.MonkeyPatch) ->
     label = log.measurements.landmark.copy()
     label[::7] = label[3]
     misread = replace(log, measurements=replace(log.measurements, landmark=label))
-    monkeypatch.setattr(truth_by_labels, "smooth", None)
+    monkeypatch.setattr(qualifiers, "smooth", None)
     assert compared(misread, association="nn").truth_gap is None
     with pytest.raises(TypeError):  # with the right labels it is asked
         compared(log, association="nn")

@@ -194,12 +194,7 @@ def test_the_command(tmp_path: Path, result: Result) -> None:
         assert words in refused("compare", *arguments, cwd=tmp_path)
 
 
-def test_former_names_share_a_row_with_todays(tmp_path: Path) -> None:
-    """Version 0.1 had other names for figures, in the results of every job."""
-    former, now = read_results(
-        [
-            folder(tmp_path / key, "solution", {"smoother": {key: 7}})
-            for key in ("rejected_sightings", "rejected_measurements")
-        ]
-    )
-    assert former.metrics == now.metrics == {"smoother.rejected_measurements": 7}
+def test_a_result_of_0_1_is_refused_with_what_reads_it(tmp_path: Path) -> None:
+    old = folder(tmp_path / "old", "solution", {"versions": {"slamcheck": "0.1.0"}})
+    with pytest.raises(InputError, match=r"of slamcheck 0\.1, which compare of slamcheck 0\.2"):
+        read_results([old])

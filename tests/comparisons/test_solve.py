@@ -27,8 +27,8 @@ from comparisons.extensions.own_association.check import (
 )
 from comparisons.extensions.own_association.extension import (
     OwnAssociationFinding,
+    association_differences,
 )
-from comparisons.extensions.own_association.page import association_differences
 from comparisons.logs.bundled import open_log
 from comparisons.logs.readers.scan_odometry import no_measurements
 from comparisons.logs.scans import Scans

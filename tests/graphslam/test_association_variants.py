@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from graphslam.association import associate
-from graphslam.association_variants import associate_by, variants
+from graphslam.association_variants import associate_by, reversed_problem, variants
 from graphslam.graph_builder import build_graph, to_values
 from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
-from graphslam.reversal import reversed_problem
 from tests.graphslam import worlds
 from tests.graphslam.numerics import Array
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,11 +17,11 @@ from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_cloud
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import (
     Cloud,
+    Depletion,
     Sampling,
     build_fastslam,
     run_fastslam,
 )
-from comparisons.extensions.fastslam.result import FastSlamResult, fastslam_result
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
 from comparisons.extensions.interface import Extension
 from comparisons.logs.transforms.known_landmarks import surveyed
@@ -34,6 +35,7 @@ from ekf_reference.fastslam.filter import Proposal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
 
 MOST_OF_A_CLOUD = 0.5
 """Landmarks are those that particles of so much weight have."""
@@ -74,6 +76,65 @@ class FastSlamExtension(Extension):
         log, timeline = prepared.log, prepared.timeline
         slam = build_fastslam(log, self.sampling, known=prepared.labelled)
         return run_fastslam(slam, log, timeline if epochs is None else timeline.prefix(epochs))
+
+
+_AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FastSlamResult(CloudCheck):
+    """Entry `fastslam`: clouds of particles compared with the smoother.
+
+    See comparisons.extensions.fastslam.check.
+
+    Attributes:
+        particles: particles of each cloud.
+        length_s: mean length of the stretches.
+        level: largest p of a disagreement.
+        verdict: whether the clouds agree, in words.
+        path_m: whole log: distance of one cloud's mean positions from the smoother's (root mean
+            square over the epochs).
+        difference_m: whole log, last pose: distance of one cloud's mean from the smoother's.
+        difference_rad: the same of the heading.
+        effective: mean effective sample size of the whole log's cloud.
+        first: particles of its first epoch that have descendants.
+        middle: particles of its middle epoch that have descendants.
+        accuracy: errors of its estimate.
+    """
+
+    particles: int
+    length_s: float
+    level: float
+    verdict: str
+    path_m: float
+    difference_m: float
+    difference_rad: float
+    effective: float
+    first: int
+    middle: int
+    accuracy: Accuracy | None
+
+
+def fastslam_result(
+    settings: FastSlamConfig,
+    check: CloudCheck,
+    depletion: Depletion,
+    apart: Array,
+    accuracy: Accuracy | None,
+) -> FastSlamResult:
+    """Return what was found. apart: (K, 3) poses of the whole log's cloud from the smoother's."""
+    return FastSlamResult(
+        **vars(check),
+        particles=settings.particles,
+        length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
+        level=LEVEL,
+        verdict=_AGREES[check.agrees],
+        path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
+        difference_m=float(np.hypot(*apart[-1, :2])),
+        difference_rad=float(abs(apart[-1, 2])),
+        **vars(depletion),
+        accuracy=accuracy,
+    )
 
 
 class FastSlamFinding(Finding):

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from html import escape
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from comparisons.adapters.smoother_input import smoothed_estimate
+from comparisons.adapters.beam_noise import sensor_of
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.scan_source import CloudsAt, ScanSource
+from comparisons.adapters.smoother_input import build_problem, smoothed_estimate
 from comparisons.checks.accuracy import accuracy_rows, assess
 from comparisons.checks.check import Finding
 from comparisons.extensions.interface import Extension
@@ -16,11 +21,24 @@ from comparisons.extensions.own_matching.check import (
     check_own_matching,
     matching_cause,
 )
-from comparisons.extensions.own_matching.source import own_measurements
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.figures import in_sigma
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.stamps import resolved
 from comparisons.pipeline.gaps import Known
+from comparisons.report.html.shell import number, sortable
 from comparisons.words import Row
+from ekf_reference.scan_landmarks.templates import Template as FiltersTemplate
+from graphslam.problem import SlamProblem
+from graphslam.scan import planar
+from graphslam.scan.open3d_matchers import GeneralisedMatcher
+from graphslam.scan.template_matchers import Template, TemplateMatchers
+from graphslam.scan.template_measurements import (
+    TemplateMeasurements,
+    TemplateOptions,
+    measure_templates,
+)
 from graphslam.smoother import smooth
 
 
@@ -92,8 +110,6 @@ class OwnMatchingFinding(Finding):
 
     def sections(self) -> Sequence[str]:
         """Return the table of alignments by landmark."""
-        from comparisons.extensions.own_matching.page import matching_differences
-
         return [matching_differences(self.own)]
 
 
@@ -117,3 +133,91 @@ def solve_with_own_matching(known: Known, slam: ScanSlamSource) -> OwnMatchingCh
     )
     accuracy = assess(estimate, prepared.judged, labelled=False)
     return replace(own, accuracy=accuracy, reasons=dict(found.reasons))
+
+
+def matching_differences(own: OwnMatchingCheck) -> str:
+    """Return a table of how the two matchers' alignments differ, by scan landmark."""
+    head = (
+        "landmark",
+        "scans",
+        "sigma",
+        "ahead [m]",
+        "left [m]",
+        "turn [deg]",
+        "worst [s]",
+        "its sigma",
+        "",
+    )
+    rows = [
+        (
+            f'data-key="s{one.id}" tabindex="0" class="{"bad" if one.contradicts else ""}"',
+            (
+                f"scan {one.id}",
+                str(one.common),
+                number(one.distance_sigma),
+                f"{one.shift_m[0]:.3f}",
+                f"{one.shift_m[1]:.3f}",
+                f"{np.degrees(one.shift_rad):.2f}",
+                f"{one.worst_time_s:.3f}",
+                number(one.worst_sigma),
+                "contradicts" if one.contradicts else "agrees",
+            ),
+        )
+        for one in own.landmarks
+    ]
+    return (
+        f'<h2>Alignments of two matchers</h2><p class="note">The filter\'s minus those of '
+        f"{escape(own.matcher)}, made from the smoother's own estimate, over the scans that both "
+        "aligned a landmark with; the worst of these by its time. Sigmas are of the sum of both "
+        "covariances; directions that a shape leaves open count next to nothing.</p>"
+        f"{sortable('matching', head, rows)}"
+    )
+
+
+def own_measurements(
+    log: Log,
+    run: EkfRun,
+    templates: Mapping[int, FiltersTemplate],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[SlamProblem, TemplateMeasurements]:
+    """What the smoother is to solve, its scan landmarks measured by Open3D's generalised ICP.
+
+    Of the filter it takes which returns of which scan a template was made of, and where its axis
+    was put; none of its alignments, no pose, and not which landmarks it fused. templates: by
+    landmark index, as they were initialised. Raises ValueError for a log without planar scans, and
+    graphslam.scan.libraries.MissingLibraryError.
+    """
+    if log.scans is None:
+        raise ValueError("the log has no planar scans")
+    source, problem = ScanSource(log), build_problem(log, run)
+    settings = source.suited_options()
+    scan_of = _scan_of_epoch(log, source, run)
+    taken = {}
+    for landmark_index, template in templates.items():
+        epoch = int(
+            problem.pose_landmarks.pose[problem.pose_landmarks.landmark == landmark_index].min()
+        )
+        place = planar.compose(log.scans.mount.pose, template.pose)
+        returns = source.points(scan_of[epoch])
+        shape = np.column_stack((template.shape.mean, np.zeros(len(template.shape))))
+        row = cKDTree(returns).query(planar.moved(place, shape))[1]
+        own = planar.moved(planar.between(place, np.zeros(3)), returns[row])
+        taken[landmark_index] = Template(epoch, place, own)
+    found = measure_templates(
+        problem,
+        taken,
+        CloudsAt(source, scan_of, settings),
+        TemplateMatchers(settings, GeneralisedMatcher),
+        TemplateOptions.suited(settings, sensor_of(log.scans).sigma_range_m),
+        progress,
+    )
+    return replace(problem, pose_landmarks=found.factors), found
+
+
+def _scan_of_epoch(log: Log, source: ScanSource, run: EkfRun) -> dict[int, int]:
+    """Numbers of scans by the epochs that they were taken at."""
+    epochs = run.timeline.epoch_time_s
+    time_s = source.time_s if isinstance(log.odometry, RelativePoses) else resolved(source.time_s)
+    at = np.minimum(np.searchsorted(epochs, time_s), len(epochs) - 1)
+    scans = np.flatnonzero(epochs[at] == time_s)
+    return dict(zip(at[scans].tolist(), scans.tolist(), strict=True))

@@ -12,7 +12,7 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import EkfConfig
-from comparisons.experiments.reproduction.navigator import direction_cosine_navigator
+from comparisons.experiments.reproduction.misono import direction_cosine_navigator
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate

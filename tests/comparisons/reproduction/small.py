@@ -28,8 +28,8 @@ from comparisons.experiments.reproduction import (
     nieto_slam,
     update_split,
 )
-from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore
 from comparisons.experiments.reproduction.interface import Sources
+from comparisons.experiments.reproduction.nieto_motion import DynamicScore
 from comparisons.extensions.dense_maps.accuracy import surface_error
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.simulate.waypoints import WaypointRun

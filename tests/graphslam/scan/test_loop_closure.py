@@ -11,12 +11,13 @@ import pytest
 from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
 from graphslam.scan import loop_closure, planar
-from graphslam.scan.keyframes import KeyframeEstimate, choose_keyframes
 from graphslam.scan.loop_closure import (
     Closed,
+    KeyframeEstimate,
     LoopOptions,
     NoLoopClosure,
     RegistrationLoopCloser,
+    choose_keyframes,
     loop_closer,
     starts,
 )
