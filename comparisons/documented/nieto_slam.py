@@ -149,8 +149,8 @@ ROWS = (
         place="N 6.3.3, slow motion", what="time between the two maps", value=150.0, unit="s",
         at="dynamic.absence_s", defaults=(f"{_DYNAMIC}.absence_s",),
         reason="ours is not a time between maps but of absence, after which a region counts as "
-        "visited anew: a loop of dynamic-places takes 34 s, its whole drive 68 s, and with 150 s no "
-        "place of it is compared with an earlier visit",
+        "visited anew: a loop of dynamic-places takes 34 s, its whole drive 68 s, and with 150 s "
+        "no place of it is compared with an earlier visit",
     ),
     Documented(
         place="N 6.3.3, slow motion", what="when the environment is modified", value=100.0,
