@@ -88,7 +88,7 @@ class Expected(NamedTuple):
     covariance: Array
 
 
-@dataclass
+@dataclass(kw_only=True)
 class HighLevelLandmarks:
     """All that were found.
 

@@ -67,7 +67,9 @@ def kept(
     only_in_view: bool = True,
     variance_factor: float = 4.0,
 ) -> HighLevelLandmarks:
-    landmarks = HighLevelLandmarks(settled, only_in_view, variance_factor)
+    landmarks = HighLevelLandmarks(
+        settled=settled, only_in_view=only_in_view, variance_factor=variance_factor
+    )
     for one in found():
         landmarks.take(one, np.array((0, 1, 2)), POINTS)
     return landmarks
