@@ -70,7 +70,7 @@ def errors(log: Log, run: EkfRun) -> Array:
 def driven(seed: int, loops: int, every_s: float) -> Drive:
     """Without and with them; without, no map is made."""
     log = open_log("occupancy-loop", None, 1, SimulationChoices(seed, loops, 1.0))
-    source = HighLevelSource(log, HighLevelOptions(every_s))
+    source = HighLevelSource(log, HighLevelOptions(every_s=every_s))
     config, timeline = settle(EkfConfig(), log), build_timeline(log)
     setups = FilterSetup(), FilterSetup(source=source)
     both = [errors(log, run_ekf(log, timeline, config, setup=setup)) for setup in setups]

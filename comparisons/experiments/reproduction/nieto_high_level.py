@@ -188,7 +188,7 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
     def searched(time_s: float, around: Around, found: Search) -> None:
         searches.append(Searched.of(time_s, around, found))
 
-    source = HighLevelSource(log, HighLevelOptions(every_s), searched=searched)
+    source = HighLevelSource(log, HighLevelOptions(every_s=every_s), searched=searched)
     choices, timeline = settle(EkfConfig(), log), build_timeline(log)
     without = run_ekf(log, timeline, choices)
     run = run_ekf(log, timeline, choices, setup=FilterSetup(source=source))

@@ -35,7 +35,7 @@ _APART_S = 0.05
 """A scan farther than that from an epoch was not taken from its pose."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HighLevelOptions:
     """every_s: between two searches. resolution_m: of the occupancy layer. d_min_m: of the sum's.
 
@@ -63,8 +63,8 @@ class HighLevelOptions:
         )
         dense = dense or DenseMapsConfig()
         return cls(
-            config.every_s,
-            looked,
+            every_s=config.every_s,
+            search=looked,
             resolution_m=cell_m,
             d_min_m=cell_m,
             dense=dense,
