@@ -12,6 +12,7 @@ from comparisons.experiments.reproduction import (
     nieto_fastslam,
     nieto_high_level,
     nieto_motion,
+    nieto_next_path,
     nieto_regions,
     nieto_scan_maps,
     nieto_scan_slam,
@@ -34,6 +35,7 @@ FIGURES: tuple[AnyFigure, ...] = (
     *nieto_scan_maps.FIGURES,
     *nieto_motion.FIGURES,
     *nieto_car_park.FIGURES,
+    *nieto_next_path.FIGURES,
 )
 
 

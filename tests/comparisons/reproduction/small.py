@@ -21,6 +21,7 @@ from comparisons.experiments.reproduction import (
     nieto_fastslam,
     nieto_high_level,
     nieto_motion,
+    nieto_next_path,
     nieto_regions,
     nieto_scan_maps,
     nieto_scan_slam,
@@ -177,6 +178,23 @@ def scan_maps() -> nieto_scan_maps.ScanMaps:
     return nieto_scan_maps.of_logs([log], "the beginning of a drive")
 
 
+def next_path() -> nieto_next_path.NextPath:
+    """Two ways past the wall, which both estimators judge alike."""
+    left = tuple(nieto_next_path.Left(-60.0 - gain, 9.0 - gain) for gain in (1.0, 2.0))
+    found = nieto_next_path.Prediction(nieto_next_path.Left(-60.0, 9.0), left)
+    around = np.array([(5.0, 3.0), (-2.0, 3.0), (-2.0, -3.0), (5.0, -3.0)])
+    return nieto_next_path.NextPath(
+        log="made up",
+        way=(around, around[:2]),
+        by_filter=found,
+        by_smoother=found,
+        driven=around[:1] + np.array([(2.0, 0.0), (0.0, 0.0)]),
+        landmark=CORNERS,
+        held=samples(0.0),
+        segment=WALL,
+    )
+
+
 def car_park() -> nieto_car_park.CarPark:
     if not SHARED.is_dir():
         pytest.skip("the real logs (../shared/data) are not on this machine")
@@ -213,5 +231,6 @@ SMALL: dict[str, Callable[[], Any]] = {
     "the car park, dense maps": car_park,
     "the car park, Scan-SLAM": car_park_scans,
     "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
+    "section 7.2.4": next_path,
     "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }

@@ -40,7 +40,7 @@ def test_names_are_unique_and_say_where_they_come_from() -> None:
     documents = {"G": "Guivant", "M": "Misono", "N": "Nieto"}
     for figure in FIGURES:
         assert figure.source.startswith(documents[figure.name[0]])
-        place = "section" if figure.name == "G4.2" else "Fig."
+        place = "section" if figure.name in ("G4.2", "N7.2.4") else "Fig."
         assert f"{place} {figure.name[1:]}" in figure.source
         assert figure.says.endswith(".")
     experiments = {f.experiment.name: f.experiment for f in FIGURES}
@@ -422,6 +422,15 @@ def section_5_7_off(c: Any) -> Any:
     return both_forms(elsewhere_and_sure)(car_park_as_the_thesis_says(c))
 
 
+def other_choice(found: Any) -> Any:
+    """The filter takes the ways for each other."""
+    return altered(found, "by_filter.left", found.by_filter.left[::-1])
+
+
+def through_the_wall(found: Any) -> Any:
+    return replace(found, way=(found.way[0][[0, -1]],))
+
+
 BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("G7", lambda c: replace(c, heard=~c.heard), {0}),
     ("G7", lambda c: replace(c, heard=np.arange(len(c.heard)) != 150), {1}),
@@ -500,6 +509,9 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N6.9", each(one_place_twice), {0}),
     ("N6.10", each(one_place_more), {1}),
     ("N6.10", each(one_place_twice), {0}),
+    ("N7.2.4", other_choice, {0, 1, 2}),
+    ("N7.2.4", through_the_wall, {3}),
+    ("N7.2.4", lambda found: replace(found, way=(found.way[1],)), {4}),
 ]
 
 
@@ -526,6 +538,7 @@ CLAIMS_OF_SOUND_DATA = {
     2: "G7 N4.5 N6.10 N6.16 N6.17",
     3: "N2.11 N2.13 N4.6",
     4: "G8 G9 N3.20 N5.5 N5.9 N6.4 N6.9",
+    5: "N7.2.4",
     10: "N5.8",
     12: "G4.2",
 }
