@@ -181,6 +181,15 @@ def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:
     assert judge(red, result, comparison.ekf, Diagnosis()).outcome == "disagree"
 
 
+@pytest.mark.parametrize(("sigma", "named"), [(1e-9, []), (1.0, ["model"])])
+def test_a_model_gap_is_named_where_rounding_does_not_explain_it(
+    comparison: Comparison, sigma: float, named: list[str]
+) -> None:
+    a = replace(comparison.agreement, model=Gap(sigma, 0.0))
+    verdict = judge(a, comparison.smoother, comparison.ekf, Diagnosis())
+    assert [cause.gap for cause in verdict.causes] == named
+
+
 def test_alignment_is_rigid_and_without_scale() -> None:
     rng = np.random.default_rng(0)
     reference = rng.standard_normal((20, 2))
