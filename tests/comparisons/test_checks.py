@@ -92,6 +92,11 @@ def test_block_limits(distance: float, least: float, largest: float, agrees: boo
     assert BlockAgreement.of(apart, np.eye(2), given).agrees is agrees
 
 
+def test_what_lies_on_a_limit_agrees() -> None:
+    """One sigma, a quarter of the variance and four times as much."""
+    assert BlockAgreement.of(np.ones(2), np.eye(2), np.diag((0.25, 4.0))).agrees
+
+
 def test_the_worst_of_many_landmarks_is_no_worse_than_that_of_two_hundred() -> None:
     """Sound maps of any size pass alike; with one limit for all the large ones pass hardly ever."""
     rng, passing = np.random.default_rng(0), {}

@@ -321,13 +321,14 @@ def test_asymmetry_is_what_two_sides_of_the_diagonal_differ_by() -> None:
 
 def test_after_an_asymmetric_covariance_the_next_fault_is_named() -> None:
     """Of a filter that takes the even part of it from there on."""
-    skewed = updated(P)
+    skewed = predicted(P)
     skewed[0, 3] += 0.02
-    even = 0.5 * (skewed + skewed.T)
-    later = snapshot(5, predicted(even, q=0.0 * Q))
-    found = faults_of((BEGIN, MEASURE, snapshot(3, skewed), MOVE._replace(number=4), later), 1e-6)
+    later = snapshot(5, lacking_r(0.5 * (skewed + skewed.T)))
+    events = BEGIN, MOVE, snapshot(2, skewed), MEASURE._replace(number=4), later
+    found = faults_of(events, 1e-6)
     assert any("is asymmetric" in text for text in found)
-    assert found[-1] == "prediction 4: the process noise was not added"
+    assert found[-1].startswith("update 4 of sensor `gps`: ")
+    assert "S lacks R" in found[-1]
 
 
 def test_an_estimate_is_off_by_the_largest_of_its_numbers() -> None:
