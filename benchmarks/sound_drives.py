@@ -46,6 +46,28 @@ def sound_run(seed: int, seconds: float, *, positions: bool = False) -> Comparis
     return compare(sound_log(seed, seconds, positions=positions), config)
 
 
+def extreme_log(seed: int) -> tuple[str, Log]:
+    """A short drive with one or two extremes at once, and which."""
+    rng = np.random.default_rng(seed)
+    log, said = simulate(rng, Drive(loop_s=rng.uniform(10.0, 20.0))), []
+    for number in rng.choice(3, rng.integers(1, 3), replace=False):
+        if number == 0:
+            still_s = float(rng.choice((86_400.0, 1e6)))
+            said.append(f"stand-still of {still_s:g} s")
+            log = standing_still(log, rng.uniform(3.0, 8.0), still_s)
+        elif number == 1:
+            said.append("1e9 m from the origin")
+            log = far_away(log, 1e9)
+        elif rng.integers(3):
+            sigma = float(rng.choice((1e6, 1e-7)))
+            said.append(f"odometry known to {sigma:g}")
+            log = _known_to(log, sigma)
+        else:
+            said.append("all known to 1e-7")
+            log = fine(log)
+    return " and ".join(said), log
+
+
 def standing_still(log: Log, from_s: float, still_s: float) -> Log:
     """The vehicle stands still once, for so long, and is as unsure of it as of its speed."""
     odometry = _steering(log)
@@ -75,8 +97,13 @@ def fine(log: Log) -> Log:
     """Controls and measurements stated to be known to 1e-7: a coordinate's last place counts."""
     seen, sigma = log.measurements, np.full(len(log.measurements.time_s), 1e-7)
     seen = replace(seen, sigma_range_m=sigma, sigma_bearing_rad=sigma)
-    noise = replace(_steering(log).noise, sigma_speed_mps=1e-7, sigma_turn=1e-7)
-    return replace(log, odometry=replace(_steering(log), noise=noise), measurements=seen)
+    return replace(_known_to(log, 1e-7), measurements=seen)
+
+
+def _known_to(log: Log, sigma: float) -> Log:
+    """With controls stated to be known so well, or badly."""
+    noise = replace(_steering(log).noise, sigma_speed_mps=sigma, sigma_turn=sigma)
+    return replace(log, odometry=replace(_steering(log), noise=noise))
 
 
 def _steering(log: Log) -> SteeringOdometry:

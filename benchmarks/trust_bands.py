@@ -5,7 +5,8 @@
 400 short drives (40 with --quick) of a sound filter, with noise so small that all is linear; each
 band of the consistency check must hold as often as it says, within binomial limits (a family of
 two-sided tests, 1 % together). Then drives with the documents' noise, of which the verdict must
-blame none, and logs without stabilisation noise. --table prints every band. One process.
+blame none, logs without stabilisation noise, and extreme logs that cost double precision digits:
+a sound filter is not accused there, a broken one is found. --table prints every band. One process.
 """
 
 from __future__ import annotations
@@ -19,19 +20,25 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.coverage import Coverage, coverage, figures_of, wrong
-from benchmarks.sound_drives import sound_run
+from benchmarks.sound_drives import extreme_log, sound_run
 from benchmarks.trust_row import Row, print_table
 from comparisons.config import EkfConfig, Filter, RunConfig, SolveConfig
 from comparisons.errors import InputError
+from comparisons.faults.fault import with_state
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.compare import compare
+from comparisons.pipeline.compare import Modified, compare, compare_prepared
+from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.solve import solve
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.state import Correction, KalmanState
+from graphslam.marginals import SingularProblemError
 
 SCALES = (0.3, 1.0)
 _EXACT = 1e-9
@@ -39,7 +46,7 @@ _EXACT = 1e-9
 
 def rows(quick: bool = False) -> list[Row]:
     """What is promised of rates and of stabilisation noise, and what was measured."""
-    return [*_bands(quick), *_alarms(quick), *_without_noise()]
+    return [*_bands(quick), *_alarms(quick), *_without_noise(), *_rounding(quick)]
 
 
 @cache
@@ -148,6 +155,77 @@ def _refused(log: Log) -> Row:
         said.rpartition("; ")[2],
         "variance_rate_position" in said and "variance_rate_heading" in said and "\n" not in said,
     )
+
+
+class _Extreme(NamedTuple):
+    """One extreme log. outcome: of a sound filter; accused: of what rounding does.
+
+    share: of ten times what rounding explains; found: where each update loses it. None where that
+    is more than half, or nothing could be compared.
+    """
+
+    name: str
+    outcome: str
+    accused: bool = False
+    share: float | None = None
+    found: bool | None = None
+
+
+def _rounding(quick: bool) -> Iterator[Row]:
+    """Extreme logs: no sound filter is accused, and ten times what rounding explains is found."""
+    sound, most = (6, 3) if quick else (30, 20)
+    planted, every = 0, list[_Extreme]()
+    for seed in range(sound):
+        every.append(extreme(seed, plant=planted < most))
+        planted += every[-1].found is not None
+    outcomes = Counter(one.outcome for one in every)
+    said = ", ".join(f"{n} {one}" for one, n in sorted(outcomes.items()))
+    accused = [one.name for one in every if one.accused]
+    missed = [f"{one.name}, {one.share:.1g}" for one in every if one.found is False]
+    yield Row(
+        "extreme logs: a sound filter is not accused of what rounding does",
+        f"none of {sound}",
+        f"{'; '.join(accused) or 'none'} ({said})",
+        not accused,
+    )
+    yield Row(
+        "extreme logs: a filter whose updates lose ten times what rounding explains is found",
+        f"all of {planted}",
+        f"all but {'; '.join(missed)}" if missed else "all",
+        not missed and planted > 0,
+    )
+
+
+def extreme(seed: int, *, plant: bool) -> _Extreme:
+    """Compare a sound filter on an extreme log, and one that loses more than rounding does."""
+    what, log = extreme_log(seed)
+    name = f"{seed}, {what}"
+    try:
+        c = compare(log)
+    except (InputError, SingularProblemError, np.linalg.LinAlgError):  # one line on the terminal
+        return _Extreme(name, "refused")
+    accused = bool({"algebra", "model", "breakdown"} & {one.gap for one in c.verdict.causes})
+    share = 10.0 * c.gaps.algebra_rounding.largest
+    if not plant or share > 0.5:
+        return _Extreme(name, c.verdict.outcome, accused)
+    broken = Modified(with_state(_losing(share)))
+    causes = compare_prepared(prepare(log, RunConfig(), also=(broken,))).verdict.causes
+    found = "algebra" in {one.gap for one in causes}
+    return _Extreme(name, c.verdict.outcome, accused, share, found)
+
+
+def _losing(share: float) -> type[KalmanState]:
+    """Each update takes a share too much of the covariance."""
+
+    class Losing(KalmanState):
+        def update(
+            self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+        ) -> Correction:
+            done = super().update(columns, jacobian, innovation, noise)
+            self._covariance *= 1.0 - share
+            return done
+
+    return Losing
 
 
 def without_noise(log: Log) -> Log:

@@ -92,6 +92,11 @@ def test_block_limits(distance: float, least: float, largest: float, agrees: boo
     assert BlockAgreement.of(apart, np.eye(2), given).agrees is agrees
 
 
+def test_what_lies_on_a_limit_agrees() -> None:
+    """One sigma, a quarter of the variance and four times as much."""
+    assert BlockAgreement.of(np.ones(2), np.eye(2), np.diag((0.25, 4.0))).agrees
+
+
 def test_the_worst_of_many_landmarks_is_no_worse_than_that_of_two_hundred() -> None:
     """Sound maps of any size pass alike; with one limit for all the large ones pass hardly ever."""
     rng, passing = np.random.default_rng(0), {}
@@ -179,6 +184,15 @@ def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:
     red = replace(a, algebra=replace(a.algebra, covariance=float("inf")))
     result = replace(comparison.smoother, optimality=unverified)
     assert judge(red, result, comparison.ekf, Diagnosis()).outcome == "disagree"
+
+
+@pytest.mark.parametrize(("sigma", "named"), [(1e-9, []), (1.0, ["model"])])
+def test_a_model_gap_is_named_where_rounding_does_not_explain_it(
+    comparison: Comparison, sigma: float, named: list[str]
+) -> None:
+    a = replace(comparison.agreement, model=Gap(sigma, 0.0))
+    verdict = judge(a, comparison.smoother, comparison.ekf, Diagnosis())
+    assert [cause.gap for cause in verdict.causes] == named
 
 
 def test_alignment_is_rigid_and_without_scale() -> None:

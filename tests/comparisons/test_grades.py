@@ -28,9 +28,10 @@ from comparisons.adapters.filter_variants import (
 from comparisons.adapters.reference_filter import run_reference
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.checks.agreement import Gap
+from comparisons.checks.agreement import Band, Gap
 from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis.covariance_signatures import fit
+from comparisons.checks.external_agreement import _whole, compare_external
 from comparisons.checks.grade import (
     GRADES,
     Grade,
@@ -305,6 +306,21 @@ def test_a_smoother_is_compared_with_the_smoother(solution: Solution) -> None:
     assert "uses later measurements" in evidence(as_filter)
     bare = ExternalEstimate(time_s=solution.estimate.time_s, pose=solution.estimate.pose)
     assert check_external(bare, solution, "like").outcome == "agree"
+    optimum = present(found.grade.by).reference
+    alone = compare_external(
+        ExternalEstimate.of(solution.estimate), optimum, peers=(), labelled=True
+    )
+    assert (alone.band, alone.against) == (Band(0.5, 2.0), ())
+
+
+def test_a_filters_map_is_near_the_optimum_in_the_same_directions(
+    solution: Solution, right: ExternalEstimate
+) -> None:
+    by = present(check_external(right, solution).grade.by)
+    optimum = check_external(ExternalEstimate.of(solution.estimate), solution).grade.by
+    found = present(_whole(by.reference, present(optimum).reference, labelled=True))
+    assert found.agrees
+    assert 0.0 < found.distance_sigma < 0.5
     tripled = EXPORTS["all covariances 3 times"](ExternalEstimate.of(solution.estimate))
     assert "3.0 times that of the smoother" in evidence(check_external(tripled, solution, "like"))
 

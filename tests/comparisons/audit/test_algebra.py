@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
-from comparisons.audit.algebra import faults_of
+from comparisons.arrays import Array
+from comparisons.audit import algebra
+from comparisons.audit.algebra import AlgebraCheck, Finding, faults_of
 from comparisons.audit.audit import Audit, audit
+from comparisons.audit.faults import PLAIN, digits
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.run_trace import write_event, write_run
 from comparisons.config import CheckConfig
@@ -20,7 +25,7 @@ from comparisons.faults.catalogue import NAMED
 from comparisons.pipeline.check import ExternalCheck, check_external
 from comparisons.pipeline.compare import Comparison, Modified, repeat_filter
 from comparisons.pipeline.solve import solve
-from comparisons.trace.events import Event, Snapshot, Update
+from comparisons.trace.events import Event, Predict, Prior, Snapshot, Update
 from comparisons.trace.recorder import Recorder
 from tests.comparisons.audit.test_own_filter import CASES, same
 from tests.helpers import compared, present, simulated
@@ -149,6 +154,229 @@ def test_a_trace_without_snapshots_says_what_is_lacking(tmp_path: Path) -> None:
     cause = check.trace.verdict.causes[0]
     assert cause.gap == "algebra"
     assert "a snapshot of the covariance, recorded after each event" in cause.hint
+
+
+BLOCKS, DIMS = ("place", "speed", "bias"), (2, 1, 1)
+P = np.array(
+    [[4.0, 0.7, 0.5, 0.3], [0.7, 3.0, 0.4, 0.2], [0.5, 0.4, 2.0, 0.6], [0.3, 0.2, 0.6, 1.0]]
+)
+F = np.array([[1.0, 0.1, 0.5], [0.2, 0.9, 0.3], [0.4, 0.2, 0.8]])
+Q = np.diag((0.1, 0.2, 0.3))
+H = np.array([[1.0, 0.2], [0.0, 1.0]])
+R = np.array([[0.5, 0.1], [0.1, 0.4]])
+MOVE = Predict(1, None, ("place", "speed"), F, Q)
+MEASURE = Update(2, None, "gps", ("place",), np.array([0.5, -0.3]), H, R, True, None, None)
+BEGIN = Prior(0, None, BLOCKS, DIMS, P)
+
+
+def predicted(p: Array, f: Array = F, q: Array = Q) -> Array:
+    whole, noise = np.eye(4), np.zeros((4, 4))
+    whole[:3, :3], noise[:3, :3] = f, q
+    return np.asarray(whole @ p @ whole.T + noise)
+
+
+def gain_of(p: Array, r: Array = R) -> tuple[Array, Array]:
+    """Kalman's gain (4, 2), and H on the whole state."""
+    whole = np.hstack((H, np.zeros((2, 2))))
+    return p @ whole.T @ np.linalg.inv(whole @ p @ whole.T + r), whole
+
+
+def updated(p: Array) -> Array:
+    k, h = gain_of(p)
+    return np.asarray(p - k @ h @ p)
+
+
+def lacking_r(p: Array) -> Array:
+    k, h = gain_of(p)
+    return np.asarray(p - k @ h @ p @ h.T @ k.T)
+
+
+def changed(f: Array, rows: slice, columns: slice, value: ArrayLike) -> Array:
+    found = f.copy()
+    found[rows, columns] = value
+    return found
+
+
+def alone(p: Array) -> Array:
+    """The last block without covariances with the others."""
+    found = p.copy()
+    found[3, :3] = found[:3, 3] = 0.0
+    return found
+
+
+def snapshot(number: int, p: Array, mean: Array | None = None) -> Snapshot:
+    return Snapshot(number, None, BLOCKS, p, mean, None)
+
+
+PLACE, SPEED, ALL = slice(0, 2), slice(2, 3), slice(None)
+DONE_WRONG: dict[str, tuple[Event, Callable[[Array], Array]]] = {
+    "the part of F that leads from block speed to place was left zero": (
+        MOVE,
+        lambda p: predicted(p, changed(F, PLACE, SPEED, 0.0)),
+    ),
+    "the part of F that leads from block speed to place has the wrong sign": (
+        MOVE,
+        lambda p: predicted(p, changed(F, PLACE, SPEED, -F[:2, 2:])),
+    ),
+    "the rows of block speed in F were taken as those of the identity": (
+        MOVE,
+        lambda p: predicted(p, changed(F, SPEED, ALL, [[0.0, 0.0, 1.0]])),
+    ),
+    "the columns of block speed in F were taken as those of the identity": (
+        MOVE,
+        lambda p: predicted(p, changed(F, ALL, SPEED, [[0.0], [0.0], [1.0]])),
+    ),
+    "the covariances of block bias with all others were then set to zero": (
+        MEASURE,
+        lambda p: alone(updated(p)),
+    ),
+    "0.02 was then added to the covariance's diagonal": (
+        MEASURE,
+        lambda p: updated(p) + 0.02 * np.eye(4),
+    ),
+    "P - K (S - R) K^T: S lacks R": (MEASURE, lacking_r),
+}
+"""What is said of an event, the event, and what it did to P."""
+
+
+@pytest.mark.parametrize("said", DONE_WRONG)
+def test_what_an_event_did_wrong_is_named(said: str) -> None:
+    event, wrong = DONE_WRONG[said]
+    (found,) = faults_of((BEGIN, event, snapshot(3, wrong(P))), 1e-6)
+    assert said in found
+    right = predicted(P) if event is MOVE else updated(P)
+    assert faults_of((BEGIN, event, snapshot(3, right)), 1e-6) == ()
+
+
+@pytest.mark.parametrize(
+    ("number", "neutral", "count"),
+    [
+        (0.5, 1.0, 1),
+        (0.25, 1.0, 1),  # the inverse of 4
+        (1.02, 1.0, 1),  # 0.02 more than one
+        (0.37, 1.0, 2),
+        (1.0000237, 1.0, PLAIN + 1),  # not one, though near it
+        (0.5371, 1.0, PLAIN + 1),
+        (0.02, 0.0, 1),
+    ],
+)
+def test_a_number_that_somebody_has_written_has_few_digits(
+    number: float, neutral: float, count: int
+) -> None:
+    assert digits(number, neutral) == count
+
+
+@pytest.mark.parametrize(
+    ("most", "said"),
+    [
+        (2, "prediction 1: the process noise was not added"),
+        (1, "the covariance at event 3 is not that of the events before it"),
+    ],
+)
+def test_as_many_events_are_searched_as_are_kept(
+    most: int, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(algebra, "MOST_KEPT", most)
+    wrong = updated(predicted(P, q=0.0 * Q))
+    assert faults_of((BEGIN, MOVE, MEASURE, snapshot(3, wrong)), 1e-6) == (said,)
+
+
+def checked(*events: Event) -> AlgebraCheck:
+    check = AlgebraCheck()
+    for event in (BEGIN, *events):
+        check.take(event)
+    return check
+
+
+def test_an_events_own_fault_goes_first_and_a_slight_one_last() -> None:
+    check = checked()
+    for text, name, event, weight in (
+        ("far off", "nees", None, 50.0),
+        ("slight", "algebra", 2, -1.0),
+        ("later", "algebra", 4, 0.0),
+        ("of an event", "algebra", 3, 0.0),
+    ):
+        check.add(Finding(name, True, text, event), text, weight)
+    check.add(Finding("gain", False, "no fault", 1), "gain")
+    order = ["of an event", "later", "far off", "slight", "no fault"]
+    assert [one.text for one in check.findings()] == order
+
+
+def test_a_correction_is_compared_without_a_gain() -> None:
+    right = gain_of(P)[0] @ MEASURE.residual
+    for correction, gains, said in ((None, 0, []), (right, 1, []), (2.0 * right, 1, ["twice"])):
+        check = checked(MEASURE._replace(correction=correction))
+        assert check.gains == gains
+        assert [text.split()[-1] for text in check.faults()] == said
+
+
+def test_asymmetry_is_what_two_sides_of_the_diagonal_differ_by() -> None:
+    """Where each is within the tolerance of what is right, too."""
+    right, odd = updated(P), np.zeros((4, 4))
+    odd[0, 2] = 0.7e-6 * np.sqrt(right[0, 0] * right[2, 2])
+    (found,) = faults_of((BEGIN, MEASURE, snapshot(3, right + odd - odd.T)), 1e-6)
+    assert "is asymmetric, by 1.4e-06 of its sigmas" in found
+    assert faults_of((BEGIN, MEASURE, snapshot(3, right + odd)), 1e-6) == ()
+
+
+def test_after_an_asymmetric_covariance_the_next_fault_is_named() -> None:
+    """Of a filter that takes the even part of it from there on."""
+    skewed = predicted(P)
+    skewed[0, 3] += 0.02
+    later = snapshot(5, lacking_r(0.5 * (skewed + skewed.T)))
+    events = BEGIN, MOVE, snapshot(2, skewed), MEASURE._replace(number=4), later
+    found = faults_of(events, 1e-6)
+    assert any("is asymmetric" in text for text in found)
+    assert found[-1].startswith("update 4 of sensor `gps`: ")
+    assert "S lacks R" in found[-1]
+
+
+def test_an_estimate_is_off_by_the_largest_of_its_numbers() -> None:
+    p, after = predicted(P), np.array([1.0, 2.0, 3.0])
+    mean = np.array([*after, 7.0]) + np.array([0.01, 0.5, 0.0, 0.0]) * np.sqrt(np.diag(p))
+    (found,) = faults_of((BEGIN, MOVE._replace(after=after), snapshot(3, p, mean)), 1e-6)
+    assert found == "prediction 1: the estimate of place is off by 0.5 sigma"
+
+
+def test_an_unknown_error_is_said_of_the_update_with_another_gain() -> None:
+    kalman, h = gain_of(predicted(P))
+    gain = kalman * [[1.0], [1.0], [0.7], [1.3]]
+    less = np.eye(4) - gain @ h
+    p = less @ predicted(P) @ less.T + gain @ R @ gain.T
+    p[1, 3] = p[3, 1] = p[1, 3] + 0.123
+    check = checked(MOVE, MEASURE._replace(gain=gain), snapshot(3, p))
+    check.end()
+    first = check.findings()[0]
+    assert (first.check, first.event, first.sensor) == ("algebra", 2, "gps")
+    assert "off by" in first.text
+
+
+def test_a_gain_that_is_named_with_the_covariance_is_one_finding() -> None:
+    k, h = gain_of(P, R @ R)
+    check = checked(MEASURE._replace(gain=k), snapshot(3, P - k @ h @ P))
+    check.end()
+    (found,) = check.findings()
+    assert "gain and covariance are those of the square of R" in found.text
+    assert not check.optimal
+
+
+def test_the_one_before_of_the_second_event_is_the_first_of_the_third() -> None:
+    """One finding of a kind, in the words that hold for all."""
+    check = checked()
+    for event, which in ((5, "update before"), (7, "first update"), (9, "first update")):
+        text = f"the H of the {which} was used"
+        check._add_cause(Finding("algebra", True, text, event), text, 0.0)
+    (found,) = check.findings()
+    assert found.text == "the H of the first update was used; and 2 more"
+
+
+def test_a_heading_by_its_cosines_is_recorded_as_an_angle() -> None:
+    """The state has four entries for the pose, the trace three."""
+    c = compared(simulated(seed=3, loop_s=4.0), filter="misono-full")
+    events = repeated(c)
+    assert c.ekf.trace.prior_pose.shape == (3,)
+    assert sum(isinstance(one, Snapshot) for one in events) > 20
+    assert faults_of(events, 1e-8) == ()
 
 
 def test_the_estimate_after_a_prediction_is_checked() -> None:

@@ -454,6 +454,7 @@ def test_resets_that_are_all_the_identity_are_noted(
             record.reset(j)
     notes = [one for one in audit(path).findings if "resets are the identity" in one.text]
     assert [(one.fault, one.event) for one in notes] == [(False, 2)] * told
+    assert all("0.2 is corrected before them: is the Jacobian made" in one.text for one in notes)
 
 
 CLOSE = np.array([[1.0, 0.999], [0.999, 1.0]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +13,23 @@ from scipy.stats import binom, chi2, kstest
 from comparisons.arrays import Array
 from comparisons.audit.audit import audit
 from comparisons.audit.consistency import (
+    BlockErrors,
     Departure,
+    EventInnovations,
     _gating,
     _Turned,
+    _white,
     departures,
+    first_error,
 )
+from comparisons.audit.replay import Layout
 from comparisons.innovations import (
     InnovationLog,
     SensorInnovations,
     _lengthened,
 )
 from comparisons.statistics import onset, rarity, stretch
-from comparisons.trace.events import Sensor
+from comparisons.trace.events import Augment, Sensor, Snapshot, Update
 from comparisons.trace.recorder import Recorder
 from tests.comparisons.drawn_innovations import drawn_sensor
 
@@ -104,6 +110,10 @@ def test_a_fault_has_a_time() -> None:
     assert len(timed) == 1
     assert abs((timed[0].event or 0) - 12340) <= 100
     assert abs((timed[0].until or 0) - 15990) <= 500
+    mean = float(timed[0].what.split(": ")[1].split(",")[0])
+    first = (z[1200:1250] ** 2).sum(axis=1)  # of sixty stretches, the first one that is off
+    assert mean == pytest.approx(first.mean(), rel=1e-2)
+    assert timed[0].what.endswith(", expected 2")
 
 
 def test_a_gate_that_begins_to_reject_has_a_time() -> None:
@@ -122,6 +132,85 @@ def test_a_rate_of_rejections_has_the_binomials_two_tails(rejected: int) -> None
     (found,) = _gating(gating, 2.0)
     tails = binom.cdf(rejected, 2000, 0.01), binom.sf(rejected - 1, 2000, 0.01)
     assert found.p_value == pytest.approx(min(1.0, 2.0 * min(tails)), rel=1e-9)
+    if not rejected:  # no series of rejections weighs more
+        assert found.weight == pytest.approx(-np.log(tails[0]), rel=1e-9)
+
+
+def test_few_innovations_that_are_far_off_are_told() -> None:
+    """Too few to be judged in stretches."""
+    assert departed(white(8)) == []
+    assert any("NIS is too high" in one.what for one in departed(6.0 * white(8)))
+
+
+def test_what_is_correlated_at_many_lags_weighs_more() -> None:
+    """Four sigma at each of five lags, beside six at one."""
+    one = figures(white(100)).whiteness[0]
+    band = (0.1,) * 5
+    many, single = (
+        _white(replace(one, autocorrelation=c, band=band, p_value=0.0), LEVEL)[0].weight
+        for c in ((0.2,) * 5, (0.3, 0.0, 0.0, 0.0, 0.0))
+    )
+    assert many > single
+    assert many == pytest.approx(rarity(16.0, 5))
+
+
+def errors_of(squared: Array) -> BlockErrors:
+    """Of a state of two numbers in one block, an event each tenth of a second."""
+    layout = Layout(("pose",), (2,))
+    found = BlockErrors(layout)
+    for number, value in enumerate(squared.tolist()):
+        e = np.sqrt([value, 0.0])
+        found.add(Snapshot(number, 0.1 * number, ("pose",), np.eye(2), None, e), e, layout)
+    return found
+
+
+def test_an_average_departs_beyond_its_share_of_the_level() -> None:
+    """A quarter of it is the whole state's; the share itself is within."""
+    errors = errors_of(np.full(20, 6.0))
+    averages = errors.averages()
+    p = averages[""].p_value
+    assert 0.0 < p < 0.1
+    assert [one.p_value for one in errors.departures(averages, 4.1 * p)] == [p]
+    assert errors.departures(averages, 4.0 * p) == []
+
+
+def test_a_stretch_departs_beyond_its_share_of_the_level() -> None:
+    """One of ten stretches has a tenth of it."""
+    squared = np.random.default_rng(0).chisquare(2, 1000)
+    squared[300:400] *= 1.6
+    errors = errors_of(squared)
+    whole = errors.averages()[""]
+    (found,) = errors._stretch(whole, 1.0)
+    assert (found.event, found.until) == (300, 399)
+    assert errors._stretch(whole, 9.9 * found.p_value) == []
+    assert len(errors._stretch(whole, 10.1 * found.p_value)) == 1
+
+
+def test_a_first_error_weighs_what_it_is_rare_by() -> None:
+    """Of one number, or of two; the rarer one is told."""
+    layout = Layout(("place", "bias"), (2, 1))
+    error = np.array([4.0, 4.0, 5.0])
+    found = first_error(layout, np.eye(3), error, np.zeros((3, 3)), LEVEL)
+    assert found is not None
+    assert "block `place`" in found.what
+    assert found.weight == pytest.approx(rarity(16.0, 2))
+    alone = first_error(layout, np.eye(3), error * [0.1, 0.1, 1.0], np.zeros((3, 3)), LEVEL)
+    assert alone is not None
+    assert alone.weight == pytest.approx(rarity(25.0, 1))
+
+
+def test_a_measurement_is_of_the_landmark_that_its_rows_touch() -> None:
+    """Of two stacked ones each is of its own; one of two landmarks, or of none, is of neither."""
+    log, layout = EventInnovations({}), Layout(("pose", "a", "b"), (3, 2, 2))
+    for number, name in enumerate(("a", "b")):
+        g, noise = np.zeros((2, 3)), np.eye(2)
+        log.begin(Augment(1, None, name, ("pose",), g, noise, noise, numbers=np.array([number])))
+    h = np.zeros((8, 7))
+    h[:, :3] = 1.0
+    h[:2, 3:5] = h[2:4, 5:7] = h[4:6, 3:7] = 1.0
+    one = np.eye(8)
+    event = Update(2, None, "s", ("pose", "a", "b"), np.zeros(8), h, one, True, None, None)
+    assert log._seen(event, layout, 4).tolist() == [0, 1, -1, -1]
 
 
 def test_the_onset_of_a_step_and_its_end() -> None:
@@ -202,6 +291,16 @@ def test_turns_are_told_among_many_outliers_where_chance_does_not_make_them(
     found = turned.departure("heading")
     assert (found is not None) == told
     assert found is None or "of heading are 2 pi off" in found.what
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_two_whole_turns_are_no_accident(count: int) -> None:
+    turned = _Turned()
+    for number in range(count):
+        turned.add(number, 2.0 * np.pi, 0.03)
+    found = turned.departure("heading")
+    assert (found is not None) == (count == 2)
+    assert found is None or found.what.startswith("2 innovations of heading are 2 pi off")
 
 
 def test_what_is_farther_off_weighs_more() -> None:

@@ -12,13 +12,14 @@ import pytest
 from comparisons.audit.audit import audit
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.replay import Replay
-from comparisons.audit.run_trace import write_run
+from comparisons.audit.run_trace import write_event, write_run
 from comparisons.audit.spurious import Learnt, learnt
 from comparisons.faults.catalogue import NAMED
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.pipeline.compare import Comparison, Modified
-from comparisons.trace.events import Augment, Directions, Event, Remove, Snapshot, Update
+from comparisons.trace.events import Augment, Directions, Event, Prior, Remove, Snapshot, Update
 from comparisons.trace.reader import Trace
+from comparisons.trace.recorder import Recorder
 from ekf_reference.core.landmark_types import POINT
 from tests.comparisons.audit.test_spurious import by_definition
 from tests.comparisons.test_ekf_run import initialised_boundless
@@ -119,7 +120,9 @@ def test_every_kind_of_event_is_there() -> None:
     assert sensors == {"measurements", "scan landmarks", "merges"}
     gone = [e for e in run_events(framed().ekf) if isinstance(e, Remove)]
     assert [e.blocks[0][:14] for e in gone] == ["scan landmark "]
-    names = [e.name for e in run_events(sound().ekf) if isinstance(e, Augment)]
+    begun = [e for e in run_events(sound().ekf) if isinstance(e, Augment)]
+    assert {len(present(e.numbers)) for e in begun} == {1}
+    names = [e.name for e in begun]
     ids = sound().ekf.estimate.landmark_id
     assert names == [f"landmark {i}" for i in ids]
     positions = with_positions().ekf
@@ -169,6 +172,34 @@ def test_the_file_holds_the_same_events(tmp_path: Path) -> None:
             assert all(map(same, one, other))
         found = present(learnt(Trace(place)))
         assert np.array_equal(found.information, all_learnt(c).information)
+
+
+@pytest.mark.parametrize("correction", [None, np.array([0.1, -0.2])])
+def test_a_correction_is_written_where_there_is_one(
+    tmp_path: Path, correction: Array | None
+) -> None:
+    one, numbers = np.eye(2), np.zeros(1)
+    prior = Prior(0, None, ("place",), (2,), one, np.zeros(2), ())
+    measured = Update(
+        1,
+        None,
+        "gps",
+        ("place",),
+        np.ones(2),
+        one,
+        one,
+        True,
+        correction,
+        None,
+        np.zeros(2),
+        numbers,
+    )
+    with Recorder(tmp_path / "run.trace") as record:
+        for event in (prior, measured):
+            write_event(event, record)
+    (_, read) = Trace(tmp_path / "run.trace")
+    assert isinstance(read, Update)
+    assert same(read.correction, correction)
 
 
 def test_a_wrong_covariance_at_the_end_would_show() -> None:

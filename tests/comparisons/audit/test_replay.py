@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit.replay import Replay, check_gain
+from comparisons.audit.replay import Replay, check_gain, largest_pair, noise_factor
 from comparisons.trace.events import Augment, Clone, Predict, Prior, Remove, Reset, Update
 
 RNG = np.random.default_rng(0)
@@ -77,6 +77,38 @@ def test_a_gain_is_wrong_where_it_is_off_by_what_counts_beside_the_rest() -> Non
     sigma = np.sqrt(replay.covariance.diagonal())
     (found,) = check_gain(given, fused, sigma, replay.layout, 1e-6)
     assert found.blocks == ("a",)
+
+
+@pytest.mark.parametrize("factor", [0.25, 1.0, 3.0])
+def test_the_noise_that_a_gain_is_of_is_found(factor: float) -> None:
+    p, h, r = spread(4), RNG.standard_normal((2, 4)), spread(2)
+    across, seen = p @ h.T, h @ p @ h.T
+    gain = across @ np.linalg.inv(seen + factor * r)
+    assert noise_factor(gain, across, seen, r) == pytest.approx(factor)
+    assert noise_factor(across @ np.linalg.inv(seen - 0.1 * r), across, seen, r) is None
+    assert noise_factor(across @ np.linalg.inv(seen + spread(2)), across, seen, r) is None
+
+
+@pytest.mark.parametrize(("times", "said"), [((2.0, 2.0), "twice"), ((2.0, 3.0), "by other than")])
+def test_a_correction_is_made_twice_where_all_of_it_is(
+    times: tuple[float, float], said: str
+) -> None:
+    replay, h, r = start(), np.eye(2), spread(2)
+    event = Update(1, None, "s", ("a",), np.array([1.0, -2.0]), h, r, True, None, None)
+    right = replay.copy().update(event).applied
+    given = event._replace(correction=right * np.concatenate((times, np.ones(4))))
+    fused = replay.update(given)
+    sigma = np.sqrt(replay.covariance.diagonal())
+    (found,) = check_gain(given, fused, sigma, replay.layout, 1e-6)
+    assert found.blocks == ("a",)
+    assert said in found.what
+
+
+def test_the_largest_difference_of_two_blocks_may_stand_on_either_side() -> None:
+    scaled = np.zeros((4, 4))
+    scaled[0, 1], scaled[3, 0] = 1.0, 2.0
+    for one in (scaled, scaled.T):
+        assert largest_pair(one, ("a", "b", "c"), (2, 1, 1)) == ("a", "c")
 
 
 def test_a_rejected_measurement_changes_nothing() -> None:

@@ -73,20 +73,27 @@ class Written:
         return present(learnt(self.events))
 
 
-def two_landmarks(moved: float = 0.0) -> Written:
+def two_landmarks(moved: float = 0.0, unit: float = 1.0) -> Written:
     """A vehicle on a line, unknown shift; landmarks at 2 and 5 m seen before and after a step.
 
     moved: the second measurement of the first landmark is taken for (1 + moved) times its offset.
+    unit: how many units of length are a metre.
     """
-    one = np.eye(1)
-    trace = Written({"pose": 1}, one)
+    one, square = np.eye(1), unit**2 * np.eye(1)
+    trace = Written({"pose": 1}, square)
     trace.directions(one, ("shift",), ("pose",))
-    trace.add(Augment, "a", ("pose",), one, one, 0.04 * one)
-    trace.add(Augment, "b", ("pose",), one, one, 0.04 * one)
-    trace.add(Predict, ("pose",), one, 0.01 * one)
-    trace.update(np.array([-1.0, 1.0 + moved]), np.array([[0.04]]), ("pose", "a"))
-    trace.update(np.array([-1.0, 1.0]), np.array([[0.04]]), ("pose", "b"))
+    trace.add(Augment, "a", ("pose",), one, one, 0.04 * square)
+    trace.add(Augment, "b", ("pose",), one, one, 0.04 * square)
+    trace.add(Predict, ("pose",), one, 0.01 * square)
+    trace.update(np.array([-1.0, 1.0 + moved]), 0.04 * square, ("pose", "a"))
+    trace.update(np.array([-1.0, 1.0]), 0.04 * square, ("pose", "b"))
     return trace
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_a_unit_of_length_changes_no_sigma(unit: float) -> None:
+    plain, other = (two_landmarks(0.5, one).learnt().directions[0] for one in (1.0, unit))
+    assert np.isclose(other.sigma / unit, plain.sigma, rtol=1e-9)
 
 
 def test_by_hand() -> None:
