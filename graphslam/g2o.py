@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphslam.arrays import Array, Index
+from graphslam.extreme_edges import extreme_edges
 from graphslam.graph_builder import to_tangent
 from graphslam.increments import dead_reckoned
 from graphslam.marginals import SingularProblemError
@@ -306,6 +307,11 @@ def read_g2o(path: Path) -> G2oContents:
         notes["frame"] = opened if problem.open_prior else held
     if poses is not None and (said := _vertices((first, second, motion), spread, poses)):
         notes["vertices"] = said
+    extreme = extreme_edges(spread)
+    if len(extreme.rows):
+        notes["extreme"] = extreme.words(
+            [f"edge {r.ids[0]} to {r.ids[1]} (line {r.line})" for r in moves]
+        )
     if found["EQUIV"]:
         notes["passed over"] = f"EQUIV on {len(found['EQUIV'])} lines"
     return G2oContents(

@@ -12,19 +12,18 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import betainc, gammainc, gammaincc
+from scipy.special import betainc
 
 from graphslam.arrays import Array
+from graphslam.extreme_edges import extreme_edges, inverse, meant, squared
 from graphslam.graph_builder import build_graph
 from graphslam.increments import dead_reckoned
 from graphslam.optimisers import optimise, polish
-from graphslam.optimum import ChiSquareTest, chi_square_test
+from graphslam.optimum import EXTREME, ChiSquareTest, chi_square_test
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.search import relaxed_values
 from graphslam.sensor_frame import mount
 
-EXTREME = 1e-20
-"""A chi-square as far out by chance is no matter of noise that is somewhat larger or smaller."""
 _NEAR = 0.1
 """A frame that the odometry tells leaves at most so much of the chi-square, before it is fitted."""
 
@@ -54,17 +53,39 @@ def misread_edges(
     """
     if not len(problem.loop_closures.first) or test.dof <= 0:
         return None
-    tails = (tail(0.5 * test.dof, 0.5 * test.chi2) for tail in (gammainc, gammaincc))
-    extreme = min(tails) <= EXTREME
-    if verified and not extreme:
+    if verified and not test.extreme:
         return None
     found = _fitted(_inverted(problem), test.dof)
     if found is not None and found.reading != "too high" and _far_less(found, test):
         return EdgeReading("the loop closures fit when inverted", found)
-    for words, other in _readings(problem, test) if extreme else ():
+    for words, other in _readings(problem, test) if test.extreme else ():
         found = _fitted(other, test.dof)
         if found is not None and found.reading == "plausible":
             return EdgeReading(words, found)
+    return None
+
+
+def few_misread(problem: SlamProblem) -> EdgeReading | None:
+    """Return the reading of the few edges of extreme information by which a graph fits.
+
+    Args:
+        problem: A graph.
+
+    Returns:
+        None where there are no such edges, or no reading makes them like the others and the graph
+        fit.
+    """
+    closed, steps = problem.loop_closures, problem.steps
+    covariance = np.concatenate((problem.increment_covariance[steps], closed.covariance))
+    dof = problem.residual_dimension - problem.state_dimension
+    extreme = extreme_edges(covariance)
+    for how, other in meant(covariance, extreme) if len(extreme.rows) else ():
+        moved = problem.increment_covariance.copy()
+        moved[steps] = other[: len(steps)]
+        closures = replace(closed, covariance=other[len(steps) :])
+        found = _fitted(replace(problem, increment_covariance=moved, loop_closures=closures), dof)
+        if found is not None and found.reading == "plausible":
+            return EdgeReading(f"they fit when what stands there is {how}", found)
     return None
 
 
@@ -97,7 +118,7 @@ def _readings(problem: SlamProblem, test: ChiSquareTest) -> Iterator[tuple[str, 
         np.median(np.einsum("nii->ni", np.linalg.inv(one)), axis=0)
         for one in (problem.increment_covariance[problem.steps], closed.covariance)
     )
-    for how, covariance in (("the covariance", _inverse), ("a square root of it", _squared)):
+    for how, covariance in (("the covariance", inverse), ("a square root of it", squared)):
         odometry = replace(problem, increment_covariance=covariance(problem.increment_covariance))
         closures = replace(closed, covariance=covariance(closed.covariance))
         for what, size, other in (
@@ -172,15 +193,3 @@ def _in_vehicle(closed: LoopClosures, frame: Array) -> LoopClosures:
 def _size(ratio: Array, other: str) -> str:
     """How large informations (3,) are beside those of other edges, as they were read."""
     return f" ({ratio.min():.2g} to {ratio.max():.2g} times the {other})"
-
-
-def _inverse(covariance: Array) -> Array:
-    """(N, n, n) the informations that were read; NaN where nothing was."""
-    return np.asarray(np.linalg.inv(covariance))
-
-
-def _squared(covariance: Array) -> Array:
-    """(N, n, n) covariances where the upper triangles that were read are roots of informations."""
-    root = np.linalg.inv(np.triu(np.linalg.inv(covariance)))
-    squared: Array = root @ root.transpose(0, 2, 1)
-    return squared

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import gtsam
-from scipy.special import gammainccinv
+from scipy.special import gammainc, gammaincc, gammainccinv
 
 from graphslam.marginals import eliminate
 
@@ -21,6 +21,9 @@ AGREEMENT = 1e-6
 
 TIE = 1e-6, 1e-12
 """Errors tie that differ by less: what a last step leaves, and rounding relative to the error."""
+
+EXTREME = 1e-20
+"""A chi-square as far out by chance is no matter of noise that is somewhat larger or smaller."""
 
 DISTANCE_LIMIT = 0.05
 """An incremental estimate must not be farther from the optimum than this, in sigma."""
@@ -47,6 +50,12 @@ class ChiSquareTest:
         if self.chi2 > self.upper:
             return "too high"
         return "too low" if self.chi2 < self.lower else "plausible"
+
+    @property
+    def extreme(self) -> bool:
+        """Whether no chance makes it so high or low."""
+        tails = (tail(0.5 * self.dof, 0.5 * self.chi2) for tail in (gammainc, gammaincc))
+        return self.dof > 0 and bool(min(tails) <= EXTREME)
 
 
 def chi_square_test(error: float, dof: int) -> ChiSquareTest:

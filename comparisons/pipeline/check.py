@@ -486,7 +486,7 @@ def check_external(
         *_remarks(given, found),
         *_beside(grade, known, found, outcome),
         *solution.doubts,
-        *solution.frames,
+        *solution.notes,
     )
     if short:
         own = tuple(one for one in causes if one.gap in OWN)  # a wrong filter may have broken down

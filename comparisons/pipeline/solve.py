@@ -37,7 +37,7 @@ from comparisons.pipeline.prepare import (
 from comparisons.shown import Shown, render
 from graphslam.association_variants import variants
 from graphslam.increments import dead_reckoned
-from graphslam.misread_edges import EdgeReading, misread_edges
+from graphslam.misread_edges import EdgeReading, few_misread, misread_edges
 from graphslam.smoother import SmootherOptions, SmootherResult
 from graphslam.unclosed import Unclosed, unclosed_passage
 
@@ -62,6 +62,8 @@ class Solution(Shown):
             them.
         association_check: How its own association compares with others made without labels.
         misread: How edges between poses fit that do not as they are read; None where they do.
+        few: How the few edges fit whose information is far from that of the others; None where
+            there are none, or they do not.
         unclosed: Poses of a graph nearer to each other than its edges tell; None where these do.
     """
 
@@ -75,6 +77,7 @@ class Solution(Shown):
     association: AssociationScore | None
     association_check: AssociationCheck | None
     misread: EdgeReading | None = None
+    few: EdgeReading | None = None
     unclosed: Unclosed | None = None
 
     def __repr__(self) -> str:
@@ -116,18 +119,25 @@ class Solution(Shown):
         """What is lacking but for the optimum's own evidence: how edges are read, association."""
         checked, found = self.association_check, []
         if self.misread is not None:
-            fit, chi2 = self.misread.chi_square, self.result.optimality.chi_square.chi2
-            found.append(
-                f"{self.misread.words}: chi-square {rounded(fit.chi2)} for {fit.dof} degrees of "
-                f"freedom in place of {rounded(chi2)}"
-            )
+            found.append(self._reading(self.misread))
         return found if checked is None else [*found, *checked.remarks]
 
+    def _reading(self, one: EdgeReading) -> str:
+        """Say how edges fit, and how well."""
+        chi2 = self.result.optimality.chi_square.chi2
+        return (
+            f"{one.words}: chi-square {rounded(one.chi_square.chi2)} for {one.chi_square.dof} "
+            f"degrees of freedom in place of {rounded(chi2)}"
+        )
+
     @property
-    def frames(self) -> list[str]:
-        """What a graph's vertices say of another frame than its edges'."""
-        said = self.log.provenance.get("vertices")
-        return [] if said is None else [said]
+    def notes(self) -> list[str]:
+        """What a graph's file says of its vertices' frame, and of edges far from the others."""
+        said = self.log.provenance
+        extreme = [said["extreme"]] if "extreme" in said else []
+        if extreme and self.few is not None:
+            extreme = [f"{extreme[0]}; {self._reading(self.few)}"]
+        return [*([said["vertices"]] if "vertices" in said else []), *extreme]
 
     @property
     def open_loops(self) -> list[str]:
@@ -211,6 +221,7 @@ def solve(
     with clock.stage("edges"):
         optimality = result.optimality
         misread = misread_edges(result.problem, optimality.chi_square, verified=optimality.verified)
+        few = few_misread(result.problem) if "extreme" in log.provenance else None
         unclosed = None
         if misread is None:  # else no sigma means what it says
             unclosed = unclosed_passage(result, estimate.pose_covariance)
@@ -231,6 +242,7 @@ def solve(
         association=None if known else score_association(landmark_index, result.landmarks, log),
         association_check=checked,
         misread=misread,
+        few=few,
         unclosed=unclosed,
     )
 

@@ -27,10 +27,31 @@ from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
+from graphslam.optimum import ChiSquareTest
 
 FRAME = "no line fixes the frame but the absolute positions, which therefore are used"
 LARGEST_DRAWN = 150
 """Variables of the largest graph that is drawn as dot."""
+
+
+def _overstated(test: ChiSquareTest) -> bool:
+    """Whether no chance makes a chi-square so low."""
+    return test.reading == "too low" and test.extreme
+
+
+def _misfit(solution: Solution) -> list[str]:
+    """What a chi-square outside its band means; nothing where another reading of edges says it."""
+    if solution.misread:
+        return []
+    optimality = solution.result.optimality
+    test, found = optimality.chi_square, misfit_remarks(optimality)
+    if _overstated(test):
+        times = rounded(float(np.sqrt(test.dof / test.chi2)) if test.chi2 else np.inf)
+        found.append(
+            f"no chance makes chi-square so low: the stated sigmas are about {times} times too "
+            "large, and so are the estimate's"
+        )
+    return [one for one in found if one not in solution.lacks]
 
 
 class SolutionReport(Report[Solution, SolutionResult]):
@@ -39,7 +60,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
     @staticmethod
     def build(solution: Solution, read: Clock | None = None) -> SolutionResult:
         """Return the findings, read being the time that reading the log took."""
-        s, lacks, misfit = solution, solution.lacks, misfit_remarks(solution.result.optimality)
+        s = solution
         return SolutionResult(
             association_by=s.association_by,
             landmarks=len(s.estimate.landmark),
@@ -52,12 +73,12 @@ class SolutionReport(Report[Solution, SolutionResult]):
             association_check=s.association_check,
             pose_graph=_pose_graph(s),
             verdict="verified" if s.verified else "unverified",
-            reasons=lacks,
+            reasons=s.lacks,
             remarks=[
                 *([FRAME] if s.log.prior.open else []),
-                *s.frames,
+                *s.notes,
                 *s.open_loops,
-                *([] if s.misread else [one for one in misfit if one not in lacks]),
+                *_misfit(s),
             ],
             **about_job(s.prepared, s.prepared.clock.after(read)),
         )
@@ -72,8 +93,9 @@ class SolutionReport(Report[Solution, SolutionResult]):
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
         accuracy = {"smoother": result.accuracy, "odometry": result.dead_reckoning}
         used = "measurements used for the map"
+        test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
         return Summary(
-            headline=f"verdict: {result.verdict}",
+            headline=f"verdict: {result.verdict}{', sigmas too large' * _overstated(test)}",
             style=STYLES[result.verdict],
             reasons=result.reasons,
             remarks=result.remarks,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +28,7 @@ from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything, loosened, rounds
-from tests.graphslam.test_misread_edges import laps
+from tests.graphslam.test_misread_edges import inverse, laps
 from tests.helpers import compared, present, simulated
 
 
@@ -276,8 +278,7 @@ def test_what_is_lacking_is_said_first(tmp_path: Path) -> None:
     report = SolutionReport.of(doubtful)
     result = report.result
     assert result.reasons == [optimality.lacks]
-    [note] = result.remarks
-    assert "is too low" in note
+    assert "is too low" in result.remarks[0]
     shown = brief(report.summary())
     assert shown[1].text.strip() in optimality.lacks
 
@@ -297,6 +298,75 @@ def test_isam_and_gtsam_share_tags(tmp_path: Path, variance: float, kind: str) -
 def misread(problem: SlamProblem) -> SlamProblem:
     inverse: Array = np.asarray(np.linalg.inv(problem.increment_covariance), dtype=np.float64)
     return replace(problem, increment_covariance=inverse)
+
+
+STEPS, CLOSURES = [4, 11], [2]
+"""Edges of `rounds` whose information is made extreme."""
+
+
+def few_changed(path: Path, change: Callable[[Array], Array]) -> SlamProblem:
+    """Write `rounds` with other covariances of a few edges."""
+    problem = rounds()
+    closed, spread = problem.loop_closures, problem.increment_covariance.copy()
+    closing = closed.covariance.copy()
+    spread[STEPS], closing[CLOSURES] = change(spread[STEPS]), change(closing[CLOSURES])
+    changed = replace(
+        problem,
+        increment_covariance=spread,
+        loop_closures=replace(closed, covariance=closing),
+    )
+    write_g2o(path, G2oContents(changed, np.zeros((49, 3)), np.zeros((0, 2))))
+    return problem
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (inverse, r"they fit when what stands there is the covariance: chi-square (\d+) for "),
+        (lambda one: 1e-12 * np.broadcast_to(np.eye(3), one.shape), ""),
+    ],
+    ids=["inverse", "stiff"],
+)
+def test_few_edges_of_extreme_information_are_named(
+    tmp_path: Path, change: Callable[[Array], Array], said: str
+) -> None:
+    """With their lines, and with the reading that fits; a broken one takes what says nothing."""
+    path = tmp_path / "few.g2o"
+    right = 2.0 * smooth(few_changed(path, change), {}).error
+    solution = solve(open_log(str(path)))
+    [note] = solution.notes
+    named = re.findall(r"edge (\d+) to (\d+) \(line (\d+)\)", note)
+    assert [int(i) for i, _, _ in named[:2]] == STEPS
+    lines = path.read_text().splitlines()
+    assert [lines[int(line) - 1].split()[1:3] for _, _, line in named] == [
+        [i, j] for i, j, _ in named
+    ]
+    assert len(named) == 3
+    found = re.search(said or "; they fit", note)
+    assert bool(found) is bool(said)
+    assert found is None or int(found[1]) == pytest.approx(right, abs=0.6)
+    assert note in SolutionReport.build(solution).remarks
+
+
+def test_few_edges_that_say_nothing_are_refused_by_line(tmp_path: Path) -> None:
+    path = tmp_path / "few.g2o"
+    few_changed(path, lambda one: 1e12 * np.broadcast_to(np.eye(3), one.shape))
+    with pytest.raises(InputError, match=r"edge 4 to 5 \(line \d+\), .* a variance of 1e\+12 says"):
+        open_log(str(path))
+
+
+def test_a_chi_square_that_no_chance_makes_so_low_qualifies_the_verdict(tmp_path: Path) -> None:
+    """Sigmas ten times too large; those that are right, or slightly too large, do not."""
+    problem, path = rounds(), tmp_path / "rounds.g2o"
+    for factor, words in ((1.0, ""), (1.5, ""), (10.0, ", sigmas too large")):
+        one = loosened(problem, factor**2)
+        write_g2o(path, G2oContents(one, np.zeros((49, 3)), np.zeros((0, 2))))
+        report = SolutionReport.of(solve(open_log(str(path))))
+        assert report.summary().headline == f"verdict: verified{words}"
+    _, remark = report.result.remarks
+    times = re.search(r"the stated sigmas are about (\S+) times too large", remark)
+    assert times is not None
+    assert float(times[1]) == pytest.approx(10.0, rel=0.25)
 
 
 def test_a_small_chi_square_is_not_told_as_zero() -> None:

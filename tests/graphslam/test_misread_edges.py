@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from graphslam.extreme_edges import extreme_edges, meant
 from graphslam.increments import dead_reckoned
 from graphslam.misread_edges import misread_edges
 from graphslam.optimum import chi_square_test
@@ -175,3 +176,22 @@ def test_a_place_that_is_passed_twice_and_not_closed_is_told(between_laps: bool)
         assert np.hypot(x, y) == pytest.approx(found.apart_m)
         assert found.second - found.first > 5
         assert found.apart_m < found.sigma_m
+
+
+@pytest.mark.parametrize(
+    ("read", "how"), [(inverse, ["the covariance"]), (root, ["a square root of it"])]
+)
+def test_few_edges_are_read_as_the_others_are(
+    read: Callable[[Array], Array], how: list[str]
+) -> None:
+    """Sigmas of 0.03 mm; broken: a reading as far off on the other side."""
+    covariance = np.tile(1e-9 * np.diag((1.0, 2.0, 4.0)), (40, 1, 1))
+    assert not len(extreme_edges(covariance).rows)
+    covariance[[3, 30]] = read(covariance[[3, 30]])
+    found = extreme_edges(covariance)
+    assert found.rows.tolist() == [3, 30]
+    readings = list(meant(covariance, found))
+    assert [words for words, _ in readings] == how
+    assert np.allclose(readings[0][1], 1e-9 * np.diag((1.0, 2.0, 4.0)), rtol=1e-9, atol=0.0)
+    covariance[10:20] = read(covariance[10:20])
+    assert not len(extreme_edges(covariance).rows)  # no few

@@ -5,6 +5,7 @@ There are no times, so pose k gets k seconds; landmarks keep their numbers.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ import numpy as np
 from comparisons.errors import InputError, check_regular
 from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.validation import LARGEST
 from graphslam.g2o import read_g2o
 from graphslam.g2o import recognises as knows
+from graphslam.problem import SlamProblem
 
 
 def recognises(path: Path) -> bool:
@@ -41,6 +44,7 @@ def read(path: Path) -> Log:
         raise InputError(f"{path}: expected EDGE_SE2 lines")
     if len(problem.surveyed):
         raise InputError(f"{path}: EDGE_PRIOR_XY lines can be solved, but not read as a log")
+    _bounded(path, problem, notes)
     order = np.argsort(problem.measurement_pose, kind="stable")
     fixes = np.argsort(problem.position_pose, kind="stable")
     return Log(
@@ -76,3 +80,16 @@ def read(path: Path) -> Log:
         else None,
         provenance={"times": "pose numbers in place of seconds", **notes},
     )
+
+
+def _bounded(path: Path, problem: SlamProblem, notes: Mapping[str, str]) -> None:
+    """Refuse edges whose information says nothing, by their lines where they are few."""
+    largest = max(
+        float(np.max(one, initial=0.0, where=np.isfinite(one)))
+        for one in (problem.increment_covariance, problem.loop_closures.covariance)
+    )
+    if largest > LARGEST and "extreme" in notes:
+        raise InputError(
+            f"{path}: {notes['extreme']}; a variance of {largest:.2g} says nothing, expected at "
+            f"most {LARGEST:g}; correct the information, or remove the lines"
+        )
