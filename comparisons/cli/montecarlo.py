@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
@@ -16,7 +16,8 @@ from comparisons.errors import note
 
 if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.config import MonteCarloConfig
-    from comparisons.pipeline.prepare import Progress
+    from comparisons.experiments.montecarlo.external import Command
+    from comparisons.experiments.montecarlo.study import Study
 
 
 class _Given(NamedTuple):
@@ -135,12 +136,11 @@ def montecarlo(**values: Any) -> None:
         )
         from comparisons.experiments.montecarlo.workers import one_each_core
 
-        with progress_bar(output) as progress:
+        with progress_bar(output) as progress, _kept_if_stopped(study, folder, commands):
             ours = one_each_core() if given.workers is None else given.workers
             theirs = 1 if given.workers is None else given.workers
             external = External(commands, given.reuse, theirs)
-            with _kept_if_stopped(progress, folder) as reported:
-                outcome = run_study(study, folder, ours, given.scheduler, reported, external)
+            outcome = run_study(study, folder, ours, given.scheduler, progress, external)
             progress("report", 0, 0)
             write_montecarlo(outcome, folder)
             if given.keep is not None:
@@ -150,20 +150,19 @@ def montecarlo(**values: Any) -> None:
 
 
 @contextmanager
-def _kept_if_stopped(progress: Progress, folder: Path) -> Iterator[Progress]:
-    """Say what a study keeps that is stopped."""
-    reached = (0, 0)
-
-    def reported(stage: str, done: int, total: int) -> None:
-        nonlocal reached
-        reached = (done, total) if total else reached
-        progress(stage, done, total)
+def _kept_if_stopped(study: Study, folder: Path, commands: Mapping[str, Command]) -> Iterator[None]:
+    """Say what a study keeps that is stopped, and how it goes on."""
+    from comparisons.experiments.montecarlo.study import kept_runs
 
     try:
-        yield reported
+        yield
     except (KeyboardInterrupt, SystemExit):
-        done, total = reached
-        note(f"stopped: {folder} keeps {done} of {total} parts; the same command continues")
+        kept = kept_runs(study, folder, commands)
+        of_all = study.config.runs * (len(study.config.filters) + len(commands))
+        on = "give the same command to go on"
+        if commands:
+            on += ", with --reuse to keep the runs of --command"
+        note(f"stopped: {folder} keeps {kept:,} of {of_all:,} runs; {on}")
         raise
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from comparisons.cli.support import AGREE, DISAGREE, guarded, print_text, progress_bar
+from comparisons.errors import note
 
 
 def reproduce(
@@ -63,7 +64,11 @@ def reproduce(
         check_replaceable(out, CLAIMS)
         with progress_bar() as progress:
             number = one_each_core() if workers is None else workers
-            found = run(tuple(figures), Sources(data, drives), number, progress)
+            try:
+                found = run(tuple(figures), Sources(data, drives), number, progress)
+            except (KeyboardInterrupt, SystemExit):
+                note(f"stopped: nothing is written to {out}; give fewer figures for a shorter job")
+                raise
             progress("gallery", 0, 0)
             write_gallery(found, out)
         print_text(lambda console: print_claims(found.result, out, console))

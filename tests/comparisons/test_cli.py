@@ -513,28 +513,6 @@ def test_without_gtsam_one_line_says_where_it_is_to_be_had(tmp_path: Path) -> No
     assert done.stderr.splitlines()[-1].startswith("ModuleNotFoundError: graphslam needs gtsam")
 
 
-@pytest.mark.parametrize("stop", [KeyboardInterrupt(), SystemExit(130)])
-def test_a_study_that_is_stopped_says_what_it_keeps(
-    stop: BaseException, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from comparisons.cli.montecarlo import _kept_if_stopped
-
-    seen: list[tuple[str, int, int]] = []
-
-    def study() -> None:
-        with _kept_if_stopped(lambda *told: seen.append(told), Path("study")) as reported:
-            reported("runs", 3, 10)
-            reported("report", 0, 0)
-            raise stop
-
-    with pytest.raises(type(stop)):
-        study()
-    assert seen == [("runs", 3, 10), ("report", 0, 0)]
-    assert "stopped: study keeps 3 of 10 parts; the same command continues" in (
-        capsys.readouterr().err
-    )
-
-
 def test_an_estimate_without_its_option_is_recognised() -> None:
     from comparisons.cli.app import _meant
 

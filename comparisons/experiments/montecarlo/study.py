@@ -299,10 +299,8 @@ class _ExternalJob:
     def run(self, name: str, estimator: Estimator, external: External) -> _ExternalRuns:
         """All runs through one filter, a file each. Raises InputError where every one fails."""
         runs, steps = self.study.config.runs, recorded_steps(self.study.scenario.steps)
-        command = estimator.sha256 if isinstance(estimator, Command) else ""
-        origin = f"{self.study.sha256} {command}"
-        files = ChunkFiles(self.folder, hashlib.sha256(origin.encode()).hexdigest(), len(steps), 1)
-        reuse = external.reuse and command
+        files = _external_files(self.study, self.folder, estimator)
+        reuse = external.reuse and isinstance(estimator, Command)
         wanted = [run for run in range(runs) if not (reuse and _is_there(files, name, run))]
         done = runs - len(wanted)
         self.progress(name, done, runs)
@@ -357,6 +355,26 @@ def keep_log(study: Study, folder: Path, seed: int) -> Path:
         world = build_world(study.scenario, study.config.scenario)
         write_log_folder(log_of_run(world, seed, study.log_name(seed)), place)
     return place
+
+
+def kept_runs(study: Study, folder: Path, commands: Mapping[str, Command]) -> int:
+    """Return how many runs of all filters a study's folder holds, finished or not."""
+    runs, found = study.config.runs, 0
+    ours = ChunkFiles(folder, study.sha256, 0)
+    for name in study.config.filters:
+        for chunk in range(-(-runs // CHUNK)):
+            found += min(CHUNK, runs - chunk * CHUNK) * ours.path(name, chunk).exists()
+    for theirs, command in commands.items():
+        files = _external_files(study, folder, command)
+        found += sum(_is_there(files, theirs, run) for run in range(runs))
+    return found
+
+
+def _external_files(study: Study, folder: Path, estimator: Estimator) -> ChunkFiles:
+    """An external filter's runs, one a file."""
+    command = estimator.sha256 if isinstance(estimator, Command) else ""
+    origin = hashlib.sha256(f"{study.sha256} {command}".encode()).hexdigest()
+    return ChunkFiles(folder, origin, len(recorded_steps(study.scenario.steps)), 1)
 
 
 def _is_there(files: ChunkFiles, name: str, run: int) -> bool:

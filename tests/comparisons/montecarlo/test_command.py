@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from comparisons.experiments.montecarlo.study import run_study
 from comparisons.experiments.montecarlo.workers import spread
 from comparisons.experiments.scenarios.scenario import bundled_scenarios, read_scenario
 from comparisons.experiments.scenarios.world import build_world, measure
-from tests.commands import refused, works
+from tests.commands import refused, slamcheck, works
 from tests.comparisons.montecarlo.worlds import short, shortened, study_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -89,6 +90,39 @@ def test_a_killed_run_goes_on(scenario: Path, finished: Path, tmp_path: Path) ->
     stamp = first.stat().st_mtime_ns
     again(scenario, out)
     assert first.stat().st_mtime_ns == stamp
+    assert contents(out) == contents(finished)
+
+
+@pytest.mark.slow
+def test_a_stopped_study_says_what_it_keeps(
+    scenario: Path, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By what is in the folder: the stop comes before the work's progress is shown."""
+    out = tmp_path / "stopped"
+    arguments = (*asked(scenario, out), "--workers", "1")
+
+    def stopped(after: int) -> str:
+        written: list[object] = []
+        write = ChunkFiles.write
+
+        def stops(*what: Any) -> None:
+            if len(written) == after:
+                raise SystemExit(130)
+            write(*what)
+            written.append(what)
+            if len(written) == after:
+                raise SystemExit(130)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(ChunkFiles, "write", stops)
+            done = slamcheck(*arguments, cwd=tmp_path)
+        assert (done.returncode, done.stdout) == (130, "")
+        return done.stderr.removeprefix(f"slamcheck: stopped: {out} keeps ")
+
+    assert stopped(0) == "0 of 80 runs; give the same command to go on\n"
+    assert stopped(1) == "25 of 80 runs; give the same command to go on\n"
+    assert stopped(2) == "65 of 80 runs; give the same command to go on\n"
+    again(scenario, out)
     assert contents(out) == contents(finished)
 
 

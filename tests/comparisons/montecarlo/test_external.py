@@ -27,6 +27,7 @@ from comparisons.experiments.montecarlo.folder import write_montecarlo
 from comparisons.experiments.montecarlo.study import (
     External,
     Study,
+    kept_runs,
     montecarlo,
     read_study,
     run_study,
@@ -253,6 +254,8 @@ def test_a_changed_filter_is_not_taken_for_the_old_one(
         commands = External(parse([program(body)]), reuse)
         outcome = run_study(study, out, external=commands)
         assert outcome.reused == study.config.runs - len(counted.read_text())
+        assert kept_runs(study, out, parse([program(body)])) == 2 * study.config.runs
+        assert kept_runs(study, out, parse([program(body + "# other")])) == study.config.runs
         return len(counted.read_text())
 
     more = Study(asked.config.model_copy(update={"runs": 5}), asked.scenario)

@@ -165,6 +165,19 @@ def test_each_experiment_runs_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [step[1:] for step in reported] == [(0, 2), (1, 2), (2, 2)]
 
 
+def test_a_stopped_reproduction_says_that_nothing_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stops(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "_experiment", stops)
+    done = slamcheck("reproduce", "N2.12", "--workers", "1", "--out", "out", cwd=tmp_path)
+    reported = "stopped: nothing is written to out; give fewer figures for a shorter job"
+    assert (done.returncode, done.stderr) == (130, f"slamcheck: {reported}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 def test_the_command_lists_runs_and_refuses(tmp_path: Path) -> None:
     listed = works("reproduce", cwd=tmp_path)
