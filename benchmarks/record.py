@@ -1,11 +1,12 @@
-"""Record results, and write the page of results from the records.
+"""Record results, and write the pages of results from the records.
 
     python benchmarks/record.py                       every table: its state and its time
     python benchmarks/record.py NAME ... [--data DIR] run these and record them
     python benchmarks/record.py --due [--idle]        record what is missing or stale
-    python benchmarks/record.py --page                write docs/results.md alone
+    python benchmarks/record.py --page                write the pages alone: docs/results*.md
 
-`benchmarks/results.toml` names the tables: the text around them, and the commands that make them.
+`benchmarks/results.toml` names the pages and their tables: the text around them, and the commands
+that make them.
 A record is what those commands gave, with commit, date, seeds, machine, and a hash of each module
 of the project that they loaded: docs/results/records/NAME.json. Comments and docstrings are not in
 the hash, nor are modules that only print and draw (`UNHASHED`). A record is stale where a hash or
@@ -21,6 +22,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import resource
 import shlex
 import subprocess
@@ -107,15 +109,16 @@ class Table(_Strict):
 
 
 class Section(_Strict):
-    """A section of the page."""
+    """A page of results: docs/results-NAME.md."""
 
+    name: str = Field(pattern=r"^[a-z0-9-]+$")
     title: str
     about: str = ""
     table: tuple[Table, ...] = ()
 
 
 class Registry(_Strict):
-    """The page: all that is or may be recorded."""
+    """All that is or may be recorded. about: stands on the page that lists the others."""
 
     about: str
     section: tuple[Section, ...]
@@ -241,21 +244,42 @@ def _first(error: Exception) -> str:
     return f"{'.'.join(map(str, fault['loc']))}: {fault['msg'].lower()}"
 
 
-def page(registry: Registry, records: Mapping[str, Record], root: Path = ROOT) -> str:
-    """Return docs/results.md: every section that has a record, in the registry's order."""
-    parts = ["# Results", registry.about.strip()]
+def pages(registry: Registry, records: Mapping[str, Record], root: Path = ROOT) -> dict[str, str]:
+    """Return the pages by file: docs/results.md, which lists the others, and one a section.
+
+    A section without a record has none.
+    """
+    listed, found = list[str](), dict[str, str]()
     for section in registry.section:
         shown = [one for one in section.table if one.name in records]
-        if shown:
-            parts += [f"## {section.title}", section.about.strip()]
+        if not shown:
+            continue
+        file = f"results-{section.name}.md"
+        parts = [f"# {section.title}", _MADE, section.about.strip()]
         for table in shown:
             parts += _shown(table, records[table.name], root)
+        found[file] = _joined(parts)
+        listed.append(f"- [{section.title}]({file})")
+        listed += [f"    - [{one.title}]({file}#{anchor(one.title)})" for one in shown]
+    index = ["# Results", registry.about.strip(), "\n".join(listed)]
+    return {"results.md": _joined(index), **found}
+
+
+_MADE = "[Results](results.md) says how the results of this page are made, and what *stale* means."
+
+
+def _joined(parts: Sequence[str]) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def anchor(title: str) -> str:
+    """Return the anchor of a heading, as the pages and GitHub have it."""
+    return re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
 
 
 def _shown(table: Table, record: Record, root: Path) -> Iterator[str]:
     """One result as Markdown."""
-    yield f"### {table.title}"
+    yield f"## {table.title}"
     if state(table, record, root) != FRESH:
         yield STALE
     yield table.about.strip()
@@ -495,7 +519,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared/data")
     parser.add_argument("--due", action="store_true", help="what is missing or stale")
     parser.add_argument("--idle", action="store_true", help="with --due: the tables of times alone")
-    parser.add_argument("--page", action="store_true", help="write docs/results.md alone")
+    parser.add_argument("--page", action="store_true", help="write docs/results*.md alone")
     choices = parser.parse_args()
     try:
         _obey(choices)
@@ -511,11 +535,11 @@ def _obey(choices: argparse.Namespace) -> None:
         if unknown := [name for name in names if name not in registry.tables]:
             raise RecordError(f"{unknown[0]}: no such table; without a name all are listed")
         failed = [name for name in names if not _record(registry.tables[name], choices.data)]
-        write_page(registry)
+        write_pages(registry)
         if failed:
             raise RecordError(f"not recorded: {', '.join(failed)}")
     elif choices.page:
-        write_page(registry)
+        write_pages(registry)
     else:
         records = read_records(registry)
         for name, table in registry.tables.items():
@@ -546,10 +570,14 @@ def _record(table: Table, data: Path) -> bool:
     return True
 
 
-def write_page(registry: Registry) -> None:
-    """Write docs/results.md. Raises RecordError."""
-    text = page(registry, read_records(registry))
-    (ROOT / "docs/results.md").write_text(text, encoding="utf-8")
+def write_pages(registry: Registry) -> None:
+    """Write docs/results*.md, and delete those of sections that are gone. Raises RecordError."""
+    made = pages(registry, read_records(registry))
+    for path in (ROOT / "docs").glob("results-*.md"):
+        if path.name not in made:
+            path.unlink()
+    for name, text in made.items():
+        (ROOT / "docs" / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -152,11 +152,21 @@ def _unit(name: str) -> str:
 
 
 def _api() -> str:
-    """Return the page of `import slamcheck`: each public name where it is defined."""
+    """Return the page of `import slamcheck`: each public name by its use, where it is defined."""
     parts = ["# Python\n\n::: slamcheck\n    options: {members: false}\n"]
-    for name in slamcheck.__all__:
-        module, _, attribute = slamcheck._PLACES.get(name, "slamcheck").partition(":")
-        parts.append(f"## slamcheck.{name}\n\n::: {module}.{attribute or name}\n")
+    rows = [
+        f"| [{use}](#{slugify(use, '-')}) | "
+        + ", ".join(f"[`{name}`](#{slugify(f'slamcheck.{name}', '-')})" for name in names)
+        + " |"
+        for use, names in slamcheck._USES.items()
+    ]
+    parts.append("| to | names |\n|---|---|\n" + "\n".join(rows) + "\n")
+    for use, names in slamcheck._USES.items():
+        parts.append(f"## {use}\n")
+        for name in names:
+            module, _, attribute = slamcheck._PLACES.get(name, "slamcheck").partition(":")
+            place = f"::: {module}.{attribute or name}\n    options: {{heading_level: 4}}\n"
+            parts.append(f"### slamcheck.{name}\n\n{place}")
     return "\n".join(parts)
 
 

@@ -115,6 +115,38 @@ _PLACES = {
 }
 """Where each name is defined, with its name there if that differs."""
 
+_USES = {
+    "Read and write logs and estimates": (
+        "load_log",
+        "write_log",
+        "Log",
+        "read_estimate",
+        "write_estimate",
+        "Estimate",
+        "ExternalEstimate",
+    ),
+    "Run EKF and smoother": ("compare", "Comparison", "RunConfig", "run_config"),
+    "Check an estimate": ("check", "ExternalCheck", "CheckConfig"),
+    "Compare two estimates": ("compare_estimates", "EstimateComparison"),
+    "Record a trace": ("record", "Recorder", "planar_directions", "inertial_directions"),
+    "Audit a trace": ("audit", "Audit"),
+    "Plot": ("plot_map", "plot_trajectory", "plot_errors", "plot_nees", "plot_ladder"),
+    "Write a report": ("write_report",),
+    "Run the smoother alone": ("solve", "Solution", "SolveConfig"),
+    "Map laser scans": (
+        "odometry",
+        "FrontEnd",
+        "OdometryConfig",
+        "dense_map",
+        "DenseMapping",
+        "MapConfig",
+    ),
+    "Study filters in simulation": ("montecarlo", "MonteCarlo"),
+    "Step a filter yourself": ("Ekf", "CompressedEkf", "DirectionCosineEkf"),
+    "Catch what a user can mend": ("InputError",),
+}
+"""What each name is for, in the order of the reference (docs/site.py)."""
+
 __all__ = [
     "Audit",
     "CheckConfig",

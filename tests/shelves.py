@@ -65,7 +65,7 @@ SHELVES = {
     ),
     "results' records": Shelf(
         _tests(
-            "test_results.py::test_the_page_in_the_repository_is_that_of_the_records",
+            "test_results.py::test_the_pages_in_the_repository_are_those_of_the_records",
             "test_results.py::test_earlier_results_are_those_without_a_record",
         ),
         ("docs/results", "docs/earlier-results.md", "benchmarks/re"),

@@ -50,6 +50,12 @@ def test_every_name_exists_and_type_checkers_see_the_same_object() -> None:
         _ = slamcheck.nothing
 
 
+def test_every_name_has_one_use() -> None:
+    """The reference is made by use: a name without one would be missing there."""
+    placed = [name for names in slamcheck._USES.values() for name in names]
+    assert sorted(placed) == sorted(slamcheck.__all__)
+
+
 @pytest.mark.parametrize("package", ["slamcheck", "comparisons", "ekf_reference", "graphslam"])
 def test_types_reach_a_users_type_checker(package: str) -> None:
     """Without the mark everything that comes from a package is Any to its users (PEP 561)."""

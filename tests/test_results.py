@@ -1,4 +1,4 @@
-"""The page of results says what its records say, and a record that the code has left is marked."""
+"""Pages of results say what their records say, and a record that the code has left is marked."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from benchmarks.record import (
     code_hash,
     dump,
     make,
-    page,
+    pages,
     read_records,
     read_registry,
     state,
@@ -83,22 +83,28 @@ def registry_of(**fields: Any) -> Registry:
         {
             "about": "About.",
             "section": [
-                {"title": "Here", "table": [table | fields]},
-                {"title": "Elsewhere", "table": [other]},
+                {"name": "here", "title": "Here", "table": [table | fields]},
+                {"name": "elsewhere", "title": "Elsewhere", "table": [other]},
             ],
         }
     )
 
 
-def test_the_page_in_the_repository_is_that_of_the_records() -> None:
+def shown(registry: Registry, record: Record, root: Path) -> str:
+    """The page that has the record."""
+    return pages(registry, {"one": record}, root)["results-here.md"]
+
+
+def test_the_pages_in_the_repository_are_those_of_the_records() -> None:
     registry = read_registry()
-    made = page(registry, read_records(registry))
-    kept = (ROOT / "docs/results.md").read_text(encoding="utf-8")
-    assert kept == made, "docs/results.md is out of date: run `python benchmarks/record.py --page`"
+    made = pages(registry, read_records(registry))
+    kept = {path.name: path.read_text("utf-8") for path in (ROOT / "docs").glob("results*.md")}
+    stale = [name for name in {*made, *kept} if made.get(name) != kept.get(name)]
+    assert not stale, "out of date: run `python benchmarks/record.py --page`"
 
 
 def test_a_record_is_shown_with_all_that_it_takes_to_make_it_again(tmp_path: Path) -> None:
-    text = page(registry_of(), {"one": record_of(tmp_path)}, tmp_path)
+    text = shown(registry_of(), record_of(tmp_path), tmp_path)
     assert "| a | b |\n| --- | --- |\n| 1 | 2\\|3 |" in text
     assert "```text\nwords\n```\n\n| c |\n|---|\n| 4 |" in text
     assert "*`slamcheck run` · commit 0123456789 · 2026-01-01 · seeds 0 to 9 · C, 2 cores" in text
@@ -110,16 +116,27 @@ def test_each_row_shows_its_command_where_there_are_several(tmp_path: Path) -> N
     commands = {"x": "slamcheck run", "y": "slamcheck run --seed 1"}
     rows = [["x", "1"], ["y", "2"]]
     record = record_of(tmp_path, commands=commands, rows=rows, printed=[])
-    text = page(registry_of(command=commands), {"one": record}, tmp_path)
+    text = shown(registry_of(command=commands), record, tmp_path)
     assert "| a | b | command |\n| --- | --- | --- |\n| x | 1 | `slamcheck run` |\n" in text
     assert "| y | 2 | `slamcheck run --seed 1` |\n\n*each row's command · commit" in text
 
 
-def test_a_table_without_a_record_is_not_shown(tmp_path: Path) -> None:
-    text = page(registry_of(), {"one": record_of(tmp_path)}, tmp_path)
-    assert "## Here\n\n### One\n" in text
-    assert "Two" not in text
-    assert "Elsewhere" not in text
+def test_a_page_has_its_tables(tmp_path: Path) -> None:
+    text = shown(registry_of(), record_of(tmp_path), tmp_path)
+    assert text.startswith("# Here\n\n[Results](results.md)")
+    assert "\n\n## One\n" in text
+
+
+def test_the_first_page_lists_the_others_and_their_tables(tmp_path: Path) -> None:
+    registry = registry_of(title="Nieto 2005, Fig. 2.13")
+    made = pages(registry, {"one": record_of(tmp_path)}, tmp_path)
+    assert list(made) == ["results.md", "results-here.md"]
+    link = "[Nieto 2005, Fig. 2.13](results-here.md#nieto-2005-fig-213)"
+    assert made["results.md"] == (
+        f"# Results\n\nAbout.\n\n- [Here](results-here.md)\n    - {link}\n"
+    )
+    both = pages(registry, {name: record_of(tmp_path) for name in ("one", "two")}, tmp_path)
+    assert "- [Elsewhere](results-elsewhere.md)\n    - [Two](" in both["results.md"]
 
 
 @pytest.mark.parametrize("name", WORDS)
@@ -135,7 +152,7 @@ def test_a_change_of_a_source_is_marked(name: str, tmp_path: Path) -> None:
     record = record_of(tmp_path)
     (tmp_path / "a.py").write_text(MEANINGS[name])
     assert changed(record, tmp_path) == ["a.py"]
-    assert f"### One\n\n{STALE}\n" in page(registry_of(), {"one": record}, tmp_path)
+    assert f"## One\n\n{STALE}\n" in shown(registry_of(), record, tmp_path)
 
 
 def test_a_source_that_is_gone_is_marked(tmp_path: Path) -> None:
@@ -167,8 +184,8 @@ def test_a_record_with_a_wrong_field_is_refused(wrong: dict[str, Any], tmp_path:
 
 def test_a_record_of_another_command_is_marked(tmp_path: Path) -> None:
     registry, record = registry_of(command="slamcheck run --seed 1"), record_of(tmp_path)
-    text = page(registry, {"one": record}, tmp_path)
-    assert f"### One\n\n{STALE}\n" in text
+    text = shown(registry, record, tmp_path)
+    assert f"## One\n\n{STALE}\n" in text
     assert "*`slamcheck run` ·" in text
     assert state(registry.tables["one"], record, tmp_path) == "stale (command)"
     assert state(registry.tables["two"], None) == "missing"
