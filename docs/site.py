@@ -34,7 +34,7 @@ from comparisons.experiments.reproduction.interface import ReproductionResult
 from comparisons.extensions.dense_maps.check import DenseAgreement
 from comparisons.extensions.fastslam.extension import FastSlamResult
 from comparisons.extensions.high_level.source import HighLevelRun
-from comparisons.extensions.own_association.check import OwnAssociationCheck
+from comparisons.extensions.own_association.extension import OwnAssociationCheck
 from comparisons.extensions.own_matching.check import OwnMatchingCheck
 from comparisons.extensions.posterior.extension import PosteriorCheck
 from comparisons.extensions.registry import config_class

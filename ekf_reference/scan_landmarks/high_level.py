@@ -8,9 +8,11 @@ template of a pose landmark (6.1.2). Only regions around the vehicle are searche
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, maximum_filter
 
 from ekf_reference.core.geometry import Array, Index, Mask, rotation
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
@@ -18,7 +20,6 @@ from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import turned
 from ekf_reference.models.relative_pose import RelativePose
-from ekf_reference.scan_landmarks.corners import harris
 from ekf_reference.scan_landmarks.templates import Template
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
@@ -219,3 +220,80 @@ def _clear(point: Array, landmark: Array, least_m: float) -> Mask:
     apart = np.linalg.norm(point[:, None] - landmark[np.isfinite(landmark[:, 0])], axis=2)
     clear: Mask = apart.min(axis=1, initial=np.inf) >= least_m
     return clear
+
+
+_GRADIENT_M = 0.3
+"""Sigma at which derivatives are taken; in metres, so that it holds for every resolution."""
+_WINDOW_M = 0.8
+"""Sigma of the window over which their products are averaged."""
+_APART_M = 2.0
+"""Of two corners nearer than that, the stronger counts."""
+_BLOCK = 12
+"""Size in window sigmas of the block whose corner sets the scale."""
+
+
+def harris(occupied: Array, cell_m: float, trace: float = 0.06, least: float = 0.01) -> Array:
+    """Corners (C, 2) [m] of an occupancy grid, the strongest first.
+
+    Each lies at the peak of the parabolas through the response at a cell and its neighbours.
+
+    Args:
+        occupied: (I, J) cells from 0, free or unknown, to 1. What touches the border goes on
+            beyond it. Rows go along the first axis of the points, the first cell's centre is 0.
+        cell_m: size of a cell.
+        trace: k.
+        least: response of the weakest corner over that of a solid block's right angle; walls as
+            thin as scans draw them have 0.1 and more there, and 0.02 to 0.05 where they end.
+    """
+    height = _response(occupied, cell_m, trace) / _of_a_block(cell_m, trace)
+    peak = (height == maximum_filter(height, 3, mode="nearest")) & (height >= least)
+    peak[[0, -1]] = peak[:, [0, -1]] = False
+    row = np.argwhere(peak)
+    row = row[np.argsort(-height[peak], kind="stable")]
+    point = cell_m * (row + _offset(height, row))
+    corner: Array = point[_apart(point, _APART_M)]
+    return corner
+
+
+def _response(value: Array, cell_m: float, trace: float) -> Array:
+    fine, window = _GRADIENT_M / cell_m, _WINDOW_M / cell_m
+    first = gaussian_filter(value, fine, order=(1, 0), mode="nearest")
+    second = gaussian_filter(value, fine, order=(0, 1), mode="nearest")
+    xx, xy, yy = (
+        gaussian_filter(product, window, mode="nearest")
+        for product in (first * first, first * second, second * second)
+    )
+    response: Array = xx * yy - xy * xy - trace * np.square(xx + yy)
+    return response
+
+
+@lru_cache
+def _of_a_block(cell_m: float, trace: float) -> float:
+    """Response at the right angle of a solid block."""
+    half = max(int(_BLOCK * max(_WINDOW_M, _GRADIENT_M) / cell_m), 4)
+    block = np.zeros((2 * half, 2 * half))
+    block[half:, half:] = 1.0
+    return float(_response(block, cell_m, trace).max())
+
+
+def _apart(point: Array, least_m: float) -> Index:
+    """Of points (C, 2), the first first, those not near to one chosen before; (k,)."""
+    chosen: list[int] = []
+    for i, place in enumerate(point):
+        if not chosen or np.square(point[chosen] - place).sum(axis=1).min() >= least_m**2:
+            chosen.append(i)
+    return np.array(chosen, dtype=np.intp)
+
+
+def _offset(height: Array, row: Index) -> Array:
+    """(C, 2) how far in cells the peaks lie from the middles of their cells."""
+    here = height[tuple(row.T)]
+    offset = np.zeros((len(row), 2))
+    for axis in range(2):
+        step = np.eye(2, dtype=np.intp)[axis]
+        before, after = height[tuple((row - step).T)], height[tuple((row + step).T)]
+        bend = before - 2.0 * here + after
+        curved = bend < 0.0
+        slope = 0.5 * (before - after)
+        offset[curved, axis] = np.clip(slope[curved] / bend[curved], -0.5, 0.5)
+    return offset

@@ -11,6 +11,7 @@ alignment alone is better than its R by chi-square.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
@@ -21,7 +22,6 @@ from ekf_reference.core.geometry import Array, Index, rotation, wrap_angle
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.segmentation import quality
-from ekf_reference.scan_landmarks.shared_noise import with_persistence, with_shared_returns
 from ekf_reference.scan_landmarks.template_extraction import (
     JoinedSegments,
     Known,
@@ -126,6 +126,28 @@ class _Seen(NamedTuple):
         """The normalised innovation squared (Nieto 2005, eq. 2.58)."""
         innovation = self.z - self.predicted
         return float(innovation @ np.linalg.solve(self.covariance, innovation))
+
+
+PERSISTENCE = 4.0
+"""The mean error of a template's first alignments less that of its last has 4.3 times the variance
+that independent ones would have (845 templates of Table 5.1's drives, seeds 0 to 9): 2.6 over a
+third of a template's life, more over all of it, where distances have an NEES of 1.7 with 2.6."""
+
+
+def with_persistence(alignment: ScanAlignment) -> Array:
+    """Return R (3, 3) of an alignment as one of many of the same template."""
+    return alignment.covariance * (1.0 + (PERSISTENCE - 1.0) * alignment.first_share)
+
+
+def with_shared_returns(alignments: Sequence[ScanAlignment], noise: Array) -> Array:
+    """Return R (m, 3, 3) of alignments of one scan with m templates, each return counted once.
+
+    noise: (m, 3, 3) of each for itself. The sum of squares over a return's alignments is bounded.
+    """
+    by_return = np.stack([one.by_second for one in alignments])
+    others = by_return.any(axis=1).sum(axis=0) - 1
+    more: Array = (by_return * np.maximum(others, 0)) @ by_return.transpose(0, 2, 1)
+    return noise + more
 
 
 class ScanSlam:

@@ -8,11 +8,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from comparisons.experiments.reproduction.decorrelation_example import (
+from comparisons.experiments.reproduction.nieto_regions import (
     DecorrelationExample,
     decorrelation_example,
-)
-from comparisons.experiments.reproduction.nieto_regions import (
     draw_displacement,
     draw_example_3_1,
     draw_example_3_2,

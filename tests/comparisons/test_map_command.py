@@ -11,7 +11,7 @@ import pytest
 from matplotlib.image import imread
 
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps import memory
+from comparisons.extensions.dense_maps import extension
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.extension import Demand
 from comparisons.logs.bundled import open_log
@@ -187,7 +187,7 @@ def test_a_map_too_large_is_refused_with_a_resolution_that_fits(name: str) -> No
 def test_the_command_refuses_it_before_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(memory, "MOST_BYTES", 1e8)
+    monkeypatch.setattr(extension, "MOST_BYTES", 1e8)
     said = refused("map", "occupancy-loop", "--resolution", "0.8", cwd=tmp_path)
     assert said.endswith("the limit is 0.0931323 GiB; expected a shorter log")
     assert not list(tmp_path.iterdir())

@@ -21,13 +21,11 @@ from comparisons.checks.association import (
 from comparisons.config import EkfConfig, SmootherConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
-from comparisons.extensions.own_association.check import (
-    association_cause,
-    check_own_association,
-)
 from comparisons.extensions.own_association.extension import (
     OwnAssociationFinding,
+    association_cause,
     association_differences,
+    check_own_association,
 )
 from comparisons.logs.bundled import open_log
 from comparisons.logs.readers.scan_odometry import no_measurements

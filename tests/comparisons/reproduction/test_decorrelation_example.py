@@ -11,7 +11,7 @@ import pytest
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.decorrelation_example import (
+from comparisons.experiments.reproduction.nieto_regions import (
     Cast,
     DecorrelationExample,
     decorrelation_example,

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.dynamic import Differencing, DynamicLayer, places
+from ekf_reference.dense.dynamic import Differencing, DynamicLayer, LowPass, places
 from ekf_reference.dense.layers.occupancy import RegionGrid
-from ekf_reference.dense.low_pass import LowPass
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense import scenes

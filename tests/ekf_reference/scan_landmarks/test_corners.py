@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.scan_landmarks.corners import harris
+from ekf_reference.scan_landmarks.high_level import harris
 
 CELL_M = 0.25
 SIDE = 200

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array, wrap_angle
-from ekf_reference.scan_landmarks.shared_noise import (
+from ekf_reference.scan_landmarks.scan_slam import (
     PERSISTENCE,
     with_persistence,
     with_shared_returns,
