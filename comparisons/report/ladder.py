@@ -69,6 +69,17 @@ class Step:
             return "fails"
         return "passes" if self.judged else "not judged"
 
+    @property
+    def deciding(self) -> float | None:
+        """The limit, where it alone explains the outcome.
+
+        Rounding of stored numbers, or a filter that is conservative on purpose, is allowed more.
+        """
+        if self.limit is None or self.sigma is None:
+            return None
+        passes = self.state == "passes" and self.sigma > self.limit
+        return None if passes else self.limit
+
 
 def ladder(result: Result) -> list[Step]:
     """Return the gaps of a run from the EKF down to the truth, if the log has it."""

@@ -102,6 +102,11 @@ def test_a_limit_is_drawn_only_where_it_explains_the_outcome() -> None:
     assert key == 1
     assert ladder_picture([step]).count('class="limit"') == 1
     assert ladder_picture([replace(step, fails=True)]).count('class="limit"') == 2
+    assert step.deciding is None
+    for other in (replace(step, sigma=1e-9), replace(step, fails=True)):
+        assert other.deciding == 1e-6
+    assert replace(step, judged=False).deciding == 1e-6
+    assert replace(step, sigma=None).deciding is None
 
 
 def test_nothing_is_drawn_of_nothing() -> None:

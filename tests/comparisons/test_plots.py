@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -17,6 +19,8 @@ from comparisons.report.figures.style import draw_estimate
 from comparisons.report.job import report_of
 from comparisons.report.ladder import Step
 from comparisons.report.marks import ellipses
+from comparisons.report.run import RunReport
+from comparisons.report.terminal import Summary
 from tests.helpers import compared, present, simulated
 
 
@@ -128,6 +132,19 @@ def test_the_ladder_has_the_gaps_of_the_result(run: Comparison, axis: Axes) -> N
         assert_ladder(axis, steps[::-1])
     top, bottom = axis.get_ylim()[::-1]
     assert top < bottom  # the first gap on top
+
+
+def test_the_ladder_has_the_limits_that_the_page_has(
+    run: Comparison, axis: Axes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of a gap that passes though it is beyond: rounding explains it."""
+    step = Step(gap="algebra", above="EKF", below="linear", sigma=1e-3, limit=1e-6)
+    steps = [step, replace(step, sigma=1e-9), replace(step, fails=True)]
+    monkeypatch.setattr(RunReport, "summary", lambda _: Summary(headline="", steps=steps))
+    slamcheck.plot_ladder(run, axis)
+    drawn = (np.array(one.get_xydata()) for one in axis.lines)
+    limits = [points[:, 1].mean() for points in drawn if len(points) == 2]
+    assert limits == [1.0, 2.0]
 
 
 def test_what_has_no_such_figures_is_refused(run: Comparison, axis: Axes) -> None:

@@ -144,8 +144,10 @@ def _draw_step(axis: Axes, row: int, step: Step) -> None:
     elif step.mean != "unknown":
         axis.annotate(f"{step.gap}: {step.mean}", (0.98, row), xycoords=("axes fraction", "data"),
                       ha="right", va="center", color=colour, fontsize=8)  # fmt: skip
-    if step.limit:
-        axis.plot([step.limit] * 2, [row - 0.3, row + 0.3], "-", color=TRUTH_COLOUR, linewidth=1.0)
+    if step.deciding:
+        axis.plot(
+            [step.deciding] * 2, [row - 0.3, row + 0.3], "-", color=TRUTH_COLOUR, linewidth=1.0
+        )
 
 
 def _panel(axis: Axes | None, panel: Panel) -> Axes:

@@ -68,7 +68,7 @@ def _gap(step: Step, y: int, aside: int) -> str:
     """Name, outcome and sizes, and below these where they lie on the scale."""
     kind, track = _kind(step), y + 48
     marks = [f'<path class="track" d="M{_LEFT},{track}H{_RIGHT}"/>']
-    if (limit := _limit(step)) is not None:
+    if (limit := step.deciding) is not None:
         at = _place(limit)
         marks.append(
             f'<path class="beyond" d="M{at:.1f},{track}H{_RIGHT}"/>'
@@ -124,16 +124,6 @@ def _sizes(step: Step) -> str:
     if step.error_m is not None:
         parts.append(f"{step.error_m:.3g} m")
     return ", ".join(parts)
-
-
-def _limit(step: Step) -> float | None:
-    """The limit, where it alone explains the outcome.
-
-    Rounding of stored numbers, or a filter that is conservative on purpose, is allowed more.
-    """
-    if step.limit is None or step.sigma is None or step.state == "not judged":
-        return step.limit if step.sigma is not None else None
-    return step.limit if step.fails or step.sigma <= step.limit else None
 
 
 def _place(value: float) -> float:
