@@ -11,6 +11,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
 from comparisons.checks.check import Finding
+from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_clouds
@@ -47,12 +48,11 @@ class FastSlamExtension(Extension):
     name = "fastslam"
     settings: FastSlamConfig
 
-    @property
-    def sampling(self) -> Sampling:
-        """How to sample."""
-        asked = self.settings
-        proposal: Proposal = "motion" if asked.proposal == "1.0" else "measurement"
-        return Sampling(asked.particles, proposal, asked.seed, asked.association)
+    def __init__(self, settings: FastSlamConfig, config: Configured) -> None:
+        """settings: how to sample."""
+        super().__init__(settings, config)
+        proposal: Proposal = "motion" if settings.proposal == "1.0" else "measurement"
+        self.sampling = Sampling(settings.particles, proposal, settings.seed, settings.association)
 
     def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:
         """Refuse surveyed landmarks, which FastSLAM would estimate anew. Raises InputError."""

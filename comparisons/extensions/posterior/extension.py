@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Index
 from comparisons.checks.check import Finding
+from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension
@@ -198,7 +199,12 @@ class Posterior(Extension):
     """Asks what neither Gaussian can say: how good they are."""
 
     name = "posterior"
-    settings: PosteriorConfig
+
+    def __init__(self, settings: PosteriorConfig, config: Configured) -> None:
+        """settings: how many draws, and the seed."""
+        super().__init__(settings, config)
+        self.options = SamplingOptions(draws=settings.draws // SamplingOptions.chains)
+        self.seed = settings.seed
 
     def start(self, prepared: Prepared[Any], run: EkfRun) -> None:
         """Refuse a log that is too long before the smoother runs. Raises InputError."""
@@ -213,8 +219,7 @@ class Posterior(Extension):
     def find(self, known: Known) -> PosteriorFinding:
         """Draw around the smoother's optimum and judge. Raises InputError."""
         prepared, gaps = known.prepared, known.gaps
-        rng = np.random.default_rng(self.settings.seed)
-        options = SamplingOptions(draws=self.settings.draws // SamplingOptions.chains)
+        rng = np.random.default_rng(self.seed)
         with prepared.clock.stage("posterior"):
             try:
                 draws = sample_posterior(
@@ -222,7 +227,7 @@ class Posterior(Extension):
                     gaps.result.poses,
                     gaps.result.landmarks,
                     rng,
-                    options,
+                    self.options,
                     lambda done, total: prepared.progress("posterior", done, total),
                 )
             except ValueError as error:
