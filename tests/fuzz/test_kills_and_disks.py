@@ -62,10 +62,11 @@ import signal
 import slamcheck.__main__ as program
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+program._stop_at_once()  # as main does first; until then a signal ends Python itself
 print("begins", flush=True)
 program.main()
 """
-"""Ends by SIGINT, too, from its second line on; before that Python itself has a traceback."""
+"""Ends by any of the signals, with its code, from the line that it prints on."""
 MARK = "SLAMCHECK_TEST_OF_KILLS"
 PATIENCE_S = 600.0
 """However busy the machine is; a process that ends takes a moment."""
