@@ -44,10 +44,14 @@ PICTURES = {
 }
 """Pages, their pictures, and what each shows: an image or a page of the commands' folders.
 
-Behind `@` stands the id of the element that the picture of a page begins with.
+Behind `@` stands the id of the element that the picture of a page begins with; it is TALL.
 """
-SHOWN = 18
-"""Lines of an output that a page shows whole; of a longer one the first four and the last ten."""
+TALL = 1250
+"""Pixels of a picture that begins within a page: a map, and curves below it."""
+FIRST, LAST = 12, 16
+"""Lines that a page shows of a long output: a verdict's first cause; its gaps and figures."""
+LEAST = 6
+"""Lines that are cut out, where any are."""
 WIDTH = 1100
 """Most pixels of a picture's width."""
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
@@ -85,8 +89,8 @@ def shortened(output: str) -> str:
     """Return what a page shows of an output: without wall times, long ones cut."""
     timeless = re.sub(r"[\d,.]+ scans/s", "... scans/s", _TIMES.sub("", output))
     kept = [line.rstrip() for line in timeless.splitlines()]
-    if len(kept) > SHOWN:
-        kept = [*kept[:4], "...", *kept[-10:]]
+    if len(kept) >= FIRST + LAST + LEAST:
+        kept = [*kept[:FIRST], "...", *kept[-LAST:]]
     return "".join(f"{line}\n" for line in kept)
 
 
@@ -115,7 +119,7 @@ const one = '{element}' && this.contentDocument.getElementById('{element}');
 if (one) one.scrollIntoView(); }}, 500)" style="border:0;width:100vw;height:100vh"></iframe>"""
 
 
-def shot(folder: Path, page: str, width: int = 1200, height: int = 900) -> Image.Image:
+def shot(folder: Path, page: str, height: int) -> Image.Image:
     """Return the picture of a page of a folder, from a headless browser.
 
     The page comes from a local server: opened as a file, a report shows the path of its folder.
@@ -137,7 +141,7 @@ def shot(folder: Path, page: str, width: int = 1200, height: int = 900) -> Image
             subprocess.run(  # noqa: S603
                 [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
                  f"--user-data-dir={work}/profile", "--virtual-time-budget=6000",
-                 f"--window-size={width},{height}", f"--screenshot={target}",
+                 f"--window-size=1200,{height}", f"--screenshot={target}",
                  f"http://127.0.0.1:{server.server_port}/shot.html"],
                 capture_output=True, check=True, timeout=120,
             )  # fmt: skip
@@ -171,7 +175,8 @@ def main(names: list[str]) -> None:
             page.write_text(rewritten(page.read_text(encoding="utf-8"), folder), encoding="utf-8")
             for target, source in PICTURES[name].items():
                 is_page = ".html" in source
-                image = shot(folder, source) if is_page else Image.open(folder / source)
+                high = TALL if "@" in source else 900
+                image = shot(folder, source, high) if is_page else Image.open(folder / source)
                 write_picture(image, DOCS / target)
         print(f"{name}: {', '.join(PICTURES[name]) or 'no pictures'}")
 

@@ -48,6 +48,27 @@ def test_commands_print_what_the_page_shows(name: str, tmp_path: Path) -> None:
             if not (folder / one.partition("#")[0]).is_file()] == []  # fmt: skip
 
 
+ELSEWHERE = {
+    "audit-format": "comparisons/trace/test_reader.py",
+    "audit-third-parties": "examples/test_audit_page.py",
+    "regression-gates": "test_own_project.py",
+    "your-own-filter": "test_own_project.py",
+}
+"""Pages whose outputs another test compares."""
+
+
+def with_outputs() -> set[str]:
+    """Return the pages that show commands with what they print."""
+    return {page.stem for page in DOCS.glob("*.md") if blocks_of(page.read_text(encoding="utf-8"))}
+
+
+def test_every_output_of_a_page_is_compared() -> None:
+    """A page that neither `make pictures` nor another test runs would go stale."""
+    assert with_outputs() == {*SCRIPT.PICTURES, *ELSEWHERE}
+    for page, file in ELSEWHERE.items():
+        assert f"{page}.md" in (DOCS.parent / "tests" / file).read_text(encoding="utf-8")
+
+
 def test_a_page_that_shows_something_else_is_found(tmp_path: Path) -> None:
     page = "```console\n$ echo agree; exit 1\nagree\n$ echo disagree\n```\n"
     assert len(list(faults(page, tmp_path))) == 1  # nothing of the second is shown
@@ -59,7 +80,7 @@ def test_outputs_are_shortened_and_rewritten(tmp_path: Path) -> None:
     lines = "".join(f"row {i}\n" for i in range(40))
     times = "a\nseconds  read 0.1,\n         check 0.2\nb, 35.1 scans/s\n"
     assert SCRIPT.shortened(times) == "a\nb, ... scans/s\n"
-    assert SCRIPT.shortened(lines).splitlines()[3:6] == ["row 3", "...", "row 30"]
+    assert SCRIPT.shortened(lines).splitlines()[11:14] == ["row 11", "...", "row 24"]
     page = "text\n\n```console\n$ echo one\nstale\n```\n\nmore\n"
     assert SCRIPT.rewritten(page, tmp_path) == page.replace("stale", "one")
 

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.compare import Comparison
+from comparisons.report.run import RunReport
+from comparisons.report.terminal import print_summary
 from tests.helpers import assert_followed, compared, first_seconds, present
+from tests.test_own_project import missing
+
+README = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -26,6 +33,16 @@ def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison
     assert c.verdict.outcome == "disagree"
     assert [cause.gap for cause in c.verdict.causes] == ["linearisation"]
     assert any("too low" in remark for remark in c.verdict.remarks)
+
+
+@pytest.mark.slow
+def test_the_readme_shows_what_the_main_job_prints(victoria_park: Comparison) -> None:
+    printed = StringIO()
+    summary = RunReport.of(victoria_park).summary()
+    print_summary(summary, Console(file=printed), "slamcheck-victoria-park", verbose=False)
+    shown = README.split("`make run` prints\n\n```\n")[1].split("```")[0]
+    assert missing(shown, printed.getvalue()) == []
+    assert missing(shown.replace("14.052", "14.053"), printed.getvalue()) != []
 
 
 @pytest.mark.slow

@@ -592,6 +592,8 @@ def test_the_pages_example_is_a_trace(tmp_path: Path, monkeypatch: pytest.Monkey
     (text,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     exec(compile(text, "audit-format.md", "exec"), {})  # noqa: S102
     assert audit(tmp_path / "by-hand.events").sound
+    shown = "$ slamcheck audit by-hand.events\nverdict: sound\n"
+    assert f"```console\n{shown}```" in PAGE  # what the command prints first
     assert kinds(tmp_path / "by-hand.events") == ["Prior", "Predict", "Update", "Snapshot"]
 
 
