@@ -111,7 +111,7 @@ EVERY: dict[str, tuple[Change, str]] = {
     ),
     "ranges in cm": (lambda g: sensed(g, (100.0, 0.0)), "ranges are cm"),
     "turns in degrees": (lambda g: driven(g, turn=(1.0 / _DEGREE, 0.0)), "is in degrees"),
-    "a clock of 0.5 s": (lambda g: delayed(g, 0.5), "the odometry's clock"),
+    "a clock of 0.5 s": (lambda g: delayed(g, 0.5), "s later than the log says"),
     "a scale of 1.1": (lambda g: driven(g, (1.1, 0.0)), "times the log's"),
     "range's variance": (squared("sigma_range_m"), "the sigma of ranges"),
     "bearing's variance": (squared("sigma_bearing_rad"), "the sigma of bearings"),

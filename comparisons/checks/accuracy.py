@@ -26,6 +26,10 @@ _RPE_SHARE = 0.1
 """The way to the pose nearest to that may differ by such a share."""
 MATCH_M = 1.0
 """Unlabelled landmarks match true ones within this distance."""
+_NEARER, _FAR_M = 3.0, 0.5
+"""Another is so many times nearer than a landmark's own, which is farther than so much."""
+_FEWEST_LABELS = 4
+"""Landmarks of which a frame leaves those that are exchanged."""
 _COMPLEX = np.array([1.0, 1.0j])
 """Takes points to complex numbers."""
 
@@ -187,6 +191,37 @@ def assess_trajectory(time_s: Array, pose: Array, log: Log) -> Accuracy | None:
     """The same of poses (K, 3) alone."""
     figures = _of_trajectory(time_s, pose, log)
     return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
+
+
+def exchanged_labels(estimate: Estimate, log: Log, *, labelled: bool) -> str:
+    """Say which landmarks lie at the true place of another label, in whatever frame; else nothing.
+
+    labelled: as of `assess`; without labels there is none to exchange.
+    """
+    table = log.truth.landmarks
+    if table is None or not labelled:
+        return ""
+    ours, theirs = match_landmarks(
+        (estimate.landmark_id, estimate.landmark), (table.id, table.position_m), labelled=True
+    )
+    if len(ours) < _FEWEST_LABELS:
+        return ""
+    true, names = table.position_m[theirs], [estimate.names[i] for i in ours]
+    found = at_others(aligned(estimate.landmark[ours], true, robust=True), true)
+    if not found:
+        return ""
+    pairs = ", ".join(f"{names[i]} at {names[k]}" for i, k in found[:4])
+    return f"{len(found)} landmarks lie at the true place of another label: {pairs}"
+
+
+def at_others(points: Array, reference: Array) -> list[tuple[int, int]]:
+    """Return points (N, 2) far from their own of a reference (N, 2), and the other that is near."""
+    apart = np.linalg.norm(points[:, None] - reference[None], axis=2)
+    own, nearest = np.diag(apart), apart.argmin(axis=1)
+    other = np.flatnonzero(
+        (nearest != np.arange(len(own))) & (_NEARER * apart.min(axis=1) < own) & (own > _FAR_M)
+    )
+    return list(zip(other.tolist(), nearest[other].tolist(), strict=True))
 
 
 def landmark_errors(

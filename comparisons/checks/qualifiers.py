@@ -20,6 +20,7 @@ from comparisons.checks.accuracy import (
     Accuracy,
     AccuracyFinding,
     assess_trajectory,
+    exchanged_labels,
     match_landmarks,
 )
 from comparisons.checks.association import AssociationFinding, AssociationScore
@@ -99,7 +100,7 @@ class TruthGap:
         lost: no landmark is near a true one.
         reference: what it is compared with, in words.
         association: of the filter, against the log's labels; no part of a result file.
-        prior: rows of the prior's covariance that the truth exchanges, in words; neither.
+        found: rows of the prior's covariance, and labels, that the truth exchanges; neither.
     """
 
     distances: tuple[Distance, ...]
@@ -107,7 +108,7 @@ class TruthGap:
     lost: bool = False
     association: Aside[AssociationScore | None] = None
     reference: str = "the truth"
-    prior: Aside[str] = ""
+    found: Aside[tuple[str, ...]] = ()
 
     @computed_field
     @property
@@ -161,7 +162,10 @@ class CheckTruthGap(Check):
         if gap is not None and gap.stands:
             from comparisons.checks.diagnosis.first_pose import rows_by_truth
 
-            gap = replace(gap, prior=rows_by_truth(prepared.log.prior, prepared.log.truth.poses))
+            log, smoothed = prepared.log, known.gaps.smoothed
+            rows = rows_by_truth(log.prior, log.truth.poses)
+            labels = exchanged_labels(smoothed, log, labelled=prepared.labelled)
+            gap = replace(gap, found=tuple(filter(None, (rows, labels))))
         if gap is None:
             return Absent("the log has neither truth nor labels that nobody has used")
         return TruthGapFinding(gap)
@@ -256,8 +260,7 @@ def _cause(gap: TruthGap) -> Cause:
         for d in gap.distances
         if d.off
     ]
-    if gap.prior:
-        parts.insert(0, gap.prior)
+    parts = [*gap.found, *parts]
     if gap.lost:
         parts.append("none of its landmarks lies near a true landmark")
     hint = "check the stated noise, the models and the start pose, which EKF and smoother share"

@@ -83,13 +83,16 @@ def catalogue(log: Log) -> Iterator[Fault]:
                 noise.new_landmarks(0.5, 1.0))  # fmt: skip
     yield from (Fault(what, feed=_seen(change)) for what, change in _MEASUREMENTS.items())
     yield Fault("the measurements are fused one odometry sample early", feed=_one_sample_early)
-    yield Fault("the prior's covariance contains sigmas, not their squares", feed=_prior_of_sigmas)
+    yield Fault(
+        _SIGMAS_IN_PRIOR, feed=lambda log: _with_prior(log, _of_sigmas(log.prior.covariance))
+    )
     if not isinstance(log.odometry, RelativePoses):
         yield from (Fault(what, feed=_noise(change)) for what, change in _WHEELS.items())
         yield from _shifted_odometry()
         yield Fault("the turn counts to the right", feed=lambda log: driven(log, turn=(-1.0, 0.0)))
 
 
+_SIGMAS_IN_PRIOR = "the prior's covariance contains sigmas, not their squares"
 EXCHANGED_ROWS = {
     "x and the heading": (2, 1, 0),
     "y and the heading": (0, 2, 1),
@@ -106,11 +109,15 @@ def own_start(log: Log, covariance: Array) -> Fault:
     if np.ptp(ratio) <= 1e-6 * ratio.max():
         named = f"{ratio[0]:.3g}"
     what = f"the prior's covariance is {named} times the log's"
-    sigma = np.sqrt(np.diag(covariance))
+    known = {_SIGMAS_IN_PRIOR: _of_sigmas(prior)}
     for names, order in EXCHANGED_ROWS.items():
-        apart = (covariance - prior[np.ix_(order, order)]) / np.outer(sigma, sigma)
-        if np.abs(apart).max() <= ROUNDING:
-            what = f"the rows of {names} in the prior's covariance are exchanged"
+        known[f"the rows of {names} in the prior's covariance are exchanged"] = prior[
+            np.ix_(order, order)
+        ]
+    sigma = np.sqrt(np.diag(covariance))
+    for named, other in known.items():
+        if np.abs((covariance - other) / np.outer(sigma, sigma)).max() <= ROUNDING:
+            what = named
     return Fault(what, feed=lambda log: _with_prior(log, covariance))
 
 
@@ -253,8 +260,9 @@ def _wider_prior(log: Log, factor: float) -> Log:
     return _with_prior(log, factor * log.prior.covariance)
 
 
-def _prior_of_sigmas(log: Log) -> Log:
-    return _with_prior(log, np.diag(np.sqrt(np.diag(log.prior.covariance))))
+def _of_sigmas(covariance: Array) -> Array:
+    """The standard deviations in the variances' place, without correlations."""
+    return np.diag(np.sqrt(np.diag(covariance)))
 
 
 def _noise(change: Callable[[OdometryNoise], OdometryNoise]) -> Feed:

@@ -218,6 +218,7 @@ def test_a_start_with_exchanged_rows_is_named_by_them(solution: Solution) -> Non
     exchanged = prior[np.ix_(order, order)]
     assert "rows of x and the heading" in own_start(log, exchanged).what
     assert "is 0.0101, 1, 100 times the log's" in own_start(log, exchanged * (1.01, 1, 1)).what
+    assert own_start(log, np.sqrt(prior)).what.endswith("contains sigmas, not their squares")
 
 
 def sound_filters(solution: Solution) -> list[Reference]:

@@ -29,6 +29,7 @@ CASES = {
     "bearing's variance": "velocity",
     "bearing's sigma taken for degrees": "velocity",
     "y to the right": "poses",
+    "a clock of 0.5 s": "velocity",
 }
 
 

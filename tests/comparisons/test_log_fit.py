@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.log_doctor import drive
+from comparisons.checks.diagnosis.log_doctor import examine
 from comparisons.checks.diagnosis.log_fit import explains, log_fits
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -73,6 +75,17 @@ def test_noise_that_is_larger_than_stated_is_no_number(log: Log) -> None:
 def test_a_number_explains_what_is_too_high_and_no_more(chi2: float, said: bool) -> None:
     """A scale that shrinks all residuals leaves less than noise does."""
     assert explains(ChiSquareTest(812.0, 400, 318.0, 493.0), chi2, 8) is said
+
+
+def test_a_clock_far_off_is_reached() -> None:
+    """1.5 s; broken: Newton's method from zero."""
+    found = examine(delayed(drive(12, "velocity"), 1.5))
+    first = found.findings[0]
+    fitted = re.fullmatch(r"measurements (\S+) s later than the log says", first.what)
+    assert fitted is not None
+    assert float(fitted[1]) == pytest.approx(-1.5, abs=0.05)
+    mended = examine(first.change(delayed(drive(12, "velocity"), 1.5)))
+    assert mended.test.reading == "plausible"
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from comparisons.checks import qualifiers
+from comparisons.checks.accuracy import exchanged_labels
 from comparisons.checks.consistency.consistency import Consistency, inconsistencies
 from comparisons.checks.consistency.nees import limit
 from comparisons.checks.diagnosis.first_pose import rows_by_smoother, rows_by_truth
@@ -122,6 +123,30 @@ def test_what_is_beyond_its_own_limit_most_is_remarked() -> None:
     rough = TruthGap(distances=far, measurement_m=0.15)
     found = qualified(AGREE, rough, unchecked="", consistency=None, fail_on=())
     assert "the RMS error of the smoother's poses is 0.1 m" in found.remarks[0]
+
+
+@pytest.mark.parametrize("exchanged", [True, False])
+def test_labels_of_true_landmarks_that_are_exchanged_are_named(
+    sound: Comparison, exchanged: bool
+) -> None:
+    """In a frame of their own, without true poses; broken: one that does not align them first."""
+    table = present(sound.log.truth.landmarks)
+    turn = np.array(((0.0, 1.0), (-1.0, 0.0)))
+    seen = np.flatnonzero(np.isin(table.id, sound.smoothed.landmark_id))
+    ids = table.id.copy()
+    if exchanged:
+        ids[seen[[0, 1]]] = ids[seen[[1, 0]]]
+    moved = replace(table, id=ids, position_m=table.position_m @ turn + (30.0, -7.0))
+    log = replace(sound.log, truth=Truth(landmarks=moved))
+    said = exchanged_labels(sound.smoothed, log, labelled=True)
+    first, second = sorted(table.id[seen[:2]].tolist())
+    expected = f": {first} at {second}, {second} at {first}"
+    assert said.startswith("2 landmarks lie at the true place of another label") is exchanged
+    assert said.endswith(expected) is exchanged
+    assert exchanged_labels(sound.smoothed, log, labelled=False) == ""
+    if exchanged:
+        (cause,) = [one for one in compared(log).verdict.causes if one.gap == "truth"]
+        assert expected in cause.evidence
 
 
 STATED = np.diag(np.square((0.003, 0.5, 1.0)))

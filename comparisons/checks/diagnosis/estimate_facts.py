@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
+from comparisons.checks.accuracy import at_others
 from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis import covariance_signatures as signatures
 from comparisons.checks.diagnosis.diagnosis import Diagnosis, Moved, Paths, diagnose, rms
@@ -27,8 +28,6 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.stamps import at_instants
 
 _MAP_HINT = "supply the whole map, with the ids of the log's measurements"
-_SWAPPED = 3.0
-"""Names are taken for exchanged where another landmark is so many times nearer."""
 _AT_M = 0.5
 """A landmark so near is the one of another name."""
 
@@ -290,17 +289,11 @@ def _swapped(given: ExternalEstimate, found: Likeness) -> Cause | None:
     ours, theirs, reference = found.ours, found.theirs, found.reference
     if given.landmark is None or len(ours) < 2:
         return None
-    place = reference.landmark[theirs]
-    apart = np.linalg.norm(given.landmark[ours][:, None] - place[None], axis=2)
-    own = np.diag(apart)
-    nearest = apart.argmin(axis=1)
-    other = np.flatnonzero(
-        (nearest != np.arange(len(own))) & (_SWAPPED * apart.min(axis=1) < own) & (own > 0.5)
-    )
-    if not len(other):
+    other = at_others(given.landmark[ours], reference.landmark[theirs])
+    if not other:
         return None
     ids = reference.landmark_id[theirs]
-    pairs = ", ".join(f"{ids[k]} at {ids[nearest[k]]}" for k in other[:4])
+    pairs = ", ".join(f"{ids[k]} at {ids[nearest]}" for k, nearest in other[:4])
     return Cause(
         "association",
         f"{len(other)} landmarks lie at the position of another landmark: {pairs}",

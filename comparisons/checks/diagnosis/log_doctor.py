@@ -12,7 +12,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_input import assemble, position_rows
@@ -22,7 +21,7 @@ from comparisons.checks.diagnosis.log_fit import chi2_by_run, explains, fitted_n
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-from comparisons.logs.transforms.calibration import controlled, delayed, driven, sensed
+from comparisons.logs.transforms.calibration import controlled, driven, sensed
 from comparisons.logs.transforms.known_landmarks import indices_by_label, join_known_measurements
 from comparisons.logs.transforms.time_window import cut_log
 from graphslam.graph_builder import build_graph
@@ -40,7 +39,6 @@ _HALF = 0.5
 """A change of signs or columns that leaves less of chi-square is named where the log fits, too."""
 _AS_WELL = 1.5
 """Times the least chi-square: a change that leaves no more may be the one."""
-_DELAYS_S = (0.1, 0.25, 0.5, 1.0, 2.0)
 _TOLERANCE = 1e-5
 _DEGREE = np.pi / 180.0
 
@@ -48,15 +46,15 @@ _DEGREE = np.pi / 180.0
 class Finding(NamedTuple):
     """What a log looks like.
 
-    mend: what corrects it. chi2: with the change. unit: it is about a unit. change: makes the log
-    as it should be; None of a number that is fitted.
+    mend: what corrects it. chi2: with the change, which makes the log as it should be. unit: it is
+    about a unit.
     """
 
     what: str
     mend: str
     chi2: float
+    change: Callable[[Log], Log]
     unit: bool = False
-    change: Callable[[Log], Log] | None = None
 
 
 class Examination(NamedTuple):
@@ -97,84 +95,71 @@ def examine(log: Log) -> Examination:
     Returns:
         Nothing for a log that fits, or that no single change makes fit.
     """
-    none = ChiSquareTest(0.0, 0, 0.0, 0.0)
-    if not log.measurements.labelled or not len(log.odometry.time_s):
-        return Examination(none, [], "the log has no labelled measurements of landmarks")
-    part = _part(join_known_measurements(log))
-    chi2, dof = _solved(part)
-    if not np.isfinite(chi2) or dof < _FEWEST:
-        return Examination(none, [], "the smoother cannot solve a part of it")
-    test = chi_square_test(0.5 * chi2, dof)
+    part, test, lacks = _tested(log)
+    if lacks:
+        return Examination(test, [], lacks)
     found = _named(part, test, _suspicions(part))
     high = test.reading == "too high"
-    if high and not found:
-        found += _clock(part, test)
     if high and not any(one.chi2 <= _AS_WELL * test.upper for one in found):
         fits = fitted_numbers(part, lambda changed, _: _solved(changed)[0], test)
         found += [
-            Finding(one.what, "correct the calibration or the clock", one.chi2) for one in fits
+            Finding(one.what, "correct the calibration or the clock", one.chi2, one.change)
+            for one in fits
         ]
     if high and not found:
         found = _named(part, test, _as_variances(part))
-    found.sort(key=lambda one: one.chi2)
-    return Examination(test, [one for one in found if one.chi2 <= _AS_WELL * found[0].chi2])
+    return Examination(test, _alike(found))
 
 
 def examine_run(log: Log, run: EkfRun, result: SmootherResult) -> Examination:
     """Return what makes not only a part of a log fit, but all that a run used of it.
 
-    Numbers that are fitted are left out.
-
     Args:
         log: As the estimators read it.
         run: With the association.
-        result: The smoother's, whose chi-square is too high.
+        result: The smoother's, whose chi-square is too high, and which no number explains.
     """
-    part, chi2_of = examine(log), chi2_by_run(run, result)
+    part, test, lacks = _tested(log)
+    if lacks:
+        return Examination(test, [], lacks)
+    found = _alike(_named(part, test, _suspicions(part)) or _named(part, test, _as_variances(part)))
+    chi2_of = chi2_by_run(run, result)
 
     def fits(one: Finding) -> bool:
         try:
-            chi2 = np.inf if one.change is None else chi2_of(one.change(log), True)
+            chi2 = chi2_of(one.change(log), True)
         except (InputError, RuntimeError):
             return False
-        return explains(result.optimality.chi_square, chi2, len(part.findings))
+        return explains(result.optimality.chi_square, chi2, len(found))
 
-    return part._replace(findings=[one for one in part.findings if fits(one)])
+    return Examination(test, [one for one in found if fits(one)])
+
+
+def _tested(log: Log) -> tuple[Log, ChiSquareTest, str]:
+    """Return the part that is solved, its test, and why there is none."""
+    none = ChiSquareTest(0.0, 0, 0.0, 0.0)
+    if not log.measurements.labelled or not len(log.odometry.time_s):
+        return log, none, "the log has no labelled measurements of landmarks"
+    part = _part(join_known_measurements(log))
+    chi2, dof = _solved(part)
+    if not np.isfinite(chi2) or dof < _FEWEST:
+        return part, none, "the smoother cannot solve a part of it"
+    return part, chi_square_test(0.5 * chi2, dof), ""
+
+
+def _alike(found: list[Finding]) -> list[Finding]:
+    """The likeliest first, and those that leave no more than it by far."""
+    least = min((one.chi2 for one in found), default=0.0)
+    return sorted((one for one in found if one.chi2 <= _AS_WELL * least), key=lambda one: one.chi2)
 
 
 def _named(part: Log, test: ChiSquareTest, suspicions: Iterator[_Suspicion]) -> list[Finding]:
     tried = [(one, _solved(_changed(part, one))[0]) for one in suspicions]
     return [
-        Finding(one.what, one.mend, chi2, one.unit, one.change)
+        Finding(one.what, one.mend, chi2, one.change, one.unit)
         for one, chi2 in tried
         if (test.reading == "too high" and explains(test, chi2, len(tried)))
         or (one.keeps_size and chi2 < _HALF * test.chi2)
-    ]
-
-
-def _clock(part: Log, test: ChiSquareTest) -> list[Finding]:
-    """An offset between the clocks of the measurements and the odometry."""
-    if isinstance(part.odometry, RelativePoses):
-        return []  # measurements are at poses' times
-
-    def chi2_of(delay_s: float) -> float:
-        return _solved(delayed(part, delay_s))[0]
-
-    rough = {sign * size: chi2_of(sign * size) for size in _DELAYS_S for sign in (-1.0, 1.0)}
-    best_s = min(rough, key=lambda delay_s: rough[delay_s])
-    fine = minimize_scalar(
-        chi2_of, bounds=sorted((0.5 * best_s, 1.6 * best_s)), method="bounded",
-        options={"maxiter": 12, "xatol": 0.01},
-    )  # fmt: skip
-    if not explains(test, float(fine.fun), len(rough)):
-        return []
-    return [
-        Finding(
-            f"measurements come {-float(fine.x):+.2f} s after the odometry's clock",
-            "correct the times of one of the files",
-            float(fine.fun),
-            change=partial(delayed, delay_s=float(fine.x)),
-        )
     ]
 
 

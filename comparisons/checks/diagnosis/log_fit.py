@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.special import fdtrc
 
 from comparisons.adapters.ekf_run import EkfRun
@@ -35,6 +36,7 @@ _ROUNDS = 4
 _MOST_REFINED = 3
 _AS_WELL = 1.5
 """Times the least chi-square: a number that leaves no more may be the one."""
+_DELAYS_S = (-2.0, -1.0, -0.5, -0.25, -0.1, 0.0, 0.1, 0.25, 0.5, 1.0, 2.0)
 _TOLERANCE = 1e-6
 """Of the smoother's error, relative."""
 
@@ -46,19 +48,25 @@ _WORDS: dict[type, tuple[str, str]] = {
 
 
 class LogFit(NamedTuple):
-    """A number with which the log fits. what: in words. chi2: with it."""
+    """A number with which the log fits. what: in words. chi2: with it. change: puts it in."""
 
     what: str
     chi2: float
+    change: Callable[[Log], Log]
 
 
 class _Number(NamedTuple):
-    """change: makes the log's value right if the number is. step: about what noise hides."""
+    """change: makes the log's value right if the number is. step: about what noise hides.
+
+    grid: numbers in order, with that of no fault, between which chi-square is no smooth function,
+    as of a delay, that moves measurements from sample to sample.
+    """
 
     words: str
     change: Callable[[Log, float], Log]
     neutral: float
     step: float
+    grid: tuple[float, ...] = ()
 
 
 def _numbers(log: Log) -> Iterator[_Number]:
@@ -90,7 +98,9 @@ def _numbers(log: Log) -> Iterator[_Number]:
         1e-3,
     )
     if not isinstance(log.odometry, RelativePoses):
-        yield _Number("measurements {:+.3g} s later than the log says", delayed, 0.0, 0.05)
+        yield _Number(
+            "measurements {:+.3g} s later than the log says", delayed, 0.0, 0.05, _DELAYS_S
+        )
 
 
 def chi2_by_run(run: EkfRun, result: SmootherResult) -> Callable[[Log, bool], float]:
@@ -146,7 +156,7 @@ def fitted_numbers(
     for _, fit in rough[:_MOST_REFINED]:
         chi2 = fit.refined()
         if explains(test, chi2, len(rough)):
-            found.append(LogFit(fit.words, chi2))
+            found.append(LogFit(fit.words, chi2, fit.change))
     least = min((one.chi2 for one in found), default=0.0)
     alike = [one for one in found if one.chi2 <= _AS_WELL * least]
     return sorted(alike, key=lambda one: one.chi2)
@@ -183,11 +193,19 @@ class _Fit:
             self._at, self._chi2 = -number.neutral, opposite
         else:
             self._afresh = False
+        if number.grid:
+            self._scan(number.grid)
 
     @property
     def words(self) -> str:
         """With the number."""
         return self._number.words.format(self._at)
+
+    @property
+    def change(self) -> Callable[[Log], Log]:
+        """Makes the log right if the number is."""
+        number, at = self._number, self._at
+        return lambda log: number.change(log, at)
 
     def refined(self) -> float:
         """Chi-square at the number that fits best."""
@@ -214,6 +232,17 @@ class _Fit:
                 break
             move *= 0.5
         return self._chi2
+
+    def _scan(self, grid: tuple[float, ...]) -> None:
+        """Go to the best number around the best of a grid."""
+        found = [self._of(number) for number in grid]
+        best = int(np.argmin(found))
+        beside = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+        options = {"maxiter": 12, "xatol": self._step / 10.0}
+        fine = minimize_scalar(self._of, bounds=beside, method="bounded", options=options)
+        for at, chi2 in ((grid[best], found[best]), (float(fine.x), float(fine.fun))):
+            if chi2 < self._chi2:
+                self._at, self._chi2 = at, chi2
 
     def _of(self, number: float) -> float:
         """Chi-square of the smoother with the number; infinite where the log cannot have it."""
