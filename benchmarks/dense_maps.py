@@ -1,9 +1,12 @@
 """What each of the documents' settings of dense maps does to the occupancy layer.
 
     python benchmarks/dense_maps.py [--seeds N] [--rules NAME ...]
+    python benchmarks/dense_maps.py --correlation [--among N] [--seeds N]
 
 The documents' settings beside those that runs use, and each of them alone, on simulated drives of
-one loop (Nieto 2005, sections 3.9 and 4.1.3).
+one loop (Nieto 2005, sections 3.9 and 4.1.3). --correlation: what regions cover, and how far the
+closing of the loop deforms them (Fig. 3.9), by the least correlation of their landmarks alone, as
+section 3.5 has it, without and with N more landmarks among and behind the objects.
 """
 
 from __future__ import annotations
@@ -25,6 +28,8 @@ from comparisons.checks.accuracy import match_by_distance, rigid_motion
 from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
 from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.scan_drive import dense_slam, simulate
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.layers.layer import Samples
 
@@ -32,6 +37,9 @@ Array = NDArray[np.float64]
 
 FIRST_LOOPS = {"scan-loop": 6, "occupancy-loop": 8}
 """Drives of one loop, from seed 0."""
+CORRELATIONS = (0.95, 0.9, 0.8, 0.5, -1.0)
+MARGIN_M = 15.0
+"""So far beyond the path the landmarks of --among stand."""
 ALONE: Mapping[str, Mapping[str, Any]] = {
     "known_apart_m=0": {"known_apart_m": 0.0},
     "longest_edge_m=inf": {"longest_edge_m": math.inf},
@@ -93,6 +101,73 @@ def rule_row(mapped: Sequence[DenseMapping]) -> str:
     )
 
 
+def by_correlation(seeds: int, among: int) -> None:
+    """Coverage against deformation over the least correlation of a region's landmarks."""
+    for more in (0, among):
+        logs = [log_among(more, seed) for seed in range(seeds)]
+        print(
+            f"scan-loop, {more} landmarks more, {seeds} drives; deformed: change of an edge by the"
+        )
+        print("update that moved the regions the most [m], median / 95 %; surfaces: median [m]")
+        print("correlation  regions  covered  deformed       surfaces")
+        for least in CORRELATIONS:
+            config = MapConfig.of(
+                preset="nieto-2005",
+                log={"source": "scan-loop"},
+                extensions={"dense_maps": {"layers": ("points",), "least_correlation": least}},
+            )
+            each = [map_log(log, config) for log in logs]
+            tallies = [one.dense.dense.tally for one in each]
+            covered = sum(t.fused + t.late for t in tallies) / sum(t.returns for t in tallies)
+            regions = sum(len(one.placed.triangle) for one in each)
+            change = np.concatenate([deformation(one) for one in each])
+            median, most = np.percentile(change, (50.0, 95.0)) if len(change) else (math.nan,) * 2
+            off = np.concatenate([distances(one, "points")[0] for one in each])
+            near = float(np.median(off)) if len(off) else math.nan
+            row = f"{least:11g} {regions:8d} {covered:8.1%}  {median:5.3f} / {most:5.3f}"
+            print(f"{row}  {near:8.3f}", flush=True)
+
+
+def log_among(more: int, seed: int) -> Log:
+    """A drive of section 3.9 with so many more poles, anywhere clear of the path and of objects."""
+    experiment = dense_slam()
+    world, rng = experiment.world, np.random.default_rng(seed)
+    solids, landmark = world.solids(), list(world.landmark)
+    low, high = world.path.min(axis=0) - MARGIN_M, world.path.max(axis=0) + MARGIN_M
+    while len(landmark) < len(world.landmark) + more:
+        place = rng.uniform(low, high)
+        apart = min(np.linalg.norm(np.array(landmark) - place, axis=1).min(), MARGIN_M)
+        clear = np.linalg.norm(world.path - place, axis=1).min() > 4.0
+        if clear and apart > 2.0 and not len(solids.within(place, 1.5).segment):
+            landmark.append(place)
+    new = np.array(landmark[len(world.landmark) :]).reshape(-1, 2)
+    pole = np.column_stack((new, np.full(len(new), float(world.pole[0, 2]))))
+    height = np.full(len(new), float(world.pole_height_m[0]))
+    world = replace(
+        world,
+        landmark=np.vstack((world.landmark, new)),
+        pole=np.vstack((world.pole, pole)),
+        pole_height_m=np.concatenate((world.pole_height_m, height)),
+    )
+    return simulate(np.random.default_rng(seed), replace(experiment, world=world))
+
+
+def deformation(one: DenseMapping) -> Array:
+    """(R,) greatest change of an edge [m] of each region that there was, by the largest update."""
+    before = one.dense.before
+    if before is None:
+        return np.empty(0)
+    after = edges(one.placed.triangle[: len(before.triangle)])
+    change: Array = np.abs(after - edges(before.triangle)).max(axis=1)
+    return change
+
+
+def edges(triangle: Array) -> Array:
+    """(R, 3) lengths of the edges of triangles (R, 3, 2)."""
+    length: Array = np.linalg.norm(triangle - np.roll(triangle, 1, axis=1), axis=2)
+    return length
+
+
 def inside_regions(one: DenseMapping, layer: str) -> tuple[Array, Array]:
     """As `distances`, of what lies in a region of the dense map; (N,) and (N,)."""
     if layer != "classic":
@@ -126,8 +201,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--seeds", type=int, help="drives of each log; 6 and 8 if left out")
     parser.add_argument("--rules", nargs="+", help="rows; all if left out")
+    parser.add_argument("--correlation", action="store_true", help="coverage and deformation")
+    parser.add_argument("--among", type=int, default=80, help="landmarks more for --correlation")
     choices = parser.parse_args()
-    errors_by_rule(choices.seeds, choices.rules)
+    if choices.correlation:
+        by_correlation(choices.seeds or 1, choices.among)
+    else:
+        errors_by_rule(choices.seeds, choices.rules)
 
 
 if __name__ == "__main__":

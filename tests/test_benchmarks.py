@@ -7,14 +7,17 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from benchmarks import bench, peers
+from benchmarks import bench, dense_maps, peers
 from benchmarks.timing import Pair, Side, Spent, interleaved
 from benchmarks.timing import run as ran
+from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from tests.graphslam.skips import pass_on
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -128,6 +131,39 @@ def test_dense_maps_benchmark_rules() -> None:
         regions, correlated, _, late, _ = row[-5:]
         assert int(regions) == int(correlated) > 0
         assert late == "0.0%"
+
+
+@pytest.mark.slow
+def test_more_landmarks_stand_clear_of_objects_and_path() -> None:
+    usual, more = dense_maps.log_among(0, 0).truth, dense_maps.log_among(12, 0).truth
+    assert usual.landmarks is not None
+    assert usual.surfaces is not None
+    assert more.landmarks is not None
+    count, place = len(usual.landmarks.id), more.landmarks.position_m
+    assert np.array_equal(place[:count], usual.landmarks.position_m)
+    new = place[count:]
+    assert len(new) == 12
+    assert distance_to_segments(new, usual.surfaces.segment).min() > 1.0
+    apart = np.linalg.norm(new[:, None] - place[None, :count], axis=2)
+    assert apart.min() > 2.0
+
+
+def test_deformation_is_of_the_shape_alone() -> None:
+    """A region that turns and moves is not deformed; broken: the motion of its corners."""
+    before = np.array([[(0.0, 0.0), (10.0, 0.0), (0.0, 8.0)]])
+    turned = before @ np.array([(0.0, 1.0), (-1.0, 0.0)]) + (3.0, 4.0)
+    stretched = before * (1.1, 1.0)
+
+    def of(after: NDArray[np.float64]) -> float:
+        one: Any = SimpleNamespace(
+            dense=SimpleNamespace(before=SimpleNamespace(triangle=before)),
+            placed=SimpleNamespace(triangle=np.concatenate((after, after + 5.0))),
+        )
+        (found,) = dense_maps.deformation(one)
+        return float(found)
+
+    assert of(turned) < 1e-12 < np.abs(turned - before).max()
+    assert of(stretched) == pytest.approx(1.0)
 
 
 @pytest.mark.slow

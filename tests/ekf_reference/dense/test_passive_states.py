@@ -109,6 +109,10 @@ def test_equal_to_a_filter_that_has_them_in_its_state() -> None:
     assert np.linalg.norm(passive.change, axis=1).max() > 0.3
     assert max(gaps(passive)) < 1e-9
     assert np.allclose(ekf.state.mean, carried().mean, atol=1e-9)
+    active, kept = ekf.state.landmark_count, len(passive.value)
+    of_landmarks = ekf.state.covariance[3:, 3:].size + passive.cross[:, 3:].size + passive.own.size
+    assert of_landmarks == 4 * (active * (active + kept) + kept)  # Example 3.3, in pairs
+    assert of_landmarks < 4 * (active + kept) ** 2
 
 
 @pytest.mark.slow
