@@ -21,6 +21,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,16 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from comparisons.logs.log import Log, Poses, Truth
+from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.logs.simulate.drive import (
-    Drive,
-    exact_landmarks,
-    known_start,
-    point_measurements,
-    true_drive,
-    wheel_odometry,
-)
+from comparisons.logs.simulate.drive import Drive
+from comparisons.logs.simulate.drive import simulate as simulated
 from comparisons.logs.simulate.worlds import World
 
 Array = NDArray[np.float64]
@@ -114,18 +109,9 @@ def simulate(poses: int, landmarks: int, seed: int = 0) -> Log:
         sigma_speed_mps=0.1,
         sigma_steering_rad=math.radians(1.0),
     )
-    world, rng = field(landmarks), np.random.default_rng(seed)
-    time, control, pose = true_drive(drive, world)
-    scans = drive.scan_samples(len(control))
-    return Log(
-        name=f"scale-{poses}x{landmarks}",
-        format="simulated",
-        prior=known_start(pose, 1.0),
-        odometry=wheel_odometry(rng, drive, time, control),
-        measurements=point_measurements(rng, drive, world.landmark, time[scans], pose[scans]),
-        truth=Truth(Poses(time, pose), exact_landmarks(world.landmark)),
-        provenance={"source": "benchmarks/scale.py"},
-    )
+    log = simulated(np.random.default_rng(seed), drive, field(landmarks))
+    provenance = {"source": "benchmarks/scale.py"}
+    return replace(log, name=f"scale-{poses}x{landmarks}", provenance=provenance)
 
 
 def measure(log: Path, out: Path, options: list[str]) -> list[Stage]:

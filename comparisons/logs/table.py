@@ -153,6 +153,16 @@ def number_or_fail(word: str, path: Path, line: int, name: str) -> float:
     return value
 
 
+def first_words(path: Path) -> list[str]:
+    """Return the words of a text file's first record; none of what has none, or is no file."""
+    if not path.is_file():
+        return []
+    with path.open("rb") as file:
+        lines = file.read(65536).splitlines()
+    kept = (line for line in lines if line.strip() and not line.startswith(b"#"))
+    return next(kept, b"").decode("ascii", "replace").split()
+
+
 def read_text(path: Path) -> str:
     """A file's text. Raises InputError when it is missing, unreadable or not text."""
     with _reading(path):

@@ -8,7 +8,7 @@ are then reproduced to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -83,6 +83,13 @@ def named(quantity: Quantity, hypotheses: Iterable[Hypothesis]) -> str | None:
         return None
     hypothesis, figures = found
     return f"{hypothesis.text(*figures)}, {counted(quantity)}"
+
+
+def naming(quantity: Quantity, hypotheses: Iterable[Hypothesis]) -> Iterator[str]:
+    """Yield what `named` returns, if anything."""
+    found = named(quantity, hypotheses)
+    if found is not None:
+        yield found
 
 
 def best(

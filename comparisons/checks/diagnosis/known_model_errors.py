@@ -15,7 +15,7 @@ from comparisons.checks.diagnosis.hypotheses import (
     Hypothesis,
     Quantity,
     instead,
-    named,
+    naming,
     says,
     times,
 )
@@ -110,7 +110,7 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
     )
     departed = run.trace.departed[np.maximum(r.step - 1, 0)]
     older = place - departed[:, :2] - _arms(departed[:, 2], forward, left)
-    found = named(
+    yield from naming(
         quantity,
         (
             instead("the lever arm of the antenna is ignored", apart),
@@ -137,8 +137,6 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
             ),
         ),
     )  # fmt: skip
-    if found is not None:
-        yield found
     yield from _position_noise(r, positions.covariance[r.number], features)
 
 
@@ -160,7 +158,7 @@ def _position_noise(
         records="positions",
         features=features,
     )
-    found = named(
+    yield from naming(
         quantity,
         (
             instead("R of positions contains sigma instead of sigma squared",
@@ -176,5 +174,3 @@ def _position_noise(
             ),
         ),
     )  # fmt: skip
-    if found is not None:
-        yield found

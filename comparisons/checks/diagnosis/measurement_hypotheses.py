@@ -18,6 +18,7 @@ from comparisons.checks.diagnosis.hypotheses import (
     counted,
     instead,
     named,
+    naming,
     says,
     scaled,
     times,
@@ -231,9 +232,7 @@ def _by_column(both: Quantity, seen: _Seen, article: str) -> Iterator[str]:
             tolerance=both.tolerance[:, column],
             angle=bool(column),
         )
-        found = named(one, _of_column(one, seen, column, f"{article} {name}"))
-        if found is not None:
-            yield found
+        yield from naming(one, _of_column(one, seen, column, f"{article} {name}"))
 
 
 def _of_column(one: Quantity, seen: _Seen, column: int, name: str) -> Iterator[Hypothesis]:
@@ -353,11 +352,9 @@ def noise_hints(
         return
     for k, column in enumerate(_COLUMNS):
         one = replace(quantity, have=quantity.have[:, k, k], meant=quantity.meant[:, k, k])
-        found = named(one, _variances(f"{name} of the {column}", sigma[:, k], range_m))
-        if found is not None:
-            yield found
+        yield from naming(one, _variances(f"{name} of the {column}", sigma[:, k], range_m))
     side = replace(quantity, have=quantity.have[:, 0, 1], meant=quantity.meant[:, 0, 1])
-    found = named(
+    yield from naming(
         side,
         (
             Hypothesis(
@@ -367,8 +364,6 @@ def noise_hints(
             ),
         ),
     )
-    if found is not None:
-        yield found
 
 
 def _variances(name: str, sigma: Array, range_m: Array) -> Iterator[Hypothesis]:

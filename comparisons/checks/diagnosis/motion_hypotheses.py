@@ -20,6 +20,7 @@ from comparisons.checks.diagnosis.hypotheses import (
     counted,
     instead,
     named,
+    naming,
     says,
     scaled,
     times,
@@ -420,7 +421,7 @@ def _jacobian(run: EkfRun, moves: Quantity) -> Iterator[str]:
 
     heading, lower = np.zeros((3, 3)), np.zeros((3, 3))
     heading[:2, 2], lower[2, 2] = 1.0, 1.0
-    found = named(
+    yield from naming(
         quantity,
         (
             instead("F is transposed", want.transpose(0, 2, 1)),
@@ -436,8 +437,6 @@ def _jacobian(run: EkfRun, moves: Quantity) -> Iterator[str]:
             scaled("F", want),
         ),
     )  # fmt: skip
-    if found is not None:
-        yield found
 
 
 def _quarter(want: Array) -> Array:
@@ -454,9 +453,7 @@ def _step_noise(
     quantity, b = min(
         zip(quantities, used, strict=True), key=lambda pair: np.count_nonzero(pair[0].off())
     )
-    found = named(quantity, _of_step_noise(wheels, run, b))
-    if found is not None:
-        yield found
+    yield from naming(quantity, _of_step_noise(wheels, run, b))
 
 
 def _sizes(full: Array) -> Array:
@@ -610,7 +607,7 @@ def _displacement_noise(run: EkfRun, moves: Quantity) -> Iterator[str]:
         tolerance=EQUAL + np.asarray(moves.tolerance),
     )  # fmt: skip
     diagonal = stated * np.eye(3)
-    found = named(
+    yield from naming(
         quantity,
         (
             instead("Q is not rotated: it stays in the frame after the step", stated / size),
@@ -634,5 +631,3 @@ def _displacement_noise(run: EkfRun, moves: Quantity) -> Iterator[str]:
             ),
         ),
     )  # fmt: skip
-    if found is not None:
-        yield found

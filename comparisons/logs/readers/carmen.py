@@ -29,7 +29,7 @@ from comparisons.logs.odometry import poses_at
 from comparisons.logs.readers.carmen_lines import TAGS, LineReader, Sweeps
 from comparisons.logs.readers.scan_odometry import scan_log
 from comparisons.logs.scans import Mount, Scans
-from comparisons.logs.table import locate_rows, read_text, shorten
+from comparisons.logs.table import first_words, locate_rows, read_text, shorten
 
 _MOUNT_TOLERANCE = np.array([0.05, 0.05, 0.02])
 _LARGEST_FALL_S = 0.1
@@ -45,13 +45,7 @@ class _Clock(NamedTuple):
 
 def recognises(path: Path) -> bool:
     """A text file whose first record starts with one of the messages' names."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        for line in file.read(65536).splitlines():
-            if line.strip() and not line.startswith(b"#"):
-                return line.split()[0].decode("ascii", "replace") in TAGS
-    return False
+    return any(word in TAGS for word in first_words(path)[:1])
 
 
 def read(path: Path) -> Log:

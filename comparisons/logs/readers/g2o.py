@@ -13,6 +13,7 @@ import numpy as np
 from comparisons.errors import InputError, check_regular
 from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.table import first_words
 from comparisons.logs.validation import LARGEST
 from graphslam.g2o import read_g2o
 from graphslam.g2o import recognises as knows
@@ -21,13 +22,7 @@ from graphslam.problem import SlamProblem
 
 def recognises(path: Path) -> bool:
     """A text file whose first record starts with one of g2o's tags, be it of a kind not read."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        for line in file.read(4096).splitlines():
-            if line.strip() and not line.startswith(b"#"):
-                return knows(line.split()[0].decode("ascii", "replace"))
-    return False
+    return any(knows(word) for word in first_words(path)[:1])
 
 
 def read(path: Path) -> Log:

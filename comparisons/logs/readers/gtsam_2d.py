@@ -19,7 +19,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import RelativePoses
-from comparisons.logs.table import locate_rows, number_or_fail, read_text, shorten
+from comparisons.logs.table import first_words, locate_rows, number_or_fail, read_text, shorten
 
 _COLUMNS = {
     "ODOMETRY": ("i", "j", "dx", "dy", "dheading", "c00", "c01", "c02", "c11", "c12", "c22"),
@@ -30,14 +30,8 @@ _PRIOR_SIGMA = 1e-6
 
 def recognises(path: Path) -> bool:
     """A text file whose first record starts with one of the two tags, but for iSAM's."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        for line in file.read(4096).splitlines():
-            if line.strip() and not line.startswith(b"#"):
-                words = line.decode("ascii", "replace").split()
-                return words[0] in _COLUMNS and not _of_isam(words)
-    return False
+    words = first_words(path)
+    return bool(words) and words[0] in _COLUMNS and not _of_isam(words)
 
 
 def _of_isam(words: list[str]) -> bool:
