@@ -33,8 +33,8 @@ _LISTED = re.compile(r"([0-9a-f]{64})  (.+)")
 _LIST_BYTES = 1 << 24
 _SUFFIXES = frozenset(
     {
-        *(".csv", ".g2o", ".html", ".json", ".npz", ".pcd", ".pdf", ".pgm"),
-        *(".pgw", ".ply", ".png", ".toml", ".trace", ".tum", ".yaml"),
+        *(".csv", ".dot", ".g2o", ".html", ".json", ".npz", ".pcd", ".pdf"),
+        *(".pgm", ".pgw", ".ply", ".png", ".toml", ".trace", ".tum", ".yaml"),
     }
 )
 """Of what jobs write: whatever a list says, a file of another kind is nobody's output."""

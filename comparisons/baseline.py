@@ -275,8 +275,10 @@ def compare_with(baseline: Baseline, found: Found) -> list[Change]:
         raise InputError(f"{found.log.name}: is of {now_of}, expected {then_of}, as the baseline's")
     if found.log.sha256 != baseline.sha256:
         raise InputError(
-            f"{found.log.name}: is not the log of the baseline ({baseline.log}): its streams "
-            "differ, or slamcheck 0.2 or older saved it; save a new baseline"
+            f"{found.log.name}: is not the log of the baseline ({baseline.log}"
+            f"{', another of this name' if found.log.name == baseline.log else ''}): its streams "
+            "differ, or slamcheck 0.2 or older saved it; save a new baseline: slamcheck baseline "
+            f"save LOG NEW.json{' --estimate PATH' if baseline.of_estimate else ''}"
         )
     return changes_of(
         baseline,

@@ -29,6 +29,7 @@ from comparisons.checks.grade import (
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.trajectory_files import UNITS, in_seconds
 from comparisons.statistics import chi2_quantile, eigenvalue_range
 
 _SURE = 0.999
@@ -179,7 +180,7 @@ def within_log(given: ExternalEstimate, smoothed: Estimate) -> NDArray[np.bool_]
     """Return which poses (K,) lie in the log's time. Raises InputError where none does."""
     first, last = smoothed.time_s[0], smoothed.time_s[-1]
     inside: NDArray[np.bool_] = (given.time_s >= first - 1e-4) & (given.time_s <= last + 1e-4)
-    if not inside.any():
+    if not inside.any() or _unit(given.time_s, (first, last)):
         raise InputError(
             f"the estimate's times ({given.time_s[0]:.3f} to {given.time_s[-1]:.3f} s) lie outside "
             f"the log's ({first:.3f} to {last:.3f} s){clock_words(given.time_s, (first, last))}; "
@@ -192,12 +193,20 @@ def clock_words(time_s: Array, span_s: tuple[float, float]) -> str:
     """What an estimate's times (K,) look like beside the log's, in words that follow them."""
     first, last = span_s
     whole, own = last - first, float(time_s[-1] - time_s[0])
-    for unit, factor in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
-        if abs(own - factor * whole) <= _SAME_LENGTH * factor * whole:
-            return f"; they look like {unit}"
+    if unit := _unit(time_s, span_s):
+        return f"; they look like {unit}; {in_seconds(unit)}"
     if abs(own - whole) <= _SAME_LENGTH * whole:
         offset = float(time_s[0]) - first
         return f"; they look {abs(offset):.1f} s too {'late' if offset > 0.0 else 'early'}"
+    return ""
+
+
+def _unit(time_s: Array, span_s: tuple[float, float]) -> str:
+    """The unit other than seconds in which times (K,) are as long as the log, if any."""
+    whole, own = span_s[1] - span_s[0], float(time_s[-1] - time_s[0])
+    for unit, factor in UNITS.items():
+        if abs(own - factor * whole) <= _SAME_LENGTH * factor * whole:
+            return unit
     return ""
 
 

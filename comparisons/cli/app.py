@@ -236,10 +236,13 @@ def _run(stopped: Sequence[int]) -> NoReturn:
 
 def _meant(command: str, message: str) -> str:
     """The option that a word without one was meant for."""
-    stray = message.removeprefix("Got unexpected extra argument (").removesuffix(")")
-    if command != "check" or stray == message:
+    stray = message.removeprefix("Got unexpected extra argument(s) (").removesuffix(")")
+    if command != "check" or stray == message or " " in stray:
         return ""
-    return f"; the estimate goes with --estimate: slamcheck check LOG --estimate {stray}"
+    from comparisons.cli.check import as_meant
+
+    log = next((word for word in sys.argv[2:] if not word.startswith("-")), "LOG")
+    return f"; the estimate goes with --estimate: {as_meant(log, stray)}"
 
 
 def _stop_on_signals() -> list[int]:

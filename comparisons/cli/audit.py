@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 
 from comparisons.cli.flags import OUTPUT, argument, set_parameters
 from comparisons.cli.support import VERDICTS, chosen_output, guarded, print_result, progress_bar
+from comparisons.errors import InputError
 
 
 def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> None:
@@ -26,6 +28,7 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
     """
     with guarded():
         chosen = chosen_output(**output)
+        _check_trace(trace)
         from comparisons.atomic import check_replaceable, folder_name
 
         folder = out or Path(f"slamcheck-audit-{folder_name(trace.stem)}")
@@ -41,6 +44,21 @@ def audit(trace: Path, tolerance: float, out: Path | None, **output: bool) -> No
             file = report.write(folder)
         print_result(report.summary(), file, chosen)
         raise SystemExit(VERDICTS[report.outcome])
+
+
+def _check_trace(path: Path) -> None:
+    """Raise InputError for an estimate, saying which command is for it."""
+    from comparisons.estimates.trace_file import TRACE
+
+    if path.is_dir():
+        found = next((path / one for one in (TRACE, f"ekf/{TRACE}") if (path / one).is_file()), "")
+        meant = f"slamcheck audit {shlex.quote(str(found))}" if found else "it holds no " + TRACE
+        raise InputError(f"{path}: is a folder, expected a filter's trace; {meant}")
+    if path.suffix == ".tum":
+        raise InputError(
+            f"{path}: is a trajectory, expected a filter's trace; an estimate is checked by "
+            f"slamcheck check LOG --estimate {shlex.quote(str(path))}"
+        )
 
 
 _TOLERANCE = typer.Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -131,6 +132,9 @@ def compare(
 
         if junit is not None:
             check_file(junit, JUNIT)
+        if file.is_dir() and Path(log).is_file():
+            meant = f"slamcheck baseline compare {shlex.quote(str(file))} {shlex.quote(log)}"
+            raise InputError(f"{file}: is a folder, expected the baseline's file; say {meant}")
         kept = read_baseline(file)
         try:
             wanted = kept.config_at(log).model_copy(update=_named(kept, file, estimate, times))

@@ -45,7 +45,11 @@ def compare(
         if out is not None:
             report.check_table(out)
         rows = report.side_by_side(report.read_results(folders), only)
-        titles = [folder.name or str(folder) for folder in folders]
+        names = [folder.name for folder in folders]
+        titles = [
+            str(folder) if names.count(folder.name) > 1 else folder.name or str(folder)
+            for folder in folders
+        ]
         report.print_side_by_side(titles, rows, Console())
         if out is not None:
             report.write_table(titles, rows, out)

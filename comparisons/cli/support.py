@@ -138,6 +138,11 @@ def _start_log(file: Path | None) -> bool:
     if file is not None:
         from comparisons.atomic import Kind, begins, check_file
 
+        if file.is_dir():
+            raise InputError(
+                f"--log {file}: is a folder; --log names the file that warnings are written to; "
+                f"a log stands without an option: slamcheck COMMAND {file}"
+            )
         check_file(file, Kind("an earlier log", begins(_LOG_LINE)))
         handlers.append(logging.FileHandler(file, mode="w", encoding="utf-8"))
     logging.raiseExceptions = False  # a full disk or a closed terminal cuts the log short, no more

@@ -23,6 +23,8 @@ SCAN_LANDMARKS = "scan_landmarks.csv"
 FILES = ("trajectory.tum", "landmarks.csv", SCAN_LANDMARKS, "covariances.npz", "estimate.toml")
 """What an estimate folder holds; scan landmarks only where there are any."""
 
+_LEAST_UP = 0.5
+"""Of a planar pose's third axis, upwards."""
 TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _ALONG = 0.5
 """Share of the way that a vehicle in the plane x, y may move along its third axis."""
@@ -142,11 +144,30 @@ def planar_poses(table: Table, order: str) -> Array:
     x, y, z, w = (table[f"q{axis}"] for axis in "xyzw")
     up = np.column_stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x**2 + y**2)))
     in_plane(table, np.column_stack([table[axis] for axis in "xyz"]), up)
+    _check_order(table, up[:, 2], order)
     with table.locating():
         within("trajectory", "quaternion's norm", np.sqrt(x**2 + y**2 + z**2 + w**2), 0.99, 1.01)
         name = f"cosine of the tilt (of qx, qy, qz, qw, {order})"
-        within("trajectory", name, up[:, 2], 0.5, 1.01)
+        within("trajectory", name, up[:, 2], _LEAST_UP, 1.01)
     return np.column_stack((table["x"], table["y"], np.unwrap(2.0 * np.arctan2(z, w))))
+
+
+def _check_order(table: Table, up: Array, order: str) -> None:
+    """Raise InputError for quaternions that are planar if their numbers stand in the other order.
+
+    up: (K,) of the poses' third axes, by the order in which they were read.
+    """
+    x, y, z, w = (table[f"q{axis}"] for axis in "xyzw")
+    first, second = (y, z) if order == "w last" else (w, x)
+    if (up >= _LEAST_UP).all() or (1.0 - 2.0 * (first**2 + second**2) < _LEAST_UP).any():
+        return
+    if order == "w last":
+        move = "awk '{print $1, $2, $3, $4, $6, $7, $8, $5}' OLD > NEW"
+        raise InputError(
+            f"{table.path}: its quaternions look like w x y z, expected x y z w as in every TUM "
+            f"file; w last: {move}"
+        )
+    raise InputError(f"{table.path}: its quaternions look like x y z w, expected w x y z")
 
 
 def in_plane(table: Table, place: Array, up: Array) -> None:

@@ -21,6 +21,10 @@ from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
 from comparisons.logs.table import Table, first_record, shorten
 from comparisons.logs.validation import LARGEST, increasing, within
 
+UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+"""Of times that are not in seconds, and how many are one second."""
+_SINCE_1970_S = 1e8
+"""Times above it count from 1970, not from the start of a drive, which lasts no three years."""
 FORMATS = ("tum", "kitti", "csv")
 TIMES = "times.txt"
 """Stands beside a KITTI file."""
@@ -83,12 +87,22 @@ def read_with_files(path: Path, times: Path | None = None) -> tuple[Trajectory, 
 
 def _timed(table: Table, time_s: Array, pose: Array, covariance: Array | None = None) -> Trajectory:
     """Poses whose times rise, the first of those whose times repeat. Raises InputError."""
+    unit = _too_large_for_seconds(time_s)
+    if unit:
+        raise InputError(
+            f"{table.path}: times reach {np.abs(time_s).max():.4g}, expected seconds; they look "
+            f"like {unit}; {in_seconds(unit, comma=table.path.suffix == '.csv')}"
+        )
     with table.locating():
-        within("trajectory", "time_s", time_s, -LARGEST, LARGEST)
         increasing("trajectory", time_s, equal=True)
     kept = np.diff(time_s, prepend=-np.inf) > 0.0
     lost = int((~kept).sum())
     left_out = ""
+    if 2 * lost > len(kept) and _since_1970_in_whole_seconds(time_s):
+        raise InputError(
+            f"{table.path}: {lost} of {len(kept)} poses repeat the time of the one before: their "
+            "times since 1970 look rounded to seconds, as '%.10g' does; write nine decimals, '%.9f'"
+        )
     if lost:
         left_out = (
             f"{lost} of {len(kept)} poses of {table.path.name} repeat the time of the one before "
@@ -96,6 +110,28 @@ def _timed(table: Table, time_s: Array, pose: Array, covariance: Array | None = 
         )
     covariance = None if covariance is None else covariance[kept]
     return Trajectory(time_s[kept], pose[kept], covariance, left_out)
+
+
+def _since_1970_in_whole_seconds(time_s: Array) -> bool:
+    return bool((time_s > _SINCE_1970_S).all() and (time_s == np.round(time_s)).all())
+
+
+def _too_large_for_seconds(time_s: Array) -> str:
+    """The unit that times (K,) look like that no log in seconds holds; empty where one may."""
+    largest = np.abs(time_s).max(initial=0.0)
+    if largest <= LARGEST:
+        return ""
+    if abs(time_s[0]) <= LARGEST:  # from the start of a drive
+        return "nanoseconds"
+    since_1970 = (unit for unit, factor in UNITS.items() if largest <= LARGEST * factor)
+    return next(since_1970, "nanoseconds")
+
+
+def in_seconds(unit: str, *, comma: bool = False) -> str:
+    """Return the command that writes the times of a file in seconds. comma: as in CSV."""
+    only = "-F, -v OFS=, 'NR > 1 " if comma else "'"
+    change = f'{{$1 = sprintf("%.9f", $1 / {UNITS[unit]:.0f})}} 1\''
+    return f"in seconds: awk {only}{change} OLD > NEW"
 
 
 def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> None:

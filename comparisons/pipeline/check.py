@@ -317,7 +317,8 @@ def _by_the_files_clock(given: ExternalEstimate, log: Log) -> bool:
     """Whether an estimate's times count as the log's file does, and not as the log's do."""
     start_s = float(file_start(log))
     begin_s, end_s = log.prior.time_s - CLOCK_S, log.end_s + CLOCK_S
-    return start_s > end_s and begin_s <= given.time_s[0] - start_s <= end_s
+    first_s, last_s = given.time_s[[0, -1]] - start_s
+    return start_s > end_s and first_s <= end_s and last_s >= begin_s
 
 
 def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:

@@ -60,8 +60,16 @@ def check_free(folder: Path, config: JobConfig | None = None, *, replace: bool =
         return
     if other := _other_run(folder, config):
         raise InputError(
-            f"{folder}: holds another run ({other}); give --replace, or another folder by --out"
+            f"{folder}: holds another run ({other}); give --replace, or --out {_beside(folder)}"
         )
+
+
+def _beside(folder: Path) -> Path:
+    """A folder that is free."""
+    number = 2
+    while (found := folder.with_name(f"{folder.name}-{number}")).exists():
+        number += 1
+    return found
 
 
 def _other_run(folder: Path, config: JobConfig) -> str:
@@ -82,9 +90,7 @@ def _other_run(folder: Path, config: JobConfig) -> str:
         differ = [path for path in differ if not path.startswith("log.")]
     elif not any(path.startswith("log.") for path in differ):
         differ.insert(0, "the log's contents")
-    reported = [
-        f"{p} {_short(then.get(p))}, not {_short(now.get(p))}" if "." in p else p for p in differ
-    ]
+    reported = [_unlike(p, then.get(p), now.get(p)) if "." in p else p for p in differ]
     return "; ".join(reported[:3]) + (
         f"; and {len(reported) - 3} more" if len(reported) > 3 else ""
     )
@@ -140,6 +146,14 @@ def _words(name: str, value: Any) -> str:
         return f"no-{name}" if value is False else name
     several = value if isinstance(value, list | tuple) else (value,)
     return "-".join((name, *(_short(one) for one in several)))
+
+
+def _unlike(path: str, then: Any, now: Any) -> str:
+    """Two values of a setting, paths of the same name in full."""
+    before, after = (_short(one) for one in (then, now))
+    if before == after:
+        before, after = str(then), str(now)
+    return f"{path} {before}, not {after}"
 
 
 def _short(value: Any) -> str:

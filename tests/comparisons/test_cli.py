@@ -8,6 +8,8 @@ import json
 import os
 import pty
 import re
+import shlex
+import shutil
 import struct
 import subprocess
 import sys
@@ -16,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 
 from comparisons.cli import app
@@ -160,7 +163,7 @@ def test_a_folder_of_another_run_is_not_replaced_in_silence(tmp_path: Path) -> N
     kept = (tmp_path / "slamcheck-simulated-loop" / "result.json").read_bytes()
     assert refused(*other, cwd=tmp_path) == (
         "slamcheck: slamcheck-simulated-loop: holds another run (ekf.association unset, not nn); "
-        "give --replace, or another folder by --out"
+        "give --replace, or --out slamcheck-simulated-loop-2"
     )
     assert (tmp_path / "slamcheck-simulated-loop" / "result.json").read_bytes() == kept
     assert slamcheck(*other, "--replace", cwd=tmp_path).returncode == 0
@@ -516,6 +519,102 @@ def test_without_gtsam_one_line_says_where_it_is_to_be_had(tmp_path: Path) -> No
 def test_an_estimate_without_its_option_is_recognised() -> None:
     from comparisons.cli.app import _meant
 
-    stray = "Got unexpected extra argument (mine.tum)"
-    assert _meant("check", stray).endswith("slamcheck check LOG --estimate mine.tum")
+    stray = "Got unexpected extra argument(s) (mine.tum)"
     assert _meant("run", stray) == _meant("check", "No such option: --x") == ""
+
+
+def what_it_took(folder: Path) -> None:
+    """Logs and estimates of two drives whose folders have the same names."""
+    for name, seed in (("a", 0), ("b", 3)):
+        log = replace(simulated(seed, loop_s=5.0), name="log")
+        write_log_folder(log, folder / name / "log")
+    times = np.arange(20.0)[:, None]
+    poses = np.hstack((times, np.zeros((20, 6)), np.ones((20, 1))))
+    (folder / "mine").mkdir()
+    np.savetxt(folder / "mine" / "trajectory.tum", poses)
+    np.savetxt(folder / "mine.tum", poses)
+    np.savetxt(folder / "first.tum", poses[:, [0, 1, 2, 3, 7, 4, 5, 6]])
+    for unit, factor in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        for start, since in ((0.0, ""), (1.7e9, "-1970")):
+            late = np.hstack((factor * (start + times), poses[:, 1:]))
+            np.savetxt(folder / f"{unit}{since}.tum", late, fmt="%.9f")
+    seconds = np.hstack((1.7e9 + np.round(times / 10.0), poses[:, 1:]))
+    np.savetxt(folder / "whole.tum", seconds, fmt="%.10g")
+    (folder / "ekf.trace").mkdir()
+    (folder / "ekf.trace" / "filter.trace").touch()
+    (folder / "kept.json").write_text("{}")
+
+
+RIGHT = "slamcheck check a/log --estimate mine"
+TAKEN = {
+    "check a/log mine.tum": f"{RIGHT}.tum",
+    "check a/log mine": RIGHT,
+    "check mine a/log": RIGHT,
+    "check mine --log a/log": f"is a log, expected a file for warnings; say {RIGHT}",
+    "check a/log --estimate mine --log b": "--log b: is a folder; --log names the file",
+    "check --log a/log --estimate mine": RIGHT,
+    "check mine.tum --estimate a/log": f"{RIGHT}.tum",
+    "check a/log --estimate first.tum": "look like w x y z, expected x y z w",
+    "check a/log --estimate ms-1970.tum": "look like milliseconds; in seconds: awk",
+    "check a/log --estimate us-1970.tum": "look like microseconds; in seconds: awk",
+    "check a/log --estimate ns-1970.tum": "look like nanoseconds; in seconds: awk",
+    "check a/log --estimate ns.tum": "look like nanoseconds; in seconds: awk",
+    "check a/log --estimate whole.tum": "since 1970 look rounded to seconds, as '%.10g'",
+    "audit ekf.trace": "slamcheck audit ekf.trace/filter.trace",
+    "audit mine.tum": "slamcheck check LOG --estimate mine.tum",
+    "audit mine": "it holds no filter.trace",
+    "baseline compare kept.json a/log": "say slamcheck baseline compare a/log kept.json",
+}
+"""What stands in another's place, with what is said of it."""
+
+
+@pytest.mark.parametrize("words", TAKEN)
+def test_what_was_taken_for_another_is_named(words: str, taken: Path) -> None:
+    """With the command that works, where one follows; nothing is written."""
+    before = sorted(taken.rglob("*"))
+    assert TAKEN[words] in refused(*words.split(), cwd=taken)
+    assert sorted(taken.rglob("*")) == before
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("taken")
+    what_it_took(folder)
+    return folder
+
+
+@pytest.mark.slow
+def test_two_logs_of_one_name_are_told_apart(taken: Path) -> None:
+    """By their paths; a second run of the same has the first one's place."""
+    works("solve", "a/log", "-q", cwd=taken)
+    works("solve", "a/log", "-q", cwd=taken)
+    said = refused("solve", "b/log", "-q", cwd=taken)
+    assert f"(log.source {taken}/a/log, not {taken}/b/log)" in said
+    assert said.endswith("; give --replace, or --out slamcheck-solve-log-2")
+    works("solve", "b/log", "-q", "--out", "slamcheck-solve-log-2", cwd=taken)
+    assert refused("solve", "b/log", "-q", cwd=taken).endswith("--out slamcheck-solve-log-3")
+    works("solve", "b/log", "-q", "--out", "other/slamcheck-solve-log", cwd=taken)
+    works(
+        "compare", "slamcheck-solve-log", "other/slamcheck-solve-log", "--out", "t.csv", cwd=taken
+    )
+    heads = (taken / "t.csv").read_text().splitlines()[0]
+    assert heads == "name,slamcheck-solve-log,other/slamcheck-solve-log"
+    works("baseline", "save", "a/log", "k.json", "--runs", "1", cwd=taken)
+    said = refused("baseline", "compare", "b/log", "k.json", cwd=taken)
+    assert "log: is not the log of the baseline (log, another of this name)" in said
+    assert "slamcheck baseline save LOG NEW.json" in said
+
+
+@pytest.mark.skipif(shutil.which("awk") is None, reason="no awk here")
+def test_the_printed_command_turns_quaternions_and_times(taken: Path) -> None:
+    """The output of what `check` says is the right estimate."""
+    right = np.loadtxt(taken / "mine.tum")
+    for name in ("first", "ns-1970", "ms-1970"):
+        said = slamcheck("check", "a/log", "--estimate", f"{name}.tum", cwd=taken).stderr
+        command = shlex.split(said[said.index("awk '") : said.index(" OLD > NEW")])
+        done = subprocess.run(
+            [*command, f"{name}.tum"], cwd=taken, capture_output=True, text=True, check=True
+        )
+        found = np.loadtxt(done.stdout.splitlines())
+        found[:, 0] -= 1.7e9 if "1970" in name else 0.0
+        assert np.abs(found - right).max() < 1e-6
