@@ -63,23 +63,27 @@ def meant(covariance: Array, extreme: ExtremeEdges) -> Iterator[tuple[str, Array
         What it is that stands there, and (N, n, n) covariances by that.
     """
     own, median = covariance[extreme.rows], np.median(_size(covariance))
-    for how, read in (("the covariance", inverse), ("a square root of it", squared)):
+    for how, read in READINGS:
         other = covariance.copy()
         other[extreme.rows] = read(own)
         if (np.abs(_size(other[extreme.rows]) - median) < 0.5 * _APART).all():
             yield how, other
 
 
-def inverse(covariance: Array) -> Array:
+def _inverse(covariance: Array) -> Array:
     """(N, n, n) the informations that were read; NaN where nothing was."""
     return np.asarray(np.linalg.inv(covariance))
 
 
-def squared(covariance: Array) -> Array:
+def _squared(covariance: Array) -> Array:
     """(N, n, n) covariances where the upper triangles that were read are roots of informations."""
     root = np.linalg.inv(np.triu(np.linalg.inv(covariance)))
     found: Array = root @ root.transpose(0, 2, 1)
     return found
+
+
+READINGS = (("the covariance", _inverse), ("a square root of it", _squared))
+"""What may stand for an information, and the covariances by that."""
 
 
 def _size(covariance: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import betainc
 
 from graphslam.arrays import Array
-from graphslam.extreme_edges import extreme_edges, inverse, meant, squared
+from graphslam.extreme_edges import READINGS, extreme_edges, meant
 from graphslam.graph_builder import build_graph
 from graphslam.increments import dead_reckoned
 from graphslam.optimisers import optimise, polish
@@ -118,7 +118,7 @@ def _readings(problem: SlamProblem, test: ChiSquareTest) -> Iterator[tuple[str, 
         np.median(np.einsum("nii->ni", np.linalg.inv(one)), axis=0)
         for one in (problem.increment_covariance[problem.steps], closed.covariance)
     )
-    for how, covariance in (("the covariance", inverse), ("a square root of it", squared)):
+    for how, covariance in READINGS:
         odometry = replace(problem, increment_covariance=covariance(problem.increment_covariance))
         closures = replace(closed, covariance=covariance(closed.covariance))
         for what, size, other in (

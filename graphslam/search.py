@@ -235,6 +235,7 @@ class MinimumSearch:
         beyond = len(self._problem.loop_closures.first) + self._problem.pose_landmarks.count
         if self._problem.pose_count <= NEARBY_POSES or len(moved) > 1 or beyond:
             return False
+        from graphslam.surroundings import Surroundings
 
         near = Surroundings(self._problem, self._graph, attempt.values, int(moved[0]))
         added, spent = near.settle(other.landmarks[moved[0]])
@@ -379,65 +380,3 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
         ),
         loop_closures=replace(closed, motion=closed.motion + noise(closed.covariance)),
     )
-
-
-PINNED = 1e-5
-"""Standard deviation of what is pinned [m, rad]."""
-_TOLERANCE, _LIMIT = 1e-6, 30
-
-
-class Surroundings:
-    """The factors of the poses that saw a landmark, at given values of the whole graph.
-
-    share: of the whole graph's factors.
-    """
-
-    def __init__(
-        self,
-        problem: SlamProblem,
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        landmark: int,
-    ) -> None:
-        """graph: from build_graph: prior, increments, measurements and positions come first."""
-        count, measured = problem.pose_count, problem.measurement_pose
-        own = np.zeros(count, dtype=bool)
-        own[measured[problem.measurement_landmark == landmark]] = True
-        steps = np.flatnonzero(own[:-1] | own[1:])
-        rows = np.flatnonzero(own[measured])
-        poses = np.union1d(np.flatnonzero(own), np.concatenate((steps, steps + 1)))
-        others = np.setdiff1d(problem.measurement_landmark[rows], landmark)
-        self._key = LANDMARK_KEY + landmark
-        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        fixes = np.flatnonzero(own[problem.position_pose])
-        prior = np.flatnonzero(own[:1])
-        for index in np.concatenate(
-            (prior, 1 + steps, count + rows, count + len(measured) + fixes)
-        ).tolist():
-            self._graph.push_back(graph.at(index))
-        pinned = gtsam.noiseModel.Isotropic.Sigma(3, PINNED)
-        for k in poses.tolist():
-            pose = values.atPose2(POSE_KEY + k)
-            self._values.insert(POSE_KEY + k, pose)
-            if not own[k]:
-                self._graph.push_back(gtsam.PriorFactorPose2(POSE_KEY + k, pose, pinned))
-        pinned = gtsam.noiseModel.Isotropic.Sigma(2, PINNED)
-        for j in others.tolist():
-            place = values.atPoint2(LANDMARK_KEY + j)
-            self._values.insert(LANDMARK_KEY + j, place)
-            self._graph.push_back(gtsam.PriorFactorPoint2(LANDMARK_KEY + j, place, pinned))
-        self._values.insert(self._key, values.atPoint2(self._key))
-        self.share = self._graph.size() / graph.size()
-
-    def settle(self, place: Array) -> tuple[float, int]:
-        """Let it settle from a place (2,); return the error that the end adds, and the iterations.
-
-        The error added is next to zero where it comes back, and infinite where nothing is found.
-        """
-        start = gtsam.Values(self._values)
-        start.update(self._key, place)
-        try:
-            end, spent, _ = levenberg_marquardt(self._graph, start, _TOLERANCE, _LIMIT)
-        except RuntimeError:
-            return float("inf"), _LIMIT
-        return self._graph.error(end) - self._graph.error(self._values), spent

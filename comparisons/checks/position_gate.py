@@ -7,13 +7,11 @@ later.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
@@ -141,6 +139,7 @@ def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
     found = RejectedFixes(count, number, streaks(number), squared > PositionFixes().gate)
     if not found.contradict:
         return found
+    from comparisons.checks.position_fit import Seen, position_fit
 
     seen = Seen(smoothed.time_s[at], given.position_m[number], spread, given.antenna_m)
     return replace(found, fit=position_fit(seen, Poses(smoothed.time_s, smoothed.pose)))
@@ -165,101 +164,3 @@ def streaks(number: Index) -> Index:
     which = np.cumsum(np.diff(number, prepend=number[0]) > 1)
     length: Index = np.bincount(which)[which]
     return length
-
-
-_LEFT = 0.05
-"""Share of the chi-square that a motion may leave."""
-_AS_WELL = 1.5
-"""Times the least that another motion leaves, which then fits as well."""
-_FEWEST = 4
-"""Positions; fewer are fitted by anything."""
-
-
-class Seen(NamedTuple):
-    """Positions (N, 2) at times (N,), with the covariances (N, 2, 2) of what they differ by.
-
-    antenna_m: where the log has it, forward and left of the pose.
-    """
-
-    time_s: Array
-    position: Array
-    covariance: Array
-    antenna_m: tuple[float, float]
-
-
-class _Motion(NamedTuple):
-    """expected: positions (N, 2) by `size` parameters, zero for none. words: of these."""
-
-    size: int
-    expected: Callable[[Array], Array]
-    words: Callable[[Array], str]
-
-
-def position_fit(seen: Seen, path: Poses) -> str:
-    """Return the motions that make positions fit a path, in words, with their figures.
-
-    By weighted least squares, each motion alone. One explains them that leaves 5 % of their
-    chi-square at most; those that leave about as little as the best are named, the one with the
-    fewest parameters first. Empty where none explains them.
-
-    Args:
-        seen: Positions that do not fit.
-        path: What odometry and landmarks say.
-    """
-    if len(seen.time_s) < _FEWEST:
-        return ""
-    whiten = np.linalg.inv(np.linalg.cholesky(seen.covariance))
-
-    def residual(expected: Array) -> Array:
-        found: Array = np.einsum("nij,nj->ni", whiten, seen.position - expected).ravel()
-        return found
-
-    found = []
-    for one in _motions(seen, path):
-        fit = least_squares(lambda p, one=one: residual(one.expected(p)), np.zeros(one.size))
-        found.append((one.size, 2.0 * float(fit.cost), one.words(fit.x)))
-    plain = residual(_antenna(path.at(seen.time_s), seen.antenna_m))
-    least = min(left for _, left, _ in found)
-    if least > _LEFT * float(plain @ plain):
-        return ""
-    return ", or ".join(words for _, left, words in sorted(found) if left <= _AS_WELL * least)
-
-
-def _motions(seen: Seen, path: Poses) -> list[_Motion]:
-    poses = path.at(seen.time_s)
-    own = _antenna(poses, seen.antenna_m)
-
-    def rotated(p: Array) -> Array:
-        cos, sin = np.cos(p[0]), np.sin(p[0])
-        return np.asarray(own @ ((cos, sin), (-sin, cos)) + p[1:])
-
-    def placed(p: Array) -> str:
-        forward, left = p + seen.antenna_m
-        return f"an antenna at {forward:.2f} m ahead, {left:.2f} m to the left of the pose"
-
-    return [
-        _Motion(
-            2,
-            lambda p: own + p,
-            lambda p: f"an offset of {p[0]:.2f} m east, {p[1]:.2f} m north",
-        ),
-        _Motion(2, lambda p: _antenna(poses, tuple(p + seen.antenna_m)), placed),
-        _Motion(
-            1,
-            lambda p: _antenna(path.at(seen.time_s - p[0]), seen.antenna_m),
-            lambda p: f"time stamps {abs(p[0]):.2f} s too {'late' if p[0] > 0.0 else 'early'}",
-        ),
-        _Motion(
-            3,
-            rotated,
-            lambda p: (
-                f"a frame turned by {np.degrees(p[0]):.2f} degrees about the origin, then "
-                f"moved by {p[1]:.2f} m east, {p[2]:.2f} m north"
-            ),
-        ),
-    ]
-
-
-def _antenna(poses: Array, antenna_m: tuple[float, ...]) -> Array:
-    model = PositionModel((float(antenna_m[0]), float(antenna_m[1])))
-    return np.array([model.predict(pose)[0] for pose in poses])

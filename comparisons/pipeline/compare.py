@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from comparisons.pipeline.beside import Beside
     from comparisons.trace.events import Event
 
-
 F = TypeVar("F", bound=Finding)
 
 MOST_PAIRS = 5_000_000
@@ -350,13 +349,13 @@ def _diagnosis(known: Known) -> Diagnosis:
         return find_dropouts(run, gaps.smoothed)
 
     def log_causes(test: ChiSquareTest) -> Sequence[Cause]:
-        from comparisons.checks.diagnosis.first_pose import rows_by_smoother
+        from comparisons.checks.diagnosis.first_pose import exchanged_rows
         from comparisons.checks.diagnosis.log_doctor import examine_run
         from comparisons.checks.diagnosis.log_fit import log_fits
 
         known.prepared.progress("the log's own numbers", 0, 0)
         first = gaps.smoothed.pose[0], gaps.smoothed.pose_covariance[0]
-        if rows := rows_by_smoother(log.prior, *first):
+        if rows := exchanged_rows(log.prior, *first):
             return [log_fault(rows)]
         if fits := log_fits(log, run, gaps.result):
             return [log_number(fits, test)]

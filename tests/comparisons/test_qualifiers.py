@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.checks import qualifiers
+from comparisons.checks import truth_by_labels
 from comparisons.checks.accuracy import exchanged_labels
 from comparisons.checks.consistency.consistency import Consistency, inconsistencies
 from comparisons.checks.consistency.nees import limit
-from comparisons.checks.diagnosis.first_pose import rows_by_smoother, rows_by_truth
+from comparisons.checks.diagnosis.first_pose import exchanged_rows, rows_by_truth
 from comparisons.checks.qualifiers import (
     TRUTH_GAP,
     UNCHECKED,
@@ -173,7 +173,7 @@ def test_rows_of_the_prior_that_are_exchanged_are_named(
     prior = Prior(0.0, true + off, STATED)
     gain = STATED @ np.linalg.inv(STATED + told)
     found = [
-        rows_by_smoother(prior, prior.pose - gain @ off, STATED - gain @ STATED),
+        exchanged_rows(prior, prior.pose - gain @ off, STATED - gain @ STATED),
         rows_by_truth(prior, Poses(np.array((0.0, 1.0)), np.array((true, true)))),
     ]
     assert [named in one for one in found] == [True, True]
@@ -359,7 +359,7 @@ def test_labels_that_do_not_fit_are_no_truth(monkeypatch: pytest.MonkeyPatch) ->
     label = log.measurements.landmark.copy()
     label[::7] = label[3]
     misread = replace(log, measurements=replace(log.measurements, landmark=label))
-    monkeypatch.setattr(qualifiers, "smooth", None)
+    monkeypatch.setattr(truth_by_labels, "smooth", None)
     assert compared(misread, association="nn").truth_gap is None
     with pytest.raises(TypeError):  # with the right labels it is asked
         compared(log, association="nn")

@@ -9,15 +9,16 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from graphslam import ambiguity, search
+from graphslam import ambiguity, search, surroundings
 from graphslam.ambiguity import alternatives, landmark_modes, loose, mirrors, windings
 from graphslam.arrays import wrap_angle
 from graphslam.graph_builder import POSE_KEY, build_graph, to_values
 from graphslam.optimisers import _descend, optimise, polish
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.relaxation import relax
-from graphslam.search import MinimumSearch, Surroundings, draw, relaxed_values
+from graphslam.search import MinimumSearch, draw, relaxed_values
 from graphslam.smoother import smooth
+from graphslam.surroundings import Surroundings
 from tests.graphslam import worlds
 from tests.graphslam.numerics import Array, angle
 
@@ -282,7 +283,7 @@ def test_a_large_graph_is_searched_nearby(monkeypatch: pytest.MonkeyPatch) -> No
     assert nearby.optimality.exploration.hops == whole.optimality.exploration.hops
     assert nearby.optimality.verified
     # What is not pinned drifts away, and no hop comes back.
-    monkeypatch.setattr(search, "PINNED", 10.0)
+    monkeypatch.setattr(surroundings, "PINNED", 10.0)
     with pytest.raises(TypeError, match="not callable"):
         smooth(world.problem, guess)
 

@@ -15,16 +15,20 @@ def rows_by_truth(prior: Prior, true: Poses | None) -> str:
     """Return which rows of the prior's covariance the true first pose exchanges, in words."""
     if true is None or not true.time_s[0] <= prior.time_s <= true.time_s[-1]:
         return ""
-    return _rows(prior, true.at(np.array([prior.time_s]))[0], np.zeros((3, 3)))
+    return exchanged_rows(prior, true.at(np.array([prior.time_s]))[0], np.zeros((3, 3)))
 
 
-def rows_by_smoother(prior: Prior, pose: Array, covariance: Array) -> str:
-    """Return which rows the smoother's first pose (3,), (3, 3) exchanges, in words."""
-    return _rows(prior, pose, covariance)
+def exchanged_rows(prior: Prior, pose: Array, left: Array) -> str:
+    """Return which rows of the prior's covariance a first pose exchanges, in words.
 
+    Args:
+        prior: The log's.
+        pose: (3,) the first pose, as truth or smoother have it.
+        left: (3, 3) its covariance; zero of the truth.
 
-def _rows(prior: Prior, pose: Array, left: Array) -> str:
-    """Name them; empty where the first pose is probable, or no exchange makes it so."""
+    Returns:
+        The exchanges; empty where the pose is probable, or no exchange makes it so.
+    """
     error = prior.pose - pose
     error[2:] = wrap_angle(error[2:])
     orders = {names: np.array(order) for names, order in EXCHANGED_ROWS.items()}
