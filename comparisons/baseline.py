@@ -109,7 +109,6 @@ NOISE = 3.0
 """A tolerance is at least so many times the range over repetitions."""
 
 _EXACT = ("ekf.landmarks", "smoother.poses", "landmarks.count", "landmarks.agreeing")
-_FIRST = re.compile(r'\{\s*"version": ([12]),')
 _METRIC = re.compile(r'\{\s+("value": .*),\s+("tolerance": .*)\s+\}')
 _WHICH = ("source", "sha256")
 _APART = ("settings", "log", "consistency")
@@ -129,13 +128,18 @@ class Metric(_Model):
     tolerance: float = Field(ge=0.0)
 
 
-class Baseline(_Model):
+class _Versioned(BaseModel):
+    """What a file of any version says of itself."""
+
+    version: int = 4
+
+
+class Baseline(_Versioned, _Model):
     """The file. config: of the run or check, all of which a comparison uses again.
 
     words: of a check, as its grade.
     """
 
-    version: int = 4
     log: str
     sha256: str
     config: dict[str, Any] = Field(default_factory=dict)
@@ -319,16 +323,17 @@ def changes_of(
 def read_baseline(path: Path) -> Baseline:
     """Raises InputError."""
     text = read_text(path)
-    if version := _FIRST.match(text):
-        raise InputError(
-            f"{path}: version {version[1]} of slamcheck 0.1, which 0.2 reads; save a new one"
-        )
     try:
+        version = _Versioned.model_validate_json(text).version
+        if version in (1, 2):
+            raise InputError(
+                f"{path}: version {version} of slamcheck 0.1, which 0.2 reads; save a new one"
+            )
+        if version not in (3, 4):
+            raise InputError(f"{path}: version {version}, expected 3 or 4")
         kept = Baseline.model_validate_json(text)
     except ValidationError as error:
         raise InputError(f"{path}: not a baseline: {first_fault(error)}") from None
-    if kept.version not in (3, 4):
-        raise InputError(f"{path}: version {kept.version}, expected 3 or 4")
     there = {name: metric for name, metric in kept.metrics.items() if name not in _GONE}
     kept = kept.model_copy(update={"metrics": there})
     try:

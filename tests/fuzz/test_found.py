@@ -65,7 +65,11 @@ REPLACED = {
     ],
     ("baseline", "kept.json"): [
         ('"robot": 1', '"robot": "abc"', "log.robot"),
-        ('"version": 4', '"version": 1, "settings": {"robot": "abc"}', "log.robot"),
+        (
+            '"version": 4',
+            '"version": 1, "settings": {"robot": "abc"}',
+            "version 1 of slamcheck 0.1",
+        ),
         ('"extensions": {}', '"extensions": {"dense_maps": 5}', "extensions.dense_maps"),
         ('"tolerance": 0.0', '"tolerance": Infinity', "not a baseline"),
         ('"log"', f'"{ENDLESS}"', "not a baseline"),
