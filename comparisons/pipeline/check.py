@@ -358,8 +358,9 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
         return None
     if sound is None or sound.reference.smoothed:
         sound = likeness(inside, filters[0], labelled=prepared.labelled)
-    moved = bool(found.causes) and found.causes[0].gap in MOTIONS
-    known = fingerprints(inside, prepared, sound, progress, several=not moved)
+    # A motion of the whole, or a factor on covariances beside right means, is simpler than several.
+    simple = sound.sigma <= ROUNDING or (found.causes and found.causes[0].gap in MOTIONS)
+    known = fingerprints(inside, prepared, sound, progress, several=not simple)
     if not known:
         return None
     others = found.causes
