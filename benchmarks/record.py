@@ -22,7 +22,6 @@ import hashlib
 import json
 import os
 import platform
-import re
 import resource
 import shlex
 import subprocess
@@ -37,6 +36,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 
+from markdown.extensions.toc import slugify
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -260,7 +260,7 @@ def pages(registry: Registry, records: Mapping[str, Record], root: Path = ROOT) 
             parts += _shown(table, records[table.name], root)
         found[file] = _joined(parts)
         listed.append(f"- [{section.title}]({file})")
-        listed += [f"    - [{one.title}]({file}#{anchor(one.title)})" for one in shown]
+        listed += [f"    - [{one.title}]({file}#{slugify(one.title, '-')})" for one in shown]
     index = ["# Results", registry.about.strip(), "\n".join(listed)]
     return {"results.md": _joined(index), **found}
 
@@ -270,11 +270,6 @@ _MADE = "[Results](results.md) says how the results of this page are made, and w
 
 def _joined(parts: Sequence[str]) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def anchor(title: str) -> str:
-    """Return the anchor of a heading, as the pages and GitHub have it."""
-    return re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
 
 
 def _shown(table: Table, record: Record, root: Path) -> Iterator[str]:
