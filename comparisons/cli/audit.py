@@ -53,7 +53,9 @@ def _check_trace(path: Path) -> None:
     if path.is_dir():
         found = next((path / one for one in (TRACE, f"ekf/{TRACE}") if (path / one).is_file()), "")
         meant = f"slamcheck audit {shlex.quote(str(found))}" if found else "it holds no " + TRACE
-        raise InputError(f"{path}: is a folder, expected a filter's trace; {meant}")
+        raise InputError(
+            f"{path}: a folder, not a regular file, expected a filter's trace; {meant}"
+        )
     if path.suffix == ".tum":
         raise InputError(
             f"{path}: is a trajectory, expected a filter's trace; an estimate is checked by "

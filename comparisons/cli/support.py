@@ -140,7 +140,7 @@ def _start_log(file: Path | None) -> bool:
 
         if file.is_dir():
             raise InputError(
-                f"--log {file}: is a folder; --log names the file that warnings are written to; "
+                f"{file}: is a folder; --log names the file that warnings are written to; "
                 f"a log stands without an option: slamcheck COMMAND {file}"
             )
         check_file(file, Kind("an earlier log", begins(_LOG_LINE)))

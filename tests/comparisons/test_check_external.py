@@ -26,6 +26,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import tum_text, write_estimate
+from comparisons.estimates.trajectory_files import in_seconds
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import check, check_external
@@ -470,7 +471,7 @@ def test_a_clock_that_is_off_is_the_first_cause(
 @pytest.mark.parametrize(
     ("time_s", "said"),
     [
-        ((1e5, 2e5), "; they look like milliseconds"),
+        ((1e5, 2e5), f"; they look like milliseconds; {in_seconds('milliseconds')}"),
         ((110.0, 212.0), "; they look 10.0 s too late"),
         ((110.0, 212.1), ""),
     ],

@@ -551,7 +551,7 @@ TAKEN = {
     "check a/log mine": RIGHT,
     "check mine a/log": RIGHT,
     "check mine --log a/log": f"is a log, expected a file for warnings; say {RIGHT}",
-    "check a/log --estimate mine --log b": "--log b: is a folder; --log names the file",
+    "check a/log --estimate mine --log b": "slamcheck: b: is a folder; --log names the file",
     "check --log a/log --estimate mine": RIGHT,
     "check mine.tum --estimate a/log": f"{RIGHT}.tum",
     "check a/log --estimate first.tum": "look like w x y z, expected x y z w",
