@@ -32,9 +32,10 @@ test-all: style
 same: $(VENV)/installed-dev
 	$(BIN)/python -m tests.golden.same $(BASE) $(ONLY)
 
-# Tests that end in numbers, as on an old processor and without numpy's newest vector features.
+# Tests that end in numbers, as on an old processor: by OpenBLAS' oldest code and without numpy's newer
+# vector features.
 test-flavours: $(VENV)/installed-dev
-	$(BIN)/python -m benchmarks.flavours --only "Prescott" "no new vector features" -- \
+	$(BIN)/python -m benchmarks.flavours --only "an old processor" -- \
 		env $(PYTEST) $(QUICK) $(NUMERIC)
 
 # The quick tests on each Python that the project is for: those on PATH, none may be missing.

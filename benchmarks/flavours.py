@@ -25,9 +25,11 @@ def flavours() -> dict[str, dict[str, str]]:
     """What to set in the environment, by the flavour's name; the first sets nothing."""
     return {
         "this processor": {},
-        "Prescott": {"OPENBLAS_CORETYPE": "Prescott"},
         "Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
-        "no new vector features": {"NPY_DISABLE_CPU_FEATURES": newest_features()},
+        "an old processor": {
+            "OPENBLAS_CORETYPE": "Prescott",
+            "NPY_DISABLE_CPU_FEATURES": newest_features(),
+        },
     }
 
 

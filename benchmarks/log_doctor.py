@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from comparisons.checks.diagnosis.log_doctor import examine, other_frame
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import VelocityOdometry
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
+from graphslam.scan import planar
 
 Change = Callable[[Log], Log]
 _STEP_S = 0.1
@@ -59,9 +61,11 @@ def drive(seed: int, kind: str, count: int = 400) -> Log:
         moved = {"speed_mps": v, "steering_rad": angle, "wheelbase_m": wheelbase}
         sigmas["sigma_turn"] = 0.03
     elif kind == "poses":
-        path = travelled(v[:-1] * _STEP_S, w[:-1] * _STEP_S, 0.5)
-        moved = dict(zip(("x_m", "y_m", "heading_rad"), path.T, strict=True))
         sigmas = {"sigma_move_m": 0.006, "sigma_turn": 0.003}
+        steps = np.array([planar.between(*pair) for pair in pairwise(pose[:count])])
+        steps += rng.normal(0.0, (0.006, 0.006, 0.003), steps.shape)
+        path = np.array(list(accumulate(steps, planar.compose, initial=np.zeros(3))))
+        moved = dict(zip(("x_m", "y_m", "heading_rad"), path.T, strict=True))
     return Log.from_arrays({"time_s": time_s, **moved, **sigmas}, seen, name=f"{kind} {seed}")
 
 

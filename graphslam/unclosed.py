@@ -14,7 +14,9 @@ from graphslam.scan import planar
 from graphslam.smoother import SmootherResult
 
 _LOOSE = 10.0
-"""Poses are loosely tied whose distance is known so many times worse than closures tell it."""
+"""Poses are loosely tied whose distance is known so many times worse than closures tell it.
+
+And worse than the median step is long: a place that is nearer is none of its own."""
 _APART = 5.0
 """A place is passed again after a way of so many of its sigmas."""
 _TRIED, _SOLVED = 200, 6
@@ -49,7 +51,8 @@ def unclosed_passage(result: SmootherResult, covariance: Array) -> Unclosed | No
     test = result.optimality.chi_square
     scale = float(np.sqrt(min(1.0, test.chi2 / test.dof))) if test.dof > 0 else 1.0
     told = np.einsum("nii->ni", closed.covariance)[:, :2].sum(axis=1)
-    least = _LOOSE * scale * float(np.sqrt(0.5 * np.median(told)))
+    step = float(np.median(np.hypot(*np.diff(result.poses[:, :2], axis=0).T)))
+    least = max(_LOOSE * scale * float(np.sqrt(0.5 * np.median(told))), step)
     pairs = _near(result.poses, scale * _sigmas(covariance), least)
     found = [_tied(result, *pair, scale) for pair in pairs]
     loose = [one for one in found if one.sigma_m > max(least, one.apart_m)]

@@ -248,7 +248,7 @@ def test_poses_alone_need_no_closure(tmp_path: Path) -> None:
 def test_an_optimum_whose_loops_are_open_is_said_to_be_the_graphs(
     tmp_path: Path, between_laps: bool
 ) -> None:
-    graph, path = laps(between_laps=between_laps), tmp_path / "laps.g2o"
+    graph, path = laps(0.1, between_laps=between_laps), tmp_path / "laps.g2o"
     write_g2o(path, G2oContents(graph, smooth(graph, {}).poses, np.zeros((0, 2))))
     solution = solve(open_log(str(path)))
     assert solution.verified
