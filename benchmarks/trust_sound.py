@@ -49,7 +49,7 @@ def of_logs(count: int) -> Iterator[Said]:
     """`run` with the log's labels."""
     for log in sound(count):
         verdict = compare(log).verdict
-        accused = [cause.text for cause in verdict.causes]
+        accused = [f"{one.gap}: {one.evidence}" for one in verdict.causes]
         accused += [] if verdict.outcome == "agree" else [verdict.headline]
         beside = (*verdict.qualifiers, *(verdict.inconsistent or ()), *verdict.remarks)
         yield Said(log.name, tuple(accused), beside)

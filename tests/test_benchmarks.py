@@ -70,6 +70,7 @@ BENCHMARKS = (
     ),
     Benchmark("suboptimal --crossing --states 100 150", slice(2, None), "100 ; 150 "),
     Benchmark("suboptimal --size 200x20 --gains 0 0.5", slice(2, None), r"0e\+00; 5e-01"),
+    Benchmark("trust_sound --quick", slice(2, None), "; ".join((r".*\| yes \|$",) * 3)),
     Benchmark("trust_bands --quick", slice(2, None), "; ".join((r".*\| yes \|$",) * 11)),
     Benchmark(
         "audit_speed --events 3000 --rounds 1 --keep FOLDER/a.trace --audit",

@@ -45,6 +45,14 @@ def test_what_was_done_is_named(name: str) -> None:
 
 
 @pytest.mark.slow
+def test_a_unit_that_explains_a_part_hides_no_variance() -> None:
+    """Ranges in cm take four fifths of chi-square here, and leave 35 times what is expected."""
+    found = examine(EVERY["range's variance"][0](drive(309, "poses")))
+    assert found.words.startswith("the sigma of ranges, 0.0025, is a variance")
+    assert found.findings[0].chi2 < found.test.upper
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bearing's variance", "turns in degrees"])
 def test_a_run_names_it_first(name: str) -> None:
     """What no scale, offset or delay explains; without it a sigma was said to be too small."""

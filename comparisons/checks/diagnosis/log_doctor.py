@@ -99,15 +99,14 @@ def examine(log: Log) -> Examination:
     if lacks:
         return Examination(test, [], lacks)
     found = _named(part, test, _suspicions(part))
-    high = test.reading == "too high"
-    if high and not any(one.chi2 <= _AS_WELL * test.upper for one in found):
+    if _unexplained(test, found):
         fits = fitted_numbers(part, lambda changed, _: _solved(changed)[0], test)
         found += [
             Finding(one.what, "correct the calibration or the clock", one.chi2, one.change)
             for one in fits
         ]
-    if high and not found:
-        found = _named(part, test, _as_variances(part))
+    if _unexplained(test, found):
+        found += _named(part, test, _as_variances(part))
     return Examination(test, _alike(found))
 
 
@@ -122,7 +121,10 @@ def examine_run(log: Log, run: EkfRun, result: SmootherResult) -> Examination:
     part, test, lacks = _tested(log)
     if lacks:
         return Examination(test, [], lacks)
-    found = _alike(_named(part, test, _suspicions(part)) or _named(part, test, _as_variances(part)))
+    found = _named(part, test, _suspicions(part))
+    if _unexplained(test, found):
+        found += _named(part, test, _as_variances(part))
+    found = _alike(found)
     chi2_of = chi2_by_run(run, result)
 
     def fits(one: Finding) -> bool:
@@ -133,6 +135,12 @@ def examine_run(log: Log, run: EkfRun, result: SmootherResult) -> Examination:
         return explains(result.optimality.chi_square, chi2, len(found))
 
     return Examination(test, [one for one in found if fits(one)])
+
+
+def _unexplained(test: ChiSquareTest, found: list[Finding]) -> bool:
+    """Whether chi-square is too high and stays so with every change that was found."""
+    least = min((one.chi2 for one in found), default=np.inf)
+    return test.reading == "too high" and least > _AS_WELL * test.upper
 
 
 def _tested(log: Log) -> tuple[Log, ChiSquareTest, str]:
