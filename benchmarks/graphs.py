@@ -22,7 +22,7 @@ import hashlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -128,7 +128,7 @@ def se_sync_cost(graph: gtsam.NonlinearFactorGraph, poses: Array) -> float:
 
     Rosen, Carlone, Bandeira and Leonard 2019. By Gauss and Newton, the first pose held.
     """
-    factors = [graph.at(number) for number in range(graph.size())]
+    factors: list[Any] = [graph.at(number) for number in range(graph.size())]
     i, j = np.array([factor.keys() for factor in factors]).T
     measured = [factor.measured() for factor in factors]
     z = np.array([(one.x(), one.y(), one.theta()) for one in measured])
