@@ -1,6 +1,6 @@
 """Public planar graphs of poses: our optimum against the best of ten of gtsam's starts.
 
-    python -m benchmarks.graphs FILE ... [--starts 10]
+    python -m benchmarks.graphs FOLDER [--starts 10]
 
 gtsam reads the file itself. Its starts: the file's vertices or the edges in a row, its linear
 approximation (LAGO, for diagonal noise), then that one with headings disturbed by 0.1, 0.2, ...
@@ -36,6 +36,7 @@ from comparisons.pipeline.solve import solve
 _DISTURBED = 0.1
 _AS_GOOD = 1e-6
 _ROUNDS = 12
+_SUFFIXES = (".g2o", ".graph", ".txt")
 
 
 class Outcome(NamedTuple):
@@ -165,13 +166,13 @@ def se_sync_cost(graph: gtsam.NonlinearFactorGraph, poses: Array) -> float:
 def main() -> None:
     """Print the table; exit with 1 where a start of gtsam's ends lower."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of .g2o, .graph and .txt")
     parser.add_argument("--starts", type=int, default=10, help="of gtsam")
     given = parser.parse_args()
     print("| graph (SHA-256) | poses | edges | ours | gtsam's best | SE-Sync | verdict | times |")
     print("|---|---|---|---|---|---|---|---|")
     lost = 0
-    for path in given.files:
+    for path in sorted(one for one in given.folder.iterdir() if one.suffix in _SUFFIXES):
         one = measured(path, given.starts)
         lost += not one.as_good
         print(
