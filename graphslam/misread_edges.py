@@ -114,23 +114,25 @@ def _optimum(problem: SlamProblem) -> float:
 def _readings(problem: SlamProblem, test: ChiSquareTest) -> Iterator[tuple[str, SlamProblem]]:
     """Other meanings of the edges, and the problem that has them."""
     closed = problem.loop_closures
-    steps, loops = (
+    sizes = [
         np.median(np.einsum("nii->ni", np.linalg.inv(one)), axis=0)
         for one in (problem.increment_covariance[problem.steps], closed.covariance)
-    )
+        if len(one)
+    ]
     for how, covariance in READINGS:
         odometry = replace(problem, increment_covariance=covariance(problem.increment_covariance))
         closures = replace(closed, covariance=covariance(closed.covariance))
-        for what, size, other in (
-            ("all edges between poses fit", "", replace(odometry, loop_closures=closures)),
-            ("the odometry's edges fit", _size(steps / loops, "loop closures'"), odometry),
-            (
-                "the loop closures fit",
-                _size(loops / steps, "odometry's"),
-                replace(problem, loop_closures=closures),
-            ),
-        ):
-            yield f"{what} when what stands for their information{size} is {how}", other
+        stated = "what stands for their information"
+        every = replace(odometry, loop_closures=closures)
+        yield f"all edges between poses fit when {stated} is {how}", every
+        if not len(problem.steps):
+            continue
+        steps, loops = sizes
+        size = _size(steps / loops, "loop closures'")
+        yield f"the odometry's edges fit when {stated}{size} is {how}", odometry
+        size = _size(loops / steps, "odometry's")
+        fitting = replace(problem, loop_closures=closures)
+        yield f"the loop closures fit when {stated}{size} is {how}", fitting
     yield from _of_another_frame(problem, test)
 
 

@@ -51,10 +51,27 @@ def all_as_covariance(problem: SlamProblem) -> SlamProblem:
     return replace(odometry_as_covariance(problem), loop_closures=changed)
 
 
+def without_odometry(problem: SlamProblem) -> SlamProblem:
+    """Its steps are closures, as in a graph whose edges join no poses in a row."""
+    closed, at = problem.loop_closures, np.arange(len(problem.increment))
+    edges = LoopClosures(
+        np.concatenate((at, closed.first)),
+        np.concatenate((at + 1, closed.second)),
+        np.concatenate((problem.increment, closed.motion)),
+        np.concatenate((problem.increment_covariance, closed.covariance)),
+    )
+    none = np.full_like(problem.increment_covariance, np.nan)
+    return replace(problem, increment_covariance=none, loop_closures=edges)
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
         (inverted, "the loop closures fit when inverted"),
+        (
+            lambda problem: without_odometry(all_as_covariance(problem)),
+            "all edges between poses fit when .* is the covariance",
+        ),
         (
             odometry_as_covariance,
             "the odometry's edges fit when .* times the loop closures.* is the covariance",
