@@ -79,6 +79,8 @@ GROWN: dict[str, Callable[[bytes, bytes], bytes]] = {
     "values": lambda first, rest: first.replace(b"{", b'{"a":[' + b"[]," * N + b"[]],", 1) + rest,
 }
 """What makes a text long, given its first line and the rest, which begins with the line's end."""
+_LONG = 1_000_000
+"""Bytes from which on a text grows no more: twice 2,000 times are gigabytes."""
 EDITS = ("nan", "inf", "1e300", "negated", "doubled", "short", "transposed", "tall", "zero")
 """What may happen to an array's own values."""
 
@@ -193,6 +195,8 @@ def _word(data: bytes, damage: Damage) -> bytes:
 
 
 def _grown(data: bytes, damage: Damage) -> bytes:
+    if len(data) > _LONG:
+        return data
     end = data.find(b"\n") % (len(data) + 1)
     return GROWN[damage.what](data[:end], data[end:])
 
