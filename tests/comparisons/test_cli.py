@@ -572,6 +572,8 @@ TAKEN = {
     "audit mine.tum": "slamcheck check LOG --estimate mine.tum",
     "audit mine": "it holds no filter.trace",
     "baseline compare kept.json a/log": "say slamcheck baseline compare a/log kept.json",
+    "baseline save new.json a/log": "say slamcheck baseline save a/log new.json",
+    "baseline save new.json nieto-loop": "say slamcheck baseline save nieto-loop new.json",
 }
 """What stands in another's place, with what is said of it."""
 
