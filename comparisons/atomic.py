@@ -211,6 +211,14 @@ def check_above(path: Path) -> None:
         raise _unwritable(path, error) from None
 
 
+def free_beside(folder: Path) -> Path:
+    """Return a folder beside another that is not there yet."""
+    number = 2
+    while (found := folder.with_name(f"{folder.name}-{number}")).exists():
+        number += 1
+    return found
+
+
 def folder_name(name: str) -> str:
     """A log's name as a folder's: letters, digits, dots and dashes only, not too long."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in name)

@@ -29,7 +29,7 @@ from comparisons.checks.grade import (
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.estimates.trajectory_files import UNITS, in_seconds
+from comparisons.estimates.trajectory_files import UNITS, in_seconds, retimed
 from comparisons.statistics import chi2_quantile, eigenvalue_range
 
 _SURE = 0.999
@@ -197,7 +197,9 @@ def clock_words(time_s: Array, span_s: tuple[float, float]) -> str:
         return f"; they look like {unit}; {in_seconds(unit)}"
     if abs(own - whole) <= _SAME_LENGTH * whole:
         offset = float(time_s[0]) - first
-        return f"; they look {abs(offset):.1f} s too {'late' if offset > 0.0 else 'early'}"
+        side, back = ("late", "-") if offset > 0.0 else ("early", "+")
+        command = retimed(f"{back} {abs(offset):.1f}")
+        return f"; they look {abs(offset):.1f} s too {side}; on the log's clock: {command}"
     return ""
 
 

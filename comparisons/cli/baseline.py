@@ -66,6 +66,7 @@ def save(given: Given) -> None:
         target = given.extra["file"]
         estimate = any(flag.field == "estimate" for flag, _ in given.flags)
         runs = _runs(given.extra["runs"], estimate=estimate)
+        _check_order("save", given.log, target)
         check_file(target, BASELINE)
         given = given._replace(flags=_fitting(given.flags, estimate=estimate))
         if given.out is not None:
@@ -132,9 +133,7 @@ def compare(
 
         if junit is not None:
             check_file(junit, JUNIT)
-        if file.is_dir() and Path(log).is_file():
-            meant = f"slamcheck baseline compare {shlex.quote(str(file))} {shlex.quote(log)}"
-            raise InputError(f"{file}: is a folder, expected the baseline's file; say {meant}")
+        _check_order("compare", log, file)
         kept = read_baseline(file)
         try:
             wanted = kept.config_at(log).model_copy(update=_named(kept, file, estimate, times))
@@ -175,6 +174,13 @@ def _print_changes(changes: Sequence[Change], found: Found) -> None:
     lines.insert(0, f"verdict: {outcome} than the baseline; {', '.join(parts)}")
     text = "".join("\n".join(fit(line, after="  ")) + "\n" for line in lines)
     print_text(lambda console: console.file.write(text))
+
+
+def _check_order(command: str, log: str | None, file: Path) -> None:
+    """Raise InputError where the baseline's file and the log stand in each other's place."""
+    if log and Path(log).suffix == ".json" and file.suffix != ".json":
+        meant = f"slamcheck baseline {command} {shlex.quote(str(file))} {shlex.quote(log)}"
+        raise InputError(f"{log}: is no log, expected the baseline's file last; say {meant}")
 
 
 def _runs(given: int | None, *, estimate: bool) -> int:

@@ -1,9 +1,10 @@
-"""Trajectories as one file: TUM, KITTI with its times beside it, CSV with covariances, and EuRoC's.
+"""Trajectories as one file: TUM, KITTI with its times beside it, CSV with a header, and EuRoC's.
 
-KITTI holds twelve numbers a line, the upper three rows of a pose's 4 x 4 matrix; here the drive's
-plane is x and y, and z points up. It knows no times; they stand in a file of their own, a number a
-line. EuRoC's ground truth holds nanoseconds, a position and a quaternion, w first, with commas;
-what follows them is passed over. Of poses whose times repeat the first is taken.
+A CSV file has its columns in any order, under the usual names that files of a log may use. KITTI
+holds twelve numbers a line, the upper three rows of a pose's 4 x 4 matrix; here the drive's plane
+is x and y, and z points up. It knows no times; they stand in a file of their own, a number a line.
+EuRoC's ground truth holds nanoseconds, a position and a quaternion, w first, with commas; what
+follows them is passed over. Of poses whose times repeat the first is taken.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from comparisons.arrays import Array
 from comparisons.atomic import NEW, check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
-from comparisons.logs.table import Table, first_record, shorten
+from comparisons.logs.plain_csv import PlainTable, need, read_plain
+from comparisons.logs.table import Table, first_record, is_number
 from comparisons.logs.validation import LARGEST, increasing, within
 
 UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
@@ -68,30 +70,28 @@ def read_with_files(path: Path, times: Path | None = None) -> tuple[Trajectory, 
         return _read_kitti(path, clock), (path, clock)
     if times is not None:
         raise InputError(f"{path}: holds its own times; --times is for KITTI files")
-    if first.startswith(_CSV[0] + ","):
-        return _read_csv(path, first), (path,)
-    more = first.count(",") + 1 - len(_EUROC)
-    if more >= 0:
+    words = first.split(",")
+    more = len(words) - len(_EUROC)
+    if more >= 0 and all(map(is_number, words)):
         table = Table(
             path, (*_EUROC, *(f"column {len(_EUROC) + i + 1}" for i in range(more))), comma=True
         )
         return _timed(table, table["time_ns"] / 1e9, planar_poses(table, "w first")), (path,)
-    if "," in first:
-        raise InputError(
-            f"{path}: '{shorten(first, 60)}' begins no trajectory, expected TUM ({' '.join(TUM)}, "
-            f"with blanks), CSV with the header {','.join(_CSV)}, or EuRoC's ({','.join(_EUROC)})"
-        )
+    if any(mark in first for mark in ",;\t") and not all(map(is_number, first.split())):
+        return _read_csv(path), (path,)
     table = Table(path, TUM)
     return _timed(table, table["time_s"], planar_poses(table, "w last")), (path,)
 
 
-def _timed(table: Table, time_s: Array, pose: Array, covariance: Array | None = None) -> Trajectory:
+def _timed(
+    table: Table | PlainTable, time_s: Array, pose: Array, covariance: Array | None = None
+) -> Trajectory:
     """Poses whose times rise, the first of those whose times repeat. Raises InputError."""
     unit = _too_large_for_seconds(time_s)
     if unit:
         raise InputError(
             f"{table.path}: times reach {np.abs(time_s).max():.4g}, expected seconds; they look "
-            f"like {unit}; {in_seconds(unit, comma=table.path.suffix == '.csv')}"
+            f"like {unit}; {in_seconds(unit)}"
         )
     with table.locating():
         increasing("trajectory", time_s, equal=True)
@@ -127,11 +127,14 @@ def _too_large_for_seconds(time_s: Array) -> str:
     return next(since_1970, "nanoseconds")
 
 
-def in_seconds(unit: str, *, comma: bool = False) -> str:
-    """Return the command that writes the times of a file in seconds. comma: as in CSV."""
-    only = "-F, -v OFS=, 'NR > 1 " if comma else "'"
-    change = f'{{$1 = sprintf("%.9f", $1 / {UNITS[unit]:.0f})}} 1\''
-    return f"in seconds: awk {only}{change} OLD > NEW"
+def in_seconds(unit: str) -> str:
+    """Return the command that writes the times of a file in seconds."""
+    return f"in seconds: {retimed(f'/ {UNITS[unit]:.0f}')}"
+
+
+def retimed(change: str) -> str:
+    """Return the command that changes the number at the head of each line, of TUM or CSV."""
+    return f"""awk '{{sub(/^ *[-+.0-9eE]+/, sprintf("%.9f", $1 {change}))}} 1' OLD > NEW"""
 
 
 def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> None:
@@ -150,20 +153,21 @@ def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> No
         write_whole(target, partial(Path.write_text, data=text, encoding="utf-8"))
 
 
-def _read_csv(path: Path, header: str) -> Trajectory:
-    columns = _CSV + _COVARIANCE if "cov_" in header else _CSV
-    table = Table(path, columns, comma=True, header=True)
+def _read_csv(path: Path) -> Trajectory:
+    table = read_plain(path, _CSV + _COVARIANCE)
+    need(table, _CSV)
+    found = table.columns
+    has = any(found[name].any() for name in _COVARIANCE if name in found)
+    columns = _CSV + (_COVARIANCE if has else ())
+    need(table, columns)
     with table.locating():
-        for name in columns[:4]:
-            within("trajectory", name, table[name], -LARGEST, LARGEST)
-    covariance = None
-    if len(columns) > 4:
-        with table.locating():
-            for name in _COVARIANCE:
-                within("trajectory", name, table[name], -(LARGEST**2), LARGEST**2)
-        covariance = table.data[:, 4:][:, _WHOLE].reshape(-1, 3, 3)
-    pose = np.column_stack((table.data[:, 1:3], np.unwrap(table["heading_rad"])))
-    return _timed(table, table["time_s"], pose, covariance)
+        for name in columns:
+            largest = LARGEST**2 if name in _COVARIANCE else LARGEST
+            within("trajectory", name, found[name], -largest, largest)
+    data = np.column_stack([found[name] for name in columns])
+    covariance = data[:, 4:][:, _WHOLE].reshape(-1, 3, 3) if has else None
+    pose = np.column_stack((data[:, 1:3], np.unwrap(data[:, 3])))
+    return _timed(table, data[:, 0], pose, covariance)
 
 
 def _read_kitti(path: Path, times: Path) -> Trajectory:

@@ -14,7 +14,7 @@ from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import Odometry, RelativePoses, VelocityOdometry
-from comparisons.logs.plain_csv import NAMES, SEE, UNITS, PlainTable, read_plain, split_unit
+from comparisons.logs.plain_csv import NAMES, SEE, UNITS, PlainTable, need, read_plain, split_unit
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
 from comparisons.logs.stamps import since
 from graphslam import increments
@@ -35,9 +35,6 @@ _VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
 _PLACE = ("time_s", "x_m", "y_m")
 _DEGREES = ("latitude", "longitude")
 _FIX = ("time_s", *_DEGREES)
-_NEXT = "are not supported in a log: record your filter and slamcheck audit it, see docs/audit.md"
-_ALONE = {"bearing_rad": f" (ranges alone {_NEXT})", "range_m": f" (bearings alone {_NEXT})"}
-"""What is said where one of two columns is missing."""
 _LARGEST = {"bearing_rad": 2 * np.pi, "steering_rad": 1.55, "yaw_rate_radps": 20.0}
 """Larger angles and rates than a vehicle has are degrees, or wrong."""
 _SHARP = ("sigma_range_m", "sigma_bearing_rad", "sigma_m", "wheelbase_m")
@@ -162,7 +159,7 @@ class _Reading:
         if self.kind not in KINDS:
             raise InputError(f"--kind is {self.kind!r}, expected one of {', '.join(KINDS)}")
         needed = ("time_s", *KINDS[self.kind])
-        _need(table, needed)
+        need(table, needed)
         moves = [name for name in ("sigma_move_m", "sigma_turn") if name in self.stated]
         covariances: tuple[str, ...] = ()
         if self.kind == "relative-poses":
@@ -188,9 +185,9 @@ class _Reading:
 
     def _with_imu(self, table: PlainTable, path: Path) -> PlainTable:
         """Odometry with the mean yaw rate of an IMU over each of its samples."""
-        _need(table, ("time_s", "speed_mps"))
+        need(table, ("time_s", "speed_mps"))
         imu = self._read("imu", path, ("time_s", "yaw_rate_radps"))
-        _need(imu, ("time_s", "yaw_rate_radps"))
+        need(imu, ("time_s", "yaw_rate_radps"))
         time_s, at_s = table.columns["time_s"], imu.columns["time_s"]
         if len(at_s) < 2 or len(time_s) < 2 or np.diff(at_s).min() <= 0.0:
             raise InputError(f"{path}: expected at least two samples of times that increase")
@@ -218,7 +215,7 @@ class _Reading:
     def measurements(self) -> dict[str, Any]:
         """Columns, within the odometry's time."""
         table = self._read("measurements", self.files.measurements, _MEASUREMENTS)
-        _need(table, ("time_s", "range_m", "bearing_rad"))
+        need(table, ("time_s", "range_m", "bearing_rad"))
         self._check_angle(table, "bearing_rad")
         table = self._within("measurements", self._once("measurements", table))
         if "landmark" not in table.columns:
@@ -241,7 +238,7 @@ class _Reading:
             "positions", self.files.positions, (*_PLACE, *_DEGREES, "altitude", *_VARIANCES)
         )
         self.geodetic = set(_FIX) <= table.columns.keys() and "x_m" not in table.columns
-        _need(table, _FIX if self.geodetic else _PLACE)
+        need(table, _FIX if self.geodetic else _PLACE)
         table = self._within("positions", self._once("positions", table))
         columns = dict(table.columns)
         if self.geodetic:
@@ -263,7 +260,7 @@ class _Reading:
         """Columns of the truth's poses."""
         if self.files.truth is None:
             return None
-        _need(self.files.truth, ("time_s", *KINDS["poses"]))
+        need(self.files.truth, ("time_s", *KINDS["poses"]))
         table = self.tables["truth"] = self.files.truth
         if self.start_s:
             return table.columns | {"time_s": since(table.columns["time_s"], self.start_s)}
@@ -275,7 +272,7 @@ class _Reading:
             return None
         wanted = ("id", "x_m", "y_m")
         table = self._read("truth landmarks", self.files.truth_landmarks, wanted)
-        _need(table, wanted)
+        need(table, wanted)
         return table.columns
 
     def located(self, error: RecordError) -> InputError:
@@ -497,16 +494,6 @@ def _samples(odometry: Odometry) -> increments.Samples:
 def _called(name: str) -> str:
     """A column as a user may call it."""
     return " or ".join(NAMES[name][:2])
-
-
-def _need(table: PlainTable, names: tuple[str, ...]) -> None:
-    for name in names:
-        if name not in table.columns:
-            raise InputError(
-                f"{table.path}: no column for {name}, expected one named "
-                f"{' or '.join(NAMES[name])}{_ALONE.get(name, '')}; found "
-                f"{', '.join(table.headers)}; {SEE}"
-            )
 
 
 def _only(table: PlainTable, names: tuple[str, ...]) -> PlainTable:

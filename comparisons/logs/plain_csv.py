@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from decimal import Decimal
@@ -25,7 +26,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
 from comparisons.logs.stamps import origin
-from comparisons.logs.table import is_number, number_or_fail, read_text, shorten
+from comparisons.logs.table import is_number, locate_rows, number_or_fail, read_text, shorten
 
 SEE = "see docs/your-own-log.md"
 _DEGREE = pi / 180
@@ -71,6 +72,9 @@ NAMES: dict[str, tuple[str, ...]] = {
     **{f"cov_{i}{j}": (f"cov_{i}{j}",) for i in range(3) for j in range(i, 3)},
 }
 """What a header may be called, by column of a log folder."""
+_NEXT = "are not supported in a log: record your filter and slamcheck audit it, see docs/audit.md"
+_ALONE = {"bearing_rad": f" (ranges alone {_NEXT})", "range_m": f" (bearings alone {_NEXT})"}
+"""What is said where one of two columns is missing."""
 _GAPS = ("diameter_m", "intensity")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -111,6 +115,10 @@ class PlainTable:
         columns = {name: np.asarray(column)[kept] for name, column in self.columns.items()}
         line = np.array(self.line, dtype=np.int64)[kept].tolist()
         return replace(self, columns=columns, line=line)
+
+    def locating(self) -> AbstractContextManager[None]:
+        """Turn a RecordError about a row of this table into one that names file and line."""
+        return locate_rows(self.path, self.line.__getitem__)
 
 
 class _Lines(NamedTuple):
@@ -197,6 +205,17 @@ def read_plain(
     )
 
 
+def need(table: PlainTable, names: Sequence[str]) -> None:
+    """Raise InputError for the first of the columns that a table has not."""
+    for name in names:
+        if name not in table.columns:
+            raise InputError(
+                f"{table.path}: no column for {name}, expected one named "
+                f"{' or '.join(NAMES[name])}{_ALONE.get(name, '')}; found "
+                f"{', '.join(table.headers)}; {SEE}"
+            )
+
+
 def _lines(path: Path, wanted: Sequence[str]) -> _Lines:
     """Split a file into a header and rows of as many words."""
     lines = [
@@ -232,7 +251,8 @@ def _lines(path: Path, wanted: Sequence[str]) -> _Lines:
 
 def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[str]) -> str:
     """What is said of a file that has none of the columns wanted."""
-    choices = ", ".join(f"{name} ({', '.join(NAMES[name])})" for name in wanted[:6])
+    named = [name for name in wanted[:6] if NAMES[name] != (name,)]
+    choices = ", ".join(f"{name} ({', '.join(NAMES[name])})" for name in named)
     if not header or _numeric(header, delimiter):
         return (
             "no header, expected a line of names with commas, semicolons or tabs between them, "
@@ -434,15 +454,21 @@ def _times(
     unit, how = source.unit, "" if not source.stated else " by --unit"
     most = float(np.abs(values).max(initial=0.0))
     if unit is None:
-        unit = next((u for u, n in _PER_SECOND.items() if most / n <= _SECONDS_END), "ns")
+        unit = _by_size(most)
         how = ", by their size" if unit != "s" else ""
     elif most / _PER_SECOND[unit] > _SECONDS_END:
         raise InputError(
             f"{lines.path}:{lines.line[int(np.abs(values).argmax())]}: '{shorten(header)}' is "
-            f"{most:.0f} {unit}, expected at most {_SECONDS_END:g} s"
+            f"{most:.0f} {unit}, expected at most {_SECONDS_END:g} s; name the column "
+            f"'time_{_by_size(most)}' if that is its unit"
         )
     found = after(Decimal(word) / _PER_SECOND[unit] for word in words)
     return *found, "" if unit == "s" and not how else f"{unit}{how}"
+
+
+def _by_size(most: float) -> str:
+    """The unit in which the largest of times is a number of seconds that may be."""
+    return next((u for u, n in _PER_SECOND.items() if most / n <= _SECONDS_END), "ns")
 
 
 def _iso_s(lines: _Lines, row: int, word: str) -> Decimal:

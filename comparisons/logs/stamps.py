@@ -8,6 +8,7 @@ from comparisons.arrays import Array
 
 _RESOLUTION_S = 1e-9
 """Of times, which float64 must have."""
+_CHANCE = 1e-6
 
 
 def origin(first_s: float) -> int:
@@ -43,6 +44,30 @@ def at_instants(time_s: Array, instants_s: Array) -> Array:
         if written.all() and (decimals > 3 or near.all()):
             break
     return np.where(near, nearest, time_s)
+
+
+def rounded(time_s: Array, instants_s: Array) -> str:
+    """Say that times (K,) are instants (J,) rounded to 10 ms or more; empty where it is not sure.
+
+    It is sure where none is farther than half of the last decimal, which chance makes so less than
+    once in a million times, and where they are no even steps of a clock of their own.
+    """
+    apart, told = np.abs(_nearest(time_s, instants_s) - time_s), 2.0 * np.spacing(np.abs(time_s))
+    for decimals in range(3):
+        unit, written = 10.0**-decimals, np.round(time_s, decimals)
+        if (np.abs(time_s - written) > told).any():
+            continue
+        chance = unit * len(instants_s) / max(float(np.ptp(instants_s)), unit)
+        even = np.gcd.reduce(np.diff(np.round(written / unit)).astype(np.int64)) > 1
+        near = (apart <= 0.5 * unit + told).all() and (apart > told).any()
+        if even or not near or chance ** len(time_s) > _CHANCE:
+            break
+        digits = int(np.log10(max(time_s[-1], 1.0))) + 1 + decimals
+        return (
+            f"the estimate's times are the log's rounded to {unit:g} s, as '%.{digits}g' does, by "
+            f"up to {1e3 * apart.max():.0f} ms; write nine decimals, '%.9f'"
+        )
+    return ""
 
 
 def since_origin(time_s: Array, start_s: float, instants_s: Array) -> Array:

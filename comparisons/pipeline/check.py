@@ -51,7 +51,7 @@ from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.unscented import unscented_filters
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses
-from comparisons.logs.stamps import at_instants, since_origin
+from comparisons.logs.stamps import at_instants, rounded, since_origin
 from comparisons.logs.transforms.clock import file_start, timed_by_floats
 from comparisons.pipeline.estimate_motion import in_words, integrations_by_steps, integrations_of
 from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace
@@ -195,12 +195,16 @@ def check(
     """
     job = _Job(log, config or CheckConfig(), progress, solver)
     announce_time(prepare_solve(log, job.config))
-    job, found = job.clocked(given.numbered_as(log.labels))
+    given = given.numbered_as(log.labels)
+    job, found = job.clocked(given)
     unsound = given.trace is not None and given.trace.unsound
     if not (found.exact or unsound or len(found.inside.time_s) < FEWEST):
         progress("motion models", 0, 0)
         found = job.integrated(found, ORDERS)
         found = _with_departure(job.explained(found) or job.moved_back(found) or found)
+    instants_s = found.solution.prepared.timeline.instants_s()
+    if said := rounded(given.time_s, _by_its_clock(given, log, instants_s)):
+        found = replace(found, remarks=(said, *found.remarks))
     return replace(found, log=log)
 
 
@@ -321,6 +325,11 @@ def _by_the_files_clock(given: ExternalEstimate, log: Log) -> bool:
     return start_s > end_s and first_s <= end_s and last_s >= begin_s
 
 
+def _by_its_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> Array:
+    """Return a log's instants as an estimate's times count."""
+    return instants_s + float(file_start(log)) * _by_the_files_clock(given, log)
+
+
 def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:
     """Return an estimate whose times count as the log's, if they count as the log's file does.
 
@@ -329,9 +338,10 @@ def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> 
     if not _by_the_files_clock(given, log):
         return given
     trace, start_s = given.trace, float(file_start(log))
+    time_s = at_instants(given.time_s, _by_its_clock(given, log, instants_s))
     if trace is not None:
         trace = replace(trace, step_time_s=since_origin(trace.step_time_s, start_s, instants_s))
-    return replace(given, time_s=since_origin(given.time_s, start_s, instants_s), trace=trace)
+    return replace(given, time_s=since_origin(time_s, start_s, instants_s), trace=trace)
 
 
 def _with_departure(found: ExternalCheck) -> ExternalCheck:

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from comparisons.atomic import check_apart, check_replaceable, folder_name
+from comparisons.atomic import check_apart, check_replaceable, folder_name, free_beside
 from comparisons.config import Configured, JobConfig, shown
 from comparisons.errors import InputError
 from comparisons.logs.table import read_toml
@@ -60,16 +60,8 @@ def check_free(folder: Path, config: JobConfig | None = None, *, replace: bool =
         return
     if other := _other_run(folder, config):
         raise InputError(
-            f"{folder}: holds another run ({other}); give --replace, or --out {_beside(folder)}"
+            f"{folder}: holds another run ({other}); give --replace, or --out {free_beside(folder)}"
         )
-
-
-def _beside(folder: Path) -> Path:
-    """A folder that is free."""
-    number = 2
-    while (found := folder.with_name(f"{folder.name}-{number}")).exists():
-        number += 1
-    return found
 
 
 def _other_run(folder: Path, config: JobConfig) -> str:

@@ -26,7 +26,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import tum_text, write_estimate
-from comparisons.estimates.trajectory_files import in_seconds
+from comparisons.estimates.trajectory_files import in_seconds, retimed
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import check, check_external
@@ -472,7 +472,7 @@ def test_a_clock_that_is_off_is_the_first_cause(
     ("time_s", "said"),
     [
         ((1e5, 2e5), f"; they look like milliseconds; {in_seconds('milliseconds')}"),
-        ((110.0, 212.0), "; they look 10.0 s too late"),
+        ((110.0, 212.0), f"; they look 10.0 s too late; on the log's clock: {retimed('- 10.0')}"),
         ((110.0, 212.1), ""),
     ],
 )
@@ -523,6 +523,7 @@ def test_headings_that_are_none_are_the_first_cause(
     assert found.outcome == "disagree"
     assert found.causes[0].gap == "heading"
     assert said in found.causes[0].evidence
+    assert "in CSV the column is named heading_rad, or heading_deg" in found.causes[0].hint
 
 
 def test_a_filter_that_is_called_smoothed_is_told(

@@ -24,6 +24,11 @@ import pytest
 from comparisons.cli import app
 from comparisons.cli.app import PANELS
 from comparisons.estimates.folder import read_estimate
+from comparisons.estimates.trajectory_files import (
+    Trajectory,
+    read_trajectory_file,
+    write_trajectory,
+)
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.models import Result
 from tests.commands import flat, refused, slamcheck, works
@@ -540,6 +545,9 @@ def what_it_took(folder: Path) -> None:
             np.savetxt(folder / f"{unit}{since}.tum", late, fmt="%.9f")
     seconds = np.hstack((1.7e9 + np.round(times / 10.0), poses[:, 1:]))
     np.savetxt(folder / "whole.tum", seconds, fmt="%.10g")
+    whole = np.linspace(log.prior.time_s, log.end_s, len(times))
+    for name, late in {"mine": whole, "ms": 1e3 * whole, "late": whole + 1e3}.items():
+        write_trajectory(Trajectory(late, poses[:, 1:4]), folder / f"{name}.csv", "csv")
     (folder / "ekf.trace").mkdir()
     (folder / "ekf.trace" / "filter.trace").touch()
     (folder / "kept.json").write_text("{}")
@@ -564,6 +572,8 @@ TAKEN = {
     "audit mine.tum": "slamcheck check LOG --estimate mine.tum",
     "audit mine": "it holds no filter.trace",
     "baseline compare kept.json a/log": "say slamcheck baseline compare a/log kept.json",
+    "baseline save new.json a/log": "say slamcheck baseline save a/log new.json",
+    "baseline save new.json nieto-loop": "say slamcheck baseline save nieto-loop new.json",
 }
 """What stands in another's place, with what is said of it."""
 
@@ -608,13 +618,14 @@ def test_two_logs_of_one_name_are_told_apart(taken: Path) -> None:
 @pytest.mark.skipif(shutil.which("awk") is None, reason="no awk here")
 def test_the_printed_command_turns_quaternions_and_times(taken: Path) -> None:
     """The output of what `check` says is the right estimate."""
-    right = np.loadtxt(taken / "mine.tum")
-    for name in ("first", "ns-1970", "ms-1970"):
-        said = slamcheck("check", "a/log", "--estimate", f"{name}.tum", cwd=taken).stderr
+    for name in ("first.tum", "ns-1970.tum", "ms-1970.tum", "ms.csv", "late.csv"):
+        said = slamcheck("check", "a/log", "--estimate", name, cwd=taken).stderr
         command = shlex.split(said[said.index("awk '") : said.index(" OLD > NEW")])
-        done = subprocess.run(
-            [*command, f"{name}.tum"], cwd=taken, capture_output=True, text=True, check=True
-        )
-        found = np.loadtxt(done.stdout.splitlines())
-        found[:, 0] -= 1.7e9 if "1970" in name else 0.0
-        assert np.abs(found - right).max() < 1e-6
+        done = subprocess.run([*command, name], cwd=taken, capture_output=True, text=True)
+        (taken / "NEW").write_text(done.stdout)
+        found = read_trajectory_file(taken / "NEW")
+        right = read_trajectory_file((taken / "mine").with_suffix(Path(name).suffix))
+        time_s = found.time_s - (1.7e9 if "1970" in name else 0.0)
+        assert np.abs(time_s - right.time_s).max() < 1e-6
+        assert np.abs(found.pose - right.pose).max() < 1e-6
+    (taken / "NEW").unlink()

@@ -121,6 +121,23 @@ def test_times_are_an_instants_within_their_last_decimal_only() -> None:
     assert at_instants(np.array([0.3]), np.array([0.0])).tolist() == [0.3]
 
 
+def test_times_are_said_to_be_rounded_where_that_is_sure() -> None:
+    """Neither instants themselves, nor even steps, nor times between instants, nor chance."""
+    rng = np.random.default_rng(0)
+    instants = 1.7e9 + np.sort(rng.uniform(0.0, 30.0, 100))
+    said = stamps.rounded(np.unique(np.round(instants, 2)), instants)
+    assert said.startswith("the estimate's times are the log's rounded to 0.01 s, as '%.12g' does")
+    assert "by up to 5 ms; write nine decimals" in said
+    dense = np.sort(rng.uniform(0.0, 3.0, 100))  # half a decimal is near an instant anywhere
+    assert stamps.rounded(np.unique(np.round(dense, 1)), dense) == ""
+    for time_s in (instants, np.round(instants, 3), np.unique(np.round(instants, 2))[:3]):
+        assert stamps.rounded(time_s, instants) == ""
+    assert stamps.rounded(np.round(rng.uniform(0.0, 30.0, 100), 2) + 1.7e9, instants) == ""
+    even = np.arange(0.0, 30.0, 0.1)
+    assert stamps.rounded(np.arange(0.0, 30.0, 0.05), even + rng.uniform(0.0, 4e-3, 300)) == ""
+    assert stamps.rounded(np.arange(0.0, 30.0, 0.05)[::2], even + 4e-3) == ""
+
+
 def test_what_a_float_adds_is_no_time_of_its_own() -> None:
     assert resolved(np.array([0.1 + 0.2])).tolist() == [0.3]
     late = np.array([1_700_000_000.1234567])
@@ -150,6 +167,22 @@ def since_1970(folder: Path, out: Path, *, whole: bool) -> str | None:
     rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
     path.write_text("".join(f"{start + Decimal(time)} {rest}\n" for time, rest in rows))
     return slamcheck.check(slamcheck.load_log(folder), out, require="like").grade.value
+
+
+def test_an_estimate_of_rounded_stamps_is_told_so(tmp_path: Path) -> None:
+    """To 10 ms it is another estimate; milliseconds, all near, are the log's instants."""
+    log = tmp_path / "log"
+    course = Course("since-1970", duration_s=4.0, apart=True, start_ns=1_700_000_000_123_456_789)
+    simulate(course, 1, log)
+    since_1970(log, tmp_path / "mine", whole=False)
+    path = tmp_path / "mine" / "trajectory.tum"
+    rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
+    for digits, grade in ((12, "plausible"), (13, "equal")):
+        path.write_text("".join(f"{float(time):.{digits}g} {rest}\n" for time, rest in rows))
+        found = slamcheck.check(slamcheck.load_log(log), path)
+        assert found.grade.value == grade
+        told = any("rounded to 0.01 s, as '%.12g' does" in said for said in found.remarks)
+        assert told is (digits == 12)
 
 
 @pytest.mark.parametrize("whole", [True, False])

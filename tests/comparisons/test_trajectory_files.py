@@ -17,8 +17,11 @@ from comparisons.estimates.trajectory_files import (
     read_trajectory_file,
     write_trajectory,
 )
+from comparisons.logs.message_csv import MESSAGES
 from tests.commands import refused, works
-from tests.helpers import random_covariance
+from tests.comparisons.logs.test_foreign_files import DRIVE
+from tests.comparisons.logs.test_message_csv import TOOLS, Writer, odometry, stamps
+from tests.helpers import present, random_covariance
 
 
 @pytest.fixture
@@ -108,6 +111,43 @@ def test_euroc_is_read(tmp_path: Path) -> None:
     assert np.allclose(found.time_s - 1403715524.907143168, (0.0, 0.005, 0.01), atol=1e-6)
 
 
+NAMED = {
+    "units": "x [cm],y [cm],stamp_ns,yaw_deg\n100,200,1500000000,90\n",
+    "decimal commas": "time;x;y;theta [deg];comment\n1,5;1,0;2,0;90,0;none\n",
+    "behind a mark": "# t,x,y,yaw_deg\n1.5,1,2,90\n",
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_columns_have_their_usual_names_and_units(tmp_path: Path, name: str) -> None:
+    """Without the header's unit the heading would be 90 rad."""
+    (tmp_path / "a").write_text(NAMED[name])
+    found = read_trajectory_file(tmp_path / "a")
+    assert found.time_s.tolist() == [1.5]
+    assert found.pose == pytest.approx(np.array([[1.0, 2.0, np.pi / 2]]))
+    bare = NAMED[name].replace("_deg", "").replace(" [deg]", "")
+    (tmp_path / "a").write_text(bare)
+    assert read_trajectory_file(tmp_path / "a").pose[0, 2] == 90.0
+
+
+@pytest.mark.parametrize("tool", TOOLS, ids=lambda tool: tool.__name__)
+def test_an_export_of_odometry_is_a_trajectory(tmp_path: Path, tool: Writer) -> None:
+    """Its covariances, too, where they are not all zero."""
+    rows = odometry()
+    path = tmp_path / "odometry.csv"
+    path.write_text(tool(MESSAGES["nav_msgs/Odometry"], rows))
+    found = read_trajectory_file(path)
+    assert found.time_s == pytest.approx([s + 1e-9 * ns for s, ns in stamps()], abs=1e-6)
+    assert found.pose == pytest.approx(DRIVE.pose[: len(rows)], abs=1e-12)
+    assert found.covariance is None
+    at = 4 + 7  # behind stamp, frames and pose
+    for row in rows:
+        row[at : at + 36] = np.arange(36.0).tolist()
+    path.write_text(tool(MESSAGES["nav_msgs/Odometry"], rows))
+    covariance = read_trajectory_file(path).covariance
+    assert present(covariance)[0].tolist() == [[0, 1, 5], [1, 7, 11], [5, 11, 35]]
+
+
 def test_times_that_repeat_are_left_out(tmp_path: Path) -> None:
     rows = [(0, 1), (1, 2), (1, 3), (2, 4), (2, 5)]
     (tmp_path / "a").write_text("".join(f"{t} {x} 0 0 0 0 0 1\n" for t, x in rows))
@@ -123,7 +163,7 @@ def test_times_that_repeat_are_left_out(tmp_path: Path) -> None:
 
 BAD = {
     "back in TUM": ("1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", None, "a:2: time 0.000000 s follows 1"),
-    "commas": ("0,1,2\n", None, "a: '0,1,2' begins no trajectory, expected TUM (time_s x y z"),
+    "commas": ("0,1,2\n", None, "a:1: no header, expected a line of names with commas"),
     "no times": (
         "1 0 0 0 0 1 0 0 0 0 1 0\n",
         None,
@@ -134,8 +174,11 @@ BAD = {
     "camera": ("1 0 0 0 0 0 1 0 0 -1 0 0\n", "0\n", "a:1: r22 (of a pose in the plane x, y) is"),
     "scaled": ("2 0 0 0 0 2 0 0 0 0 1 0\n", "0\n", "a:1: rotation's norm is 2.0"),
     "far": ("1 0 0 1e11 0 1 0 0 0 0 1 0\n", "0\n", "a:1: x is 100000000000.0"),
-    "csv header": ("time_s,x,y\n", None, "a:1: expected the header time_s,x_m,y_m,heading_rad"),
-    "csv covariance": ("time_s,x_m,y_m,heading_rad,cov_00\n", None, "a:1: expected the header"),
+    "csv header": ("time_s,x,y\n", None, "no column for heading_rad, expected one named heading"),
+    "csv covariance": ("t,x,y,yaw,cov_00\n0,1,2,3,1\n", None, "a: no column for cov_01"),
+    "csv unit": ("time_s,x,y,yaw\n1e12,1,2,3\n", None, "name the column 'time_ms' if that is"),
+    "csv back": ("t,x,y,yaw\n1,1,2,3\n0,1,2,3\n", None, "a:3: time 0.000000 s follows 1"),
+    "csv far": ("t,x,y,yaw\n\n1,1e11,2,3\n", None, "a:3: x_m is 100000000000.0"),
     "empty": ("time_s,x_m,y_m,heading_rad\n", None, "a: holds no poses"),
 }
 

@@ -68,6 +68,10 @@ _SCALE_HINT = "check units and scale: metres, the calibration of the speed, the 
 _MIRROR_HINT = "check the sign of steering, yaw rate and bearing, and the order of the axes"
 _LEVER_HINT = "check which point of the vehicle the poses describe: axle, sensor or antenna"
 _HEADING_HINT = "check the {} of the heading: it must be counter-clockwise from east"
+_WRITTEN_HINT = (
+    "in TUM qx, qy, qz, qw are 0, 0, sin(h/2), cos(h/2) of a heading h in radians; in CSV the "
+    "column is named heading_rad, or heading_deg where it is in degrees"
+)
 
 
 @dataclass(frozen=True)
@@ -527,8 +531,7 @@ def _no_heading(paths: Paths) -> tuple[str, str] | None:
         angle = np.degrees(float(np.angle(np.exp(1j * own).mean())))
         return (
             f"all headings are {angle:.0f} degrees, but those of {paths.name} vary",
-            "write the headings as quaternions: in TUM qx, qy, qz, qw is 0, 0, sin(h/2), "
-            "cos(h/2), with qw last",
+            _WRITTEN_HINT,
         )
     wrapped = np.angle(np.exp(1j * right))
     for factor, said in (
@@ -537,7 +540,7 @@ def _no_heading(paths: Paths) -> tuple[str, str] | None:
     ):
         for of in (right, wrapped, wrapped % (2.0 * np.pi)):
             if np.exp(1j * (own - factor * of)).mean().real >= _SAME_HEADINGS:
-                return said, "write sin(h/2), cos(h/2), h in radians"
+                return said, _WRITTEN_HINT
     return None
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.archive import read_entries
-from comparisons.atomic import OWN, check_above, is_unfinished, write_whole
+from comparisons.atomic import OWN, check_above, free_beside, is_unfinished, write_whole
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.config import is_config
 from comparisons.experiments.montecarlo.runs import Records
+from comparisons.logs.table import read_toml
 
 CHUNK = 25
 """Runs of a chunk. It is computed whole even where fewer are asked for, so that a run's figures do
@@ -66,6 +67,12 @@ def _sorted(folder: Path) -> list[Path]:
     return sorted(folder.iterdir()) if folder.is_dir() else []
 
 
+def _scenario_of(folder: Path) -> str:
+    """In brackets, the scenario of a study that was finished in a folder."""
+    path = folder / CONFIG
+    return f" ({read_toml(path).get('scenario')})" if path.is_file() else ""
+
+
 class ChunkFiles:
     """The chunks of one study. sha256: of what they were computed from."""
 
@@ -89,8 +96,10 @@ class ChunkFiles:
         except (InputError, KeyError, TypeError, ValueError):  # an entry is missing or no text
             return None
         if sha256 != self._sha256:
+            folder = self._folder.parent
             raise InputError(
-                f"{self._folder.parent}: its chunks are of another scenario; give a new folder"
+                f"{folder}: its chunks are of another scenario{_scenario_of(folder)}; give --out "
+                f"{free_beside(folder)}"
             )
         if any(r.shape != self._shape or r.dtype != np.float64 for r in records):
             return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
+from comparisons.experiments.montecarlo.folder import write_montecarlo
 from comparisons.experiments.montecarlo.runs import Records
 from comparisons.experiments.montecarlo.study import run_study
 from comparisons.experiments.montecarlo.workers import spread
@@ -153,9 +155,16 @@ def test_fewer_runs_and_other_filters_use_what_is_there(finished: Path, tmp_path
 
 
 def test_chunks_of_another_scenario_are_refused(tmp_path: Path) -> None:
-    run_study(study_of(short("circle", 20), 5, "ekf"), tmp_path)
-    with pytest.raises(InputError, match="another scenario"):
-        run_study(study_of(short("circle", 21), 5, "ekf"), tmp_path)
+    """With the one that the folder is of, once it is finished, and a folder that is free."""
+    folder, first = tmp_path / "study", study_of(short("circle", 20), 5, "ekf")
+    outcome = run_study(first, folder)
+    said = f"another scenario; give --out {folder}-2"
+    for _ in range(2):
+        with pytest.raises(InputError, match=re.escape(said)):
+            run_study(study_of(short("circle", 21), 5, "ekf"), folder)
+        write_montecarlo(outcome, folder)
+        (tmp_path / "study-2").mkdir(exist_ok=True)
+        said = f"another scenario ({first.config.scenario}); give --out {folder}-3"
 
 
 def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
