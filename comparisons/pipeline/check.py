@@ -224,7 +224,9 @@ class _Job:
         One that counts as the log's file does, since 1970, has them as floats tell them, if it is
         not equal by exact ones alone.
         """
-        if isinstance(self.log.odometry, RelativePoses) or not _by_the_files_clock(given, self.log):
+        stamped = [given.time_s] + ([given.trace.step_time_s] if given.trace is not None else [])
+        by_files = any(_by_the_files_clock(one, self.log) for one in stamped)
+        if isinstance(self.log.odometry, RelativePoses) or not by_files:
             return self, self.started(given)
         by_floats = replace(self, log=timed_by_floats(self.log))
         first = by_floats.started(given)
@@ -313,25 +315,30 @@ class _Job:
         return replace(first, causes=(said, *found.causes), remarks=found.remarks)
 
 
-def _by_the_files_clock(given: ExternalEstimate, log: Log) -> bool:
-    """Whether an estimate's times count as the log's file does, and not as the log's do."""
+def _by_the_files_clock(time_s: Array, log: Log) -> bool:
+    """Whether times (K,), in order, count as the log's file does, and not as the log's do."""
     start_s = float(file_start(log))
     begin_s, end_s = log.prior.time_s - CLOCK_S, log.end_s + CLOCK_S
-    first_s, last_s = given.time_s[[0, -1]] - start_s
+    first_s, last_s = time_s[[0, -1]] - start_s
     return start_s > end_s and first_s <= end_s and last_s >= begin_s
 
 
 def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:
     """Return an estimate whose times count as the log's, if they count as the log's file does.
 
-    A bag's stamps count from 1970, the log's times from the first of them. instants_s: of the log.
+    A bag's stamps count from 1970, the log's times from the first of them. Trajectory and trace
+    may count differently: each is seen by its own times. instants_s: of the log.
     """
-    if not _by_the_files_clock(given, log):
-        return given
-    trace, start_s = given.trace, float(file_start(log))
+
+    def counted(time_s: Array) -> Array:
+        if not _by_the_files_clock(time_s, log):
+            return time_s
+        return since_origin(time_s, float(file_start(log)), instants_s)
+
+    trace = given.trace
     if trace is not None:
-        trace = replace(trace, step_time_s=since_origin(trace.step_time_s, start_s, instants_s))
-    return replace(given, time_s=since_origin(given.time_s, start_s, instants_s), trace=trace)
+        trace = replace(trace, step_time_s=counted(trace.step_time_s))
+    return replace(given, time_s=counted(given.time_s), trace=trace)
 
 
 def _with_departure(found: ExternalCheck) -> ExternalCheck:
