@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,6 +41,7 @@ _ALONE = {"bearing_rad": f" (ranges alone {_NEXT})", "range_m": f" (bearings alo
 """What is said where one of two columns is missing."""
 _LARGEST = {"bearing_rad": 2 * np.pi, "steering_rad": 1.55, "yaw_rate_radps": 20.0}
 """Larger angles and rates than a vehicle has are degrees, or wrong."""
+_NUMBER = re.compile(r"\d+")
 _SHARP = ("sigma_range_m", "sigma_bearing_rad", "sigma_m", "wheelbase_m")
 """What is stated above zero."""
 OPTIONS = {
@@ -181,7 +183,7 @@ class _Reading:
         stated: dict[str, Any] = {}
         if self.kind in ("velocity", "steering"):
             wheelbase = ("wheelbase_m",) if self.kind == "steering" else ()
-            stated = {n: self._take(n) for n in ("sigma_speed_mps", "sigma_turn", *wheelbase)}
+            stated = self._take_all("sigma_speed_mps", "sigma_turn", *wheelbase)
         elif self.kind == "poses" or not set(COVARIANCE) <= table.columns.keys():
             stated = {name: self._take(name) for name in moves}
         return {**table.columns, **stated}
@@ -227,11 +229,8 @@ class _Reading:
                 "landmarks are unknown and will be associated by the estimators: there is no "
                 f"column {names}"
             )
-        sigmas = {}
-        for name in ("sigma_range_m", "sigma_bearing_rad"):
-            if name not in table.columns:
-                sigmas[name] = self._take(name)
-        return {**table.columns, **sigmas}
+        sigmas = [n for n in ("sigma_range_m", "sigma_bearing_rad") if n not in table.columns]
+        return {**table.columns, **self._take_all(*sigmas)}
 
     def positions(self) -> dict[str, Any] | None:
         """Columns, within the odometry's time; of latitudes and longitudes, about the first."""
@@ -257,7 +256,7 @@ class _Reading:
             return {**place, **variances}
         if variances["var_x_m2"] is not None:
             self.notes.append("covariances of positions below (1 mm)^2 are none, and not used")
-        return {**place, "sigma_m": self._take("sigma_m")}
+        return {**place, **self._take_all("sigma_m")}
 
     def truth(self) -> dict[str, Any] | None:
         """Columns of the truth's poses."""
@@ -359,11 +358,21 @@ class _Reading:
             f"of {choices}; {SEE}"
         )
 
+    def _take_all(self, *names: str) -> dict[str, float]:
+        """Stated numbers by name. Raises InputError that names all that are missing."""
+        lacking = [name for name in names if name not in self.stated]
+        if lacking:
+            options = " and ".join(OPTIONS[name] for name in lacking)
+            columns = " and ".join(name for name in lacking if name in NAMES)
+            is_missing = "is missing, expected a number"
+            if len(lacking) > 1:
+                is_missing = "are missing, expected numbers"
+            column = f" or a column {columns}" if columns else ""
+            raise InputError(f"{options} {is_missing}{column}; {SEE}")
+        return {name: self._take(name) for name in names}
+
     def _take(self, name: str) -> float:
         """A stated number in SI; a text without a unit has that of the column it is a sigma of."""
-        if name not in self.stated:
-            column = f" or a column {name}" if name in NAMES else ""
-            raise InputError(f"{OPTIONS[name]} is missing, expected a number{column}; {SEE}")
         value = self.stated.pop(name)
         if isinstance(value, str):
             value = self._in_si(name, value)
@@ -500,13 +509,31 @@ def _called(name: str) -> str:
 
 
 def _need(table: PlainTable, names: tuple[str, ...]) -> None:
-    for name in names:
-        if name not in table.columns:
-            raise InputError(
-                f"{table.path}: no column for {name}, expected one named "
-                f"{' or '.join(NAMES[name])}{_ALONE.get(name, '')}; found "
-                f"{', '.join(table.headers)}; {SEE}"
-            )
+    """Raise InputError that names all columns that a file lacks."""
+    lacking = [name for name in names if name not in table.columns]
+    if not lacking:
+        return
+    expected = ", and ".join(
+        f"no column for {name}, expected one named {' or '.join(NAMES[name])}" for name in lacking
+    )
+    alone = [one for one in _ALONE if one in names]
+    note = _ALONE[lacking[0]] if len(alone) == 2 and lacking[0] in alone and not lacking[1:] else ""
+    raise InputError(
+        f"{table.path}: {expected}{note}; found {', '.join(_shown(table.headers))}; name its "
+        f"columns so, {SEE}"
+    )
+
+
+def _shown(headers: list[str]) -> list[str]:
+    """Names of columns in their order; three or more that differ in a number alone as one."""
+    alike: dict[str, list[str]] = {}
+    for header in headers:
+        alike.setdefault(_NUMBER.sub("#", header), []).append(header)
+    return [
+        text
+        for names in alike.values()
+        for text in ([f"{names[0]} to {names[-1]} ({len(names)})"] if names[2:] else names)
+    ]
 
 
 def _only(table: PlainTable, names: tuple[str, ...]) -> PlainTable:
@@ -526,7 +553,7 @@ def _origins(table: PlainTable, *, limits: bool) -> str:
             digits = ".3f" if name == "time_s" else ".4g"
             text += f" ({np.nanmin(column):{digits}} to {np.nanmax(column):{digits}})"
         reported.append(text)
-    unused = [header for header in table.headers if header and header not in table.used]
+    unused = _shown([header for header in table.headers if header and header not in table.used])
     text = f"{table.path.name}, {len(table.line)} rows: {', '.join(reported)}"
     return text + (f"; not used: {', '.join(unused)}" if unused else "")
 

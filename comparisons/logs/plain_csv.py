@@ -233,6 +233,12 @@ def _lines(path: Path, wanted: Sequence[str]) -> _Lines:
 def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[str]) -> str:
     """What is said of a file that has none of the columns wanted."""
     choices = ", ".join(f"{name} ({', '.join(NAMES[name])})" for name in wanted[:6])
+    if header and delimiter not in header and _numeric(",".join(header.split()), ","):
+        return (
+            "numbers with blanks between them, as a TUM trajectory has, expected a line of names "
+            "with commas, semicolons or tabs between them; slamcheck export TRAJECTORY.tum "
+            f"POSES.csv writes a trajectory so; {SEE}"
+        )
     if not header or _numeric(header, delimiter):
         return (
             "no header, expected a line of names with commas, semicolons or tabs between them, "
