@@ -14,7 +14,16 @@ from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import Odometry, RelativePoses, VelocityOdometry
-from comparisons.logs.plain_csv import NAMES, SEE, UNITS, PlainTable, need, read_plain, split_unit
+from comparisons.logs.plain_csv import (
+    NAMES,
+    SEE,
+    UNITS,
+    PlainTable,
+    need,
+    read_plain,
+    shown,
+    split_unit,
+)
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
 from comparisons.logs.stamps import since
 from graphslam import increments
@@ -178,7 +187,7 @@ class _Reading:
         stated: dict[str, Any] = {}
         if self.kind in ("velocity", "steering"):
             wheelbase = ("wheelbase_m",) if self.kind == "steering" else ()
-            stated = {n: self._take(n) for n in ("sigma_speed_mps", "sigma_turn", *wheelbase)}
+            stated = self._take_all("sigma_speed_mps", "sigma_turn", *wheelbase)
         elif self.kind == "poses" or not set(COVARIANCE) <= table.columns.keys():
             stated = {name: self._take(name) for name in moves}
         return {**table.columns, **stated}
@@ -224,11 +233,8 @@ class _Reading:
                 "landmarks are unknown and will be associated by the estimators: there is no "
                 f"column {names}"
             )
-        sigmas = {}
-        for name in ("sigma_range_m", "sigma_bearing_rad"):
-            if name not in table.columns:
-                sigmas[name] = self._take(name)
-        return {**table.columns, **sigmas}
+        sigmas = [n for n in ("sigma_range_m", "sigma_bearing_rad") if n not in table.columns]
+        return {**table.columns, **self._take_all(*sigmas)}
 
     def positions(self) -> dict[str, Any] | None:
         """Columns, within the odometry's time; of latitudes and longitudes, about the first."""
@@ -254,7 +260,7 @@ class _Reading:
             return {**place, **variances}
         if variances["var_x_m2"] is not None:
             self.notes.append("covariances of positions below (1 mm)^2 are none, and not used")
-        return {**place, "sigma_m": self._take("sigma_m")}
+        return {**place, **self._take_all("sigma_m")}
 
     def truth(self) -> dict[str, Any] | None:
         """Columns of the truth's poses."""
@@ -356,11 +362,21 @@ class _Reading:
             f"of {choices}; {SEE}"
         )
 
+    def _take_all(self, *names: str) -> dict[str, float]:
+        """Stated numbers by name. Raises InputError that names all that are missing."""
+        lacking = [name for name in names if name not in self.stated]
+        if lacking:
+            options = " and ".join(OPTIONS[name] for name in lacking)
+            columns = " and ".join(name for name in lacking if name in NAMES)
+            is_missing = "is missing, expected a number"
+            if len(lacking) > 1:
+                is_missing = "are missing, expected numbers"
+            column = f" or a column {columns}" if columns else ""
+            raise InputError(f"{options} {is_missing}{column}; {SEE}")
+        return {name: self._take(name) for name in names}
+
     def _take(self, name: str) -> float:
         """A stated number in SI; a text without a unit has that of the column it is a sigma of."""
-        if name not in self.stated:
-            column = f" or a column {name}" if name in NAMES else ""
-            raise InputError(f"{OPTIONS[name]} is missing, expected a number{column}; {SEE}")
         value = self.stated.pop(name)
         if isinstance(value, str):
             value = self._in_si(name, value)
@@ -513,7 +529,7 @@ def _origins(table: PlainTable, *, limits: bool) -> str:
             digits = ".3f" if name == "time_s" else ".4g"
             text += f" ({np.nanmin(column):{digits}} to {np.nanmax(column):{digits}})"
         reported.append(text)
-    unused = [header for header in table.headers if header and header not in table.used]
+    unused = shown([header for header in table.headers if header and header not in table.used])
     text = f"{table.path.name}, {len(table.line)} rows: {', '.join(reported)}"
     return text + (f"; not used: {', '.join(unused)}" if unused else "")
 

@@ -75,6 +75,7 @@ NAMES: dict[str, tuple[str, ...]] = {
 _NEXT = "are not supported in a log: record your filter and slamcheck audit it, see docs/audit.md"
 _ALONE = {"bearing_rad": f" (ranges alone {_NEXT})", "range_m": f" (bearings alone {_NEXT})"}
 """What is said where one of two columns is missing."""
+_DIGITS = re.compile(r"\d+")
 _GAPS = ("diameter_m", "intensity")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -206,14 +207,31 @@ def read_plain(
 
 
 def need(table: PlainTable, names: Sequence[str]) -> None:
-    """Raise InputError for the first of the columns that a table has not."""
-    for name in names:
-        if name not in table.columns:
-            raise InputError(
-                f"{table.path}: no column for {name}, expected one named "
-                f"{' or '.join(NAMES[name])}{_ALONE.get(name, '')}; found "
-                f"{', '.join(table.headers)}; {SEE}"
-            )
+    """Raise InputError that names all columns that a file lacks."""
+    lacking = [name for name in names if name not in table.columns]
+    if not lacking:
+        return
+    expected = ", and ".join(
+        f"no column for {name}, expected one named {' or '.join(NAMES[name])}" for name in lacking
+    )
+    alone = [one for one in _ALONE if one in names]
+    note = _ALONE[lacking[0]] if len(alone) == 2 and lacking[0] in alone and not lacking[1:] else ""
+    raise InputError(
+        f"{table.path}: {expected}{note}; found {', '.join(shown(table.headers))}; name its "
+        f"columns so, {SEE}"
+    )
+
+
+def shown(headers: Sequence[str]) -> list[str]:
+    """Names of columns in their order; three or more that differ in a number alone as one."""
+    alike: dict[str, list[str]] = {}
+    for header in headers:
+        alike.setdefault(_DIGITS.sub("#", header), []).append(header)
+    return [
+        text
+        for names in alike.values()
+        for text in ([f"{names[0]} to {names[-1]} ({len(names)})"] if names[2:] else names)
+    ]
 
 
 def _lines(path: Path, wanted: Sequence[str]) -> _Lines:
@@ -253,6 +271,12 @@ def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[
     """What is said of a file that has none of the columns wanted."""
     named = [name for name in wanted[:6] if NAMES[name] != (name,)]
     choices = ", ".join(f"{name} ({', '.join(NAMES[name])})" for name in named)
+    if header and delimiter not in header and _numeric(",".join(header.split()), ","):
+        return (
+            "numbers with blanks between them, as a TUM trajectory has, expected a line of names "
+            "with commas, semicolons or tabs between them; slamcheck export TRAJECTORY.tum "
+            f"POSES.csv writes a trajectory so; {SEE}"
+        )
     if not header or _numeric(header, delimiter):
         return (
             "no header, expected a line of names with commas, semicolons or tabs between them, "

@@ -203,7 +203,7 @@ def check(
         found = job.integrated(found, ORDERS)
         found = _with_departure(job.explained(found) or job.moved_back(found) or found)
     instants_s = found.solution.prepared.timeline.instants_s()
-    if said := rounded(given.time_s, _by_its_clock(given, log, instants_s)):
+    if said := rounded(given.time_s, _by_its_clock(given.time_s, log, instants_s)):
         found = replace(found, remarks=(said, *found.remarks))
     return replace(found, log=log)
 
@@ -228,7 +228,9 @@ class _Job:
         One that counts as the log's file does, since 1970, has them as floats tell them, if it is
         not equal by exact ones alone.
         """
-        if isinstance(self.log.odometry, RelativePoses) or not _by_the_files_clock(given, self.log):
+        stamped = [given.time_s] + ([given.trace.step_time_s] if given.trace is not None else [])
+        by_files = any(_by_the_files_clock(one, self.log) for one in stamped)
+        if isinstance(self.log.odometry, RelativePoses) or not by_files:
             return self, self.started(given)
         by_floats = replace(self, log=timed_by_floats(self.log))
         first = by_floats.started(given)
@@ -317,31 +319,32 @@ class _Job:
         return replace(first, causes=(said, *found.causes), remarks=found.remarks)
 
 
-def _by_the_files_clock(given: ExternalEstimate, log: Log) -> bool:
-    """Whether an estimate's times count as the log's file does, and not as the log's do."""
+def _by_the_files_clock(time_s: Array, log: Log) -> bool:
+    """Whether times (K,), in order, count as the log's file does, and not as the log's do."""
     start_s = float(file_start(log))
     begin_s, end_s = log.prior.time_s - CLOCK_S, log.end_s + CLOCK_S
-    first_s, last_s = given.time_s[[0, -1]] - start_s
+    first_s, last_s = time_s[[0, -1]] - start_s
     return start_s > end_s and first_s <= end_s and last_s >= begin_s
 
 
-def _by_its_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> Array:
-    """Return a log's instants as an estimate's times count."""
-    return instants_s + float(file_start(log)) * _by_the_files_clock(given, log)
+def _by_its_clock(time_s: Array, log: Log, instants_s: Array) -> Array:
+    """Return a log's instants as times (K,) in order count."""
+    return instants_s + float(file_start(log)) * _by_the_files_clock(time_s, log)
 
 
 def _on_the_logs_clock(given: ExternalEstimate, log: Log, instants_s: Array) -> ExternalEstimate:
     """Return an estimate whose times count as the log's, if they count as the log's file does.
 
-    A bag's stamps count from 1970, the log's times from the first of them. instants_s: of the log.
+    A bag's stamps count from 1970, the log's times from the first of them. Trajectory and trace
+    may count differently: each is seen by its own times. instants_s: of the log.
     """
-    if not _by_the_files_clock(given, log):
-        return given
-    trace, start_s = given.trace, float(file_start(log))
-    time_s = at_instants(given.time_s, _by_its_clock(given, log, instants_s))
-    if trace is not None:
+    start_s, time_s, trace = float(file_start(log)), given.time_s, given.trace
+    if _by_the_files_clock(time_s, log):
+        exact_s = at_instants(time_s, _by_its_clock(time_s, log, instants_s))
+        time_s = since_origin(exact_s, start_s, instants_s)
+    if trace is not None and _by_the_files_clock(trace.step_time_s, log):
         trace = replace(trace, step_time_s=since_origin(trace.step_time_s, start_s, instants_s))
-    return replace(given, time_s=since_origin(time_s, start_s, instants_s), trace=trace)
+    return replace(given, time_s=time_s, trace=trace)
 
 
 def _with_departure(found: ExternalCheck) -> ExternalCheck:

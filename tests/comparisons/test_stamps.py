@@ -150,23 +150,30 @@ def column(path: Path) -> list[Decimal]:
     return [Decimal(row.split(",")[0]) for row in path.read_text().splitlines()[1:]]
 
 
-def since_1970(folder: Path, out: Path, *, whole: bool) -> str | None:
-    """The grade of a filter that reads stamps as whole nanoseconds, or as floats."""
+def since_1970(folder: Path, out: Path, *, whole: bool, traced: bool = False) -> str | None:
+    """The grade of a filter that reads stamps as whole nanoseconds, or as floats.
+
+    traced: with a trace, whose times count from the first second where the stamps are whole.
+    """
     log, start = read_log(folder), Decimal(0)
     if whole:
         sampled, seen = (column(folder / f"{one}.csv") for one in ("odometry", "measurements"))
-        start = sampled[0]
+        start = sampled[0] // 1
+        begun = {"time_s": float(sampled[0] - start)}
         log = replace(
             log,
-            meta=log.meta | {"prior": log.meta["prior"] | {"time_s": 0.0}},
+            meta=log.meta | {"prior": log.meta["prior"] | begun},
             odometry_s=np.array([float(one - start) for one in sampled]),
             used_s=np.array([float(one - start) for one in seen]),
         )
-    Ekf(log).run().write(out, traced=False)
+    Ekf(log).run().write(out, traced=traced)
     path = out / "trajectory.tum"
     rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
     path.write_text("".join(f"{start + Decimal(time)} {rest}\n" for time, rest in rows))
-    return slamcheck.check(slamcheck.load_log(folder), out, require="like").grade.value
+    found = slamcheck.check(slamcheck.load_log(folder), out, require="like")
+    if traced:
+        assert present(found.trace).agreement.model.within(1e-6)
+    return found.grade.value
 
 
 def test_an_estimate_of_rounded_stamps_is_told_so(tmp_path: Path) -> None:
@@ -189,11 +196,14 @@ def test_an_estimate_of_rounded_stamps_is_told_so(tmp_path: Path) -> None:
 def test_stamps_since_1970_are_taken_as_the_filter_had_them(
     whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Floats tell 0.24 us of them, which is more than rounding of an estimate."""
+    """Floats tell 0.24 us of them, which is more than rounding of an estimate.
+
+    A trace may count as the log does beside a trajectory that counts since 1970.
+    """
     log = tmp_path / "log"
     course = Course("since-1970", duration_s=6.0, apart=True, start_ns=1_700_000_000_123_456_789)
     simulate(course, 1, log)
-    assert since_1970(log, tmp_path / "mine", whole=whole) == "equal"
+    assert since_1970(log, tmp_path / "mine", whole=whole, traced=whole) == "equal"
     if whole:
         monkeypatch.setattr("comparisons.logs.log_folder.origin", lambda first_s: 0)
     else:

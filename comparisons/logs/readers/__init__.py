@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
@@ -79,6 +80,23 @@ def _nearest_name(typed: str) -> str:
     return f"; did you mean {close[0]}?" if close else ""
 
 
+def _not_recognised(path: Path) -> str:
+    """What is said of a path that no reader takes: what it looks like, with its command."""
+    shown = shlex.quote(str(path))
+    if path.suffix == ".csv":
+        return (
+            "is a CSV file, expected a log; slamcheck new-log FOLDER --odometry FILE "
+            "--measurements FILE makes one of two such files"
+        )
+    if path.suffix == ".tum" or (path / "trajectory.tum").is_file():
+        return f"is an estimate, expected a log; say slamcheck check LOG --estimate {shown}"
+    if path.suffix in (".trace", ".events"):
+        return f"is a filter's trace, expected a log; say slamcheck audit {shown}"
+    if (path / "config.toml").is_file():
+        return f"is a folder of results, expected a log; {shown}/config.toml repeats them"
+    return f"format not recognised, expected one of {', '.join(READERS)} (name it with --format)"
+
+
 def read_log(
     path: Path, format_name: str | None = None, robot: int = 1, topics: tuple[str, ...] = ()
 ) -> Log:
@@ -98,10 +116,7 @@ def read_log(
     if format_name is None:
         format_name = next((n for n, reader in READERS.items() if reader.recognises(path)), None)
         if format_name is None:
-            raise InputError(
-                f"{path}: format not recognised, expected one of {', '.join(READERS)} "
-                "(name it with --format)"
-            )
+            raise InputError(f"{path}: {_not_recognised(path)}")
     if format_name not in READERS:
         raise InputError(f"format '{format_name}' is unknown, expected {', '.join(READERS)}")
     try:

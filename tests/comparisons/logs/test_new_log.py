@@ -52,6 +52,14 @@ def test_columns_in_any_order_and_text_labels(tmp_path: Path) -> None:
     assert any(note.endswith("not used: note") for note in notes)
 
 
+def test_unused_columns_that_differ_in_a_number_are_named_as_one(tmp_path: Path) -> None:
+    """A covariance of 36 numbers would hide the columns that were read."""
+    names = ",".join(f"cov{k}" for k in range(2, 35))
+    wide = f"t,v,w,{names},x1,x2\n0,1,0{',0' * 35}\n1,1,0{',0' * 35}\n"
+    notes = build(files(tmp_path, wide)).notes
+    assert any(note.endswith("not used: cov2 to cov34 (33), x1, x2") for note in notes)
+
+
 def test_decimal_commas_beside_other_separators(tmp_path: Path) -> None:
     """Of a column without points: where both stand, one of them is not for decimals."""
     log = build(files(tmp_path, "time_s;v_kmh;omega [deg/s]\n0;3,6;1\n1,5;7,2;1\n")).log
@@ -307,6 +315,15 @@ BAD: dict[str, tuple[str, str, str]] = {
         r"no column for range_m, .* \(bearings alone are not supported in a log: record your "
         r"filter and slamcheck audit it, see docs/audit.md\); found id,",
     ),
+    "neither": (
+        VELOCITY, "id,dist,azimuth,t\n1,5,0,0.1\n",
+        r"trees.csv: no column for range_m, expected one named range or distance, and no column "
+        r"for bearing_rad, expected one named bearing; found id, dist, azimuth, t; name its col",
+    ),
+    "trajectory": (
+        "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", TREES,
+        r"odo.csv:1: numbers with blanks .* as a TUM .*; slamcheck export TRAJECTORY.tum POSES.csv",
+    ),
     "empty bearings": (
         VELOCITY, "id,range,bearing,t\n1,5,,0.1\n1,5, ,0.2\n",
         r"named bearing \(ranges alone are not .*\); found id, range, bearing \(empty\), t;",
@@ -354,8 +371,10 @@ def test_refused_with_place_and_expectation(name: str, tmp_path: Path) -> None:
 
 
 def test_sigmas_are_stated_once_and_where_they_are_needed(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--sigma-range is missing, expected a number or a column"):
+    with pytest.raises(InputError, match="--sigma-range and --sigma-bearing are missing, expected"):
         build(files(tmp_path, stated=WHEELS))
+    with pytest.raises(InputError, match="--sigma-range is missing, expected a number or a column"):
+        build(files(tmp_path, stated=WHEELS | {"sigma_bearing_rad": 0.01}))
     with pytest.raises(InputError, match="--sigma-move: the velocity odometry does not use it"):
         build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_move_m": 0.1}))
     with pytest.raises(InputError, match="--sigma-position: the file of --positions gives"):

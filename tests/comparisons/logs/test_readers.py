@@ -251,6 +251,19 @@ def test_unknown_paths_and_formats(tmp_path: Path) -> None:
         read_log(tmp_path)
     with pytest.raises(InputError, match="format 'hdf5' is unknown"):
         read_log(tmp_path, "hdf5")
+    for name, said in (
+        ("odo.csv", r"odo\.csv: is a CSV file, .*; slamcheck new-log FOLDER --odometry FILE"),
+        ("mine.tum", r"mine\.tum: is an estimate, .* slamcheck check LOG --estimate \S*mine\.tum$"),
+        ("mine/trajectory.tum", r"mine: is an estimate, .* check LOG --estimate \S*mine$"),
+        ("run.trace", r"run\.trace: is a filter's trace, .* say slamcheck audit \S*run\.trace$"),
+        ("done/config.toml", r"done: is a folder of results, .*; \S*done/config\.toml repeats"),
+    ):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("1 2\n")
+        taken = path.parent if "/" in name else path
+        with pytest.raises(InputError, match=said):
+            read_log(taken)
     assert set(READERS) == {
         *("log-folder", "gtsam-2d", "g2o", "mrclam", "acfr-car-park", "victoria-park"),
         *("aa3", "carmen", "rosbag", "rawlog"),
