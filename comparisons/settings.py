@@ -88,8 +88,8 @@ def by_name(table: Iterable[Flag], values: Mapping[str, Any]) -> list[tuple[Flag
     """
     known = {flag.name.rstrip("_"): flag for flag in table}
     found = []
-    for name, value in values.items():
-        new = value
+    for name, given in values.items():
+        new = value = str(given) if isinstance(given, Path) else given
         for one in RENAMED:
             if one.option == f"--{name.replace('_', '-')}" and isinstance(value, str):
                 new = one.values.get(value, value)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal, TypedDict
 
 
@@ -47,8 +48,8 @@ class CheckOptions(TypedDict, total=False):
     preset: Literal['recommended', 'guivant-2002', 'misono-2007', 'nieto-2005']
     association: Literal['known', 'own']
     gps: Literal['off', 'on', 'half']
-    times: str
-    trace: str
+    times: str | Path
+    trace: str | Path
     require: Literal['equal', 'like', 'plausible']
     min_coverage: float
 

@@ -216,6 +216,84 @@ def results(
     }
 
 
+PLACES: dict[str, Callable[[Any, Any], object]] = {
+    "load_log source": lambda at, run: slamcheck.load_log(at),
+    "compare log": lambda at, run: slamcheck.compare(at),
+    "check log": lambda at, run: slamcheck.check(at, run.smoothed),
+    "check estimate": lambda at, run: slamcheck.check(run.log, at),
+    "check times": lambda at, run: slamcheck.check(run.log, at, times=at),
+    "check trace": lambda at, run: slamcheck.check(run.log, at, trace=at),
+    "compare_estimates first": lambda at, run: slamcheck.compare_estimates(at, run.smoothed),
+    "compare_estimates second": lambda at, run: slamcheck.compare_estimates(run.smoothed, at),
+    "solve log": lambda at, run: slamcheck.solve(at),
+    "odometry log": lambda at, run: slamcheck.odometry(at),
+    "dense_map log": lambda at, run: slamcheck.dense_map(at),
+    "audit trace": lambda at, run: slamcheck.audit(at),
+    "read_estimate path": lambda at, run: slamcheck.read_estimate(at),
+    "read_estimate times": lambda at, run: slamcheck.read_estimate(at, times=at),
+    "read_estimate trace": lambda at, run: slamcheck.read_estimate(at, trace=at),
+    "write_estimate folder": lambda at, run: slamcheck.write_estimate(run.smoothed, at),
+    "write_log folder": lambda at, run: slamcheck.write_log(run.log, at),
+    "write_report folder": lambda at, run: slamcheck.write_report(run, at),
+    "montecarlo scenario": lambda at, run: slamcheck.montecarlo(at, runs=1),
+    "montecarlo folder": lambda at, run: slamcheck.montecarlo(runs=1, folder=at),
+    "Recorder path": lambda at, run: slamcheck.Recorder(at),
+    "record path": lambda at, run: slamcheck.record((NoTransition(), None), at),
+}
+"""Function and parameter of every place that is given, called with a file that is none of those."""
+
+
+class NoTransition:
+    """The first of a pair that stands for Stone Soup's filter."""
+
+    transition_model = None
+
+
+def test_the_table_has_every_place() -> None:
+    taking = set()
+    for name in slamcheck.__all__:
+        one = getattr(slamcheck, name)
+        if name in ("Audit", "InputError", "Log"):  # which are returned or raised
+            continue
+        for parameter in inspect.signature(one).parameters.values():
+            if "Path" in str(parameter.annotation):
+                taking.add(f"{name} {parameter.name}")
+    text = (SOURCE.parent / "_options.py").read_text()
+    taking |= {f"check {name}" for name in re.findall(r"(\w+): str \| Path", text)}
+    assert set(PLACES) == taking
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_a_place_is_a_text_or_a_path(name: str, run: slamcheck.Comparison, tmp_path: Path) -> None:
+    """Both are refused in the same words, which name the file."""
+    file = tmp_path / "taken"
+    file.write_text("nothing")
+    said = []
+    for place in (file, str(file)):
+        with pytest.raises(slamcheck.InputError) as caught:
+            PLACES[name](place, run)
+        said.append(str(caught.value))
+    assert said[0] == said[1]
+    assert "taken" in said[0]
+
+
+def test_results_and_what_they_hold_print_in_one_line(
+    run: slamcheck.Comparison, checked: slamcheck.ExternalCheck
+) -> None:
+    """Arrays by their shape: numpy's own text of many numbers has many lines."""
+    assert "\n" in repr(run.ekf.estimate.pose)
+    held: list[object] = [run, checked, checked.solution, run.log, run.ekf.estimate, checked.given]
+    held += [slamcheck.compare_estimates(run.ekf.estimate, run.smoothed), slamcheck.RunConfig()]
+    for one in tuple(held):
+        names = [name for name in dir(one) if name[0] != "_" and not name.startswith("model_")]
+        parts = [getattr(one, name) for name in names]
+        held += [part for part in parts if type(part).__module__.startswith("comparisons.")]
+    assert {"Graded", "EkfRun", "Gaps", "Truth"} <= {type(one).__name__ for one in held}
+    for one in held:
+        for text in (repr(one), str(one)):
+            assert "\n" not in text, type(one)
+
+
 class _Seen(HTMLParser):
     """Tags that are open, all that were used, their attributes, and the text."""
 

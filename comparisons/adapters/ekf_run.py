@@ -21,6 +21,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
+from comparisons.shown import Brief
 from comparisons.trace.events import Sensor
 from ekf_reference.core.ekf import Ekf, PoseReading
 from ekf_reference.core.landmark_types import POINT, POSE
@@ -33,8 +34,8 @@ _FARTHEST_M = 1e6
 """A pose so far from the start has diverged; what follows is not worth comparing."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EkfRun:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class EkfRun(Brief):
     """An estimate with what the other estimators need of it.
 
     timeline: what the filter was given; when it broke down, only up to there.

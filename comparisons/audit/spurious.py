@@ -25,6 +25,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from comparisons.arrays import Array, Index
 from comparisons.audit.replay import Layout, Replay
 from comparisons.figures import Aside, Figure
+from comparisons.shown import brief
 from comparisons.trace.events import (
     Augment,
     Blocks,
@@ -124,6 +125,10 @@ class Learnt(NamedTuple):
     event: Index
     time_s: Array
     growth: Array
+
+    def __repr__(self) -> str:
+        """Return the fields in one line."""
+        return brief("Learnt", self._asdict())
 
     def of(self, name: str) -> LearntDirection:
         """Return a direction by its name."""

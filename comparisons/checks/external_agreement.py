@@ -30,6 +30,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.trajectory_files import UNITS, in_seconds, retimed
+from comparisons.shown import Brief
 from comparisons.statistics import chi2_quantile, eigenvalue_range
 
 _SURE = 0.999
@@ -153,8 +154,8 @@ def _stands(start: float, stop: float, time_s: Array, epoch_s: Array, smoothed: 
     return bool((away <= np.maximum(_STANDS, _STEPS * step)).all())
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExternalAgreement:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ExternalAgreement(Brief):
     """All that could be compared with the smoother.
 
     time_s: (K,) the given poses inside the log's time. rms_m, rms_heading_rad: of their differences

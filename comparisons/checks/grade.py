@@ -14,6 +14,7 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.stored_precision import stored_rounding
+from comparisons.shown import Brief
 from comparisons.statistics import ROUNDING
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.layout import Layout
@@ -34,8 +35,8 @@ _ROUNDED = 4.0
 """Times the rounding of the reference to single precision that is still equal to it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reference:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Reference(Brief):
     """Another estimate of the log, at the external estimate's own times.
 
     name: as in "equal to NAME". time_s: (K,). known: (K,) whether it speaks of the pose at that
@@ -104,8 +105,8 @@ class Part(NamedTuple):
         return bool(near.all() and alike.all())
 
 
-@dataclass(frozen=True, kw_only=True)
-class Likeness:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Likeness(Brief):
     """An estimate against a reference.
 
     grade: `equal` or `like`, None for neither. parts: of poses, and of landmarks, last pose and

@@ -28,8 +28,9 @@ class EstimateComparison:
     Attributes:
         time_s: (K,) that both have.
         difference: (K, 3) first less second: x, y [m], heading [rad], wrapped.
-        nees: (K,) squared differences by the covariance that they should have, 3 each; NaN where
-            an estimate has none, or where it is not positive definite.
+        sigma: (K, 3) of the covariance that the differences should have; NaN where an estimate has
+            none, or where it is not positive definite.
+        nees: (K,) squared differences by that covariance, 3 each; NaN as sigma.
         landmark: (L,) names of the landmarks that both have.
         landmark_difference: (L, 2) first less second [m].
         landmark_nees: (L,) as nees, 2 each.
@@ -39,6 +40,7 @@ class EstimateComparison:
 
     time_s: Array
     difference: Array
+    sigma: Array
     nees: Array
     landmark: tuple[str, ...]
     landmark_difference: Array
@@ -119,15 +121,19 @@ def compare_pair(
     if first.landmark is not None and second.landmark is not None:
         apart = first.landmark[rows[0]] - second.landmark[rows[1]]
     ours, theirs = first.landmark_covariance, second.landmark_covariance
+    spread = _spread(
+        _rows(first.pose_covariance, a), _rows(second.pose_covariance, b), difference, relation
+    )
     return EstimateComparison(
         time_s=shared,
         difference=difference,
-        nees=_nees(
-            difference, _rows(first.pose_covariance, a), _rows(second.pose_covariance, b), relation
-        ),
+        sigma=np.sqrt(np.diagonal(spread, axis1=1, axis2=2)),
+        nees=_nees(difference, spread),
         landmark=names,
         landmark_difference=apart,
-        landmark_nees=_nees(apart, _rows(ours, rows[0]), _rows(theirs, rows[1]), relation),
+        landmark_nees=_nees(
+            apart, _spread(_rows(ours, rows[0]), _rows(theirs, rows[1]), apart, relation)
+        ),
         relation=relation,
     )
 
@@ -148,15 +154,24 @@ def _rows(covariance: Array | None, rows: Index | list[int]) -> Array | None:
     return None if covariance is None else covariance[rows]
 
 
-def _nees(difference: Array, first: Array | None, second: Array | None, relation: str) -> Array:
-    """(N,) NaN where the covariance of the difference is unknown or not positive definite."""
-    found: Array = np.full(len(difference), np.nan)
-    if first is None or second is None or not len(difference):
+def _spread(first: Array | None, second: Array | None, difference: Array, relation: str) -> Array:
+    """(N, d, d) of differences (N, d); NaN where it is unknown or not positive definite."""
+    count, size = difference.shape
+    found: Array = np.full((count, size, size), np.nan)
+    if first is None or second is None or not count:
         return found
     total = first + second if relation == "independent" else first - second
     finite = np.isfinite(total).all(axis=(1, 2))
-    good = np.zeros(len(total), dtype=bool)
+    good = np.zeros(count, dtype=bool)
     good[finite] = np.linalg.eigvalsh(total[finite])[:, 0] > 0.0
-    solved = np.linalg.solve(total[good], difference[good][:, :, None])[:, :, 0]
+    found[good] = total[good]
+    return found
+
+
+def _nees(difference: Array, spread: Array) -> Array:
+    """(N,) NaN where the covariance of the difference is."""
+    found: Array = np.full(len(difference), np.nan)
+    good = np.isfinite(spread).all(axis=(1, 2))
+    solved = np.linalg.solve(spread[good], difference[good][:, :, None])[:, :, 0]
     found[good] = np.einsum("ni,ni->n", difference[good], solved)
     return found

@@ -26,14 +26,15 @@ from comparisons.estimates.folder import (
 from comparisons.estimates.trace_file import FORMER, TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_with_files
 from comparisons.logs.validation import LARGEST
+from comparisons.shown import Brief
 from ekf_reference.core.layout import Layout
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
 Estimator = Literal["ekf", "smoother", "other"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExternalEstimate:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ExternalEstimate(Brief):
     """Hold an external estimate, with None for whatever was not handed in.
 
     Sequences in place of arrays will do: `slamcheck.check` converts and checks them. All

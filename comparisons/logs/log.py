@@ -30,7 +30,7 @@ from comparisons.logs.validation import (
     standard_deviation,
     within,
 )
-from comparisons.shown import Shown, render
+from comparisons.shown import Brief, Shown, render
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -43,8 +43,8 @@ NO_LANDMARK = -1
 """Landmark id of a measurement whose landmark the sensor did not name."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LandmarkMeasurements:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LandmarkMeasurements(Brief):
     """Range-bearing detections of landmarks, bearings counter-clockwise from straight ahead.
 
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad: (M,). landmark: (M,) ids, or
@@ -104,8 +104,8 @@ class LandmarkMeasurements:
         return labels[np.argsort(first)]
 
 
-@dataclass(frozen=True)
-class Positions:
+@dataclass(frozen=True, repr=False)
+class Positions(Brief):
     """Absolute positions, such as GPS.
 
     time_s: (N,). position_m: (N, 2) of the antenna. covariance: (N, 2, 2). antenna_m: where the
@@ -187,8 +187,8 @@ class Landmarks:
         return places
 
 
-@dataclass(frozen=True)
-class Poses:
+@dataclass(frozen=True, repr=False)
+class Poses(Brief):
     """A trajectory. time_s: (N,). pose: (N, 3) x, y [m], heading [rad]."""
 
     time_s: Array
@@ -217,8 +217,8 @@ class Surfaces:
         check(self, "surfaces", rows="segment", segment=(4,))
 
 
-@dataclass(frozen=True)
-class Truth:
+@dataclass(frozen=True, repr=False)
+class Truth(Brief):
     """What is known independently of the estimators' sensors."""
 
     poses: Poses | None = None
@@ -226,8 +226,8 @@ class Truth:
     surfaces: Surfaces | None = None
 
 
-@dataclass(frozen=True)
-class Prior:
+@dataclass(frozen=True, repr=False)
+class Prior(Brief):
     """Where the vehicle starts. pose: (3,). covariance: (3, 3) of the additive global error.
 
     open: the covariance says nothing, so that absolute positions must fix the frame.

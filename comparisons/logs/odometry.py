@@ -10,6 +10,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.validation import check, increasing, positive_definite, within
+from comparisons.shown import Brief
 
 Named = Literal["euler", "middle", "arc"]
 Integration = Named | int | float
@@ -63,8 +64,8 @@ class OdometryNoise:
                 )
 
 
-@dataclass(frozen=True)
-class SteeringOdometry:
+@dataclass(frozen=True, repr=False)
+class SteeringOdometry(Brief):
     """Speed [m/s] and steering angle [rad, left positive], each held until the next sample."""
 
     time_s: Array
@@ -89,8 +90,8 @@ class SteeringOdometry:
             )
 
 
-@dataclass(frozen=True)
-class VelocityOdometry:
+@dataclass(frozen=True, repr=False)
+class VelocityOdometry(Brief):
     """Speed [m/s] and yaw rate [rad/s], each held until the next sample."""
 
     time_s: Array
@@ -104,8 +105,8 @@ class VelocityOdometry:
         increasing("velocity odometry", self.time_s, equal=True)
 
 
-@dataclass(frozen=True)
-class RelativePoses:
+@dataclass(frozen=True, repr=False)
+class RelativePoses(Brief):
     """Displacements between consecutive poses; the first departs from the prior.
 
     time_s: (N,) of arrival. displacement: (N, 3) dx, dy [m], dheading [rad] in the departing

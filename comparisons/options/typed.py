@@ -16,6 +16,7 @@ _HEAD = '''\
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal, TypedDict
 '''
 _ARGUMENTS = ("estimate",)
@@ -46,6 +47,8 @@ def source() -> str:
 def _type(flag: Flag) -> str:
     """Return the type of an option's value, as source."""
     one = f"Literal[{', '.join(map(repr, flag.words))}]" if flag.words else flag.kind.__name__
+    if flag.metavar == "FILE":
+        one += " | Path"
     return f"Sequence[{one}]" if flag.many else one
 
 

@@ -68,7 +68,7 @@ from comparisons.pipeline.references import (
 )
 from comparisons.pipeline.size import announce_time
 from comparisons.pipeline.solve import Solution, prepare_solve, solve
-from comparisons.shown import Shown, render
+from comparisons.shown import Brief, Shown, render
 from comparisons.statistics import ROUNDING
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ _HOPELESS_SIGMA = 30.0
 """So far from the reference EKF no variant of it is tried, nor where the means are the EKF's."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Graded:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Graded(Brief):
     """An estimate's grade. value: None where it is not like any, and the optimum is not verified.
 
     required: the least that is asked for. by: what it was compared with in the end, the nearest.

@@ -40,6 +40,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.prepare import Clock, Prepared
+from comparisons.shown import Brief
 from comparisons.statistics import ROUNDING, covariance_gap, units
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import TraceArrays
@@ -62,8 +63,8 @@ PAYS_FROM = 120_000
 """Poses and measurements from which F1 and F2 are worth a second process."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Gaps:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Gaps(Brief):
     """The chain of estimates and its gaps.
 
     recorded: the linear system of F1, from the filter's own matrices. model: that of F2, from the

@@ -16,6 +16,7 @@ from comparisons.arrays import Array
 from comparisons.audit.spurious import HEADING
 from comparisons.checks.consistency.filter_smoother import LEAST_RATIO, FilterAgainstSmoother
 from comparisons.checks.consistency.nees import PoseErrors
+from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.estimates.estimate import Estimate
 from comparisons.innovations import SensorInnovations
 from comparisons.pipeline.compare import Comparison
@@ -193,13 +194,28 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
 
 
 def errors_and_nees(
-    result: Comparison | ExternalCheck,
+    result: Comparison | ExternalCheck | EstimateComparison,
 ) -> tuple[tuple[Panel, ...], Panel | None]:
-    """Errors of the pose, by component, and their squares: by truth, or else by the smoother."""
+    """Errors of the pose, by component, and their squares: by truth, or else by the smoother.
+
+    Of two estimates, what they differ by.
+    """
     if isinstance(result, Comparison):
         return _poses(result)[1:]
+    if isinstance(result, EstimateComparison):
+        return _of_pair(result)
     errors, squared = _by_truth(result.consistency)
     return (errors, squared) if errors else _by_smoother(result.consistency)
+
+
+def _of_pair(pair: EstimateComparison) -> tuple[tuple[Panel, ...], Panel | None]:
+    """Differences of two estimates with 3 sigma, and NEES where both have covariances."""
+    name, at = "first - second", pair.time_s
+    errors = _errors(at, pair.difference, pair.sigma, name)
+    if not np.isfinite(pair.nees).any():
+        return errors, None
+    low, high = np.broadcast_to(np.array(mean_band(1, 3))[:, None], (2, len(at)))
+    return errors, _squared([Curve(name, EKF_COLOUR, at, pair.nees)], low, high)
 
 
 def _by_truth(c: ExternalConsistency) -> tuple[tuple[Panel, ...], Panel | None]:
@@ -248,13 +264,18 @@ def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:
     curves = [
         Curve(name, colour, p.time_s[p.pose.row], p.pose.squared) for name, colour, p in poses
     ]
-    at, nees = curves[0].x, poses[0][2].pose
-    low, high = np.broadcast_to(np.array(nees.single_band)[:, None], (2, len(at)))
+    single = np.array(poses[0][2].pose.single_band)
+    low, high = np.broadcast_to(single[:, None], (2, len(curves[0].x)))
+    return _squared(curves, low, high)
+
+
+def _squared(curves: Sequence[Curve], low: Array, high: Array) -> Panel:
+    """NEES of poses, with the band of one value of the first."""
     return Panel(
         title="NEES of the pose (3 dof)",
         x_label=TIME,
         curves=tuple(curves),
-        bands=(Band(name="95 % band", colour="#999999", x=at, low=low, high=high),),
+        bands=(Band(name="95 % band", colour="#999999", x=curves[0].x, low=low, high=high),),
         logarithmic=True,
     )
 

@@ -135,7 +135,7 @@ def test_what_to_do_comes_first_and_each_fact_is_a_sentence(comparison: Comparis
     ]
     text = drawn(comparison, RunReport.build(comparison).model_copy(update={"causes": causes}))
     top = text[text.index('id="outcome"') : text.index('id="gaps"')]
-    assert top.startswith('id="outcome"><p class="words">mend it. EKF and smoother')
+    assert top.startswith('id="outcome"><p class="words">Mend it. EKF and smoother')
     first, second = top.split('class="cause"')[1:]
     assert "mend it" not in first
     assert re.findall("<li>(.*?)</li>", first) == ["it is 3 off", "two things (a; b)", "and 5 more"]

@@ -81,6 +81,24 @@ def test_nees_is_that_of_the_result(run: Comparison, axis: Axes) -> None:
     assert not np.allclose(poses.pose.squared, smoothed.pose.squared)  # exchanged ones are seen
 
 
+def test_two_estimates_are_drawn_by_what_they_differ(run: Comparison) -> None:
+    """The band is of the difference, not of either estimate."""
+    mine, other = run.ekf.estimate, run.smoothed
+    pair = slamcheck.compare_estimates(mine, other)
+    axis = slamcheck.plot_errors(pair, "north", Figure().add_subplot())
+    assert_allclose(line(axis, "first - second")[:, 1], pair.difference[:, 1], rtol=1e-12)
+    (band,) = (one for one in axis.collections if isinstance(one, PolyCollection))
+    edge = np.asarray(band.get_paths()[0].vertices)[:, 1].max()
+    own, others = mine.pose_covariance[:, 1, 1], other.pose_covariance[:, 1, 1]
+    assert edge == pytest.approx(3.0 * np.sqrt((own + others).max()), rel=1e-12)
+    assert edge > 3.0 * np.sqrt(own.max()) * (1.0 + 1e-6)
+    axis = slamcheck.plot_nees(pair, Figure().add_subplot())
+    assert_allclose(line(axis, "first - second")[:, 1], pair.nees, rtol=1e-12)
+    bare = slamcheck.ExternalEstimate(time_s=mine.time_s, pose=mine.pose)
+    with pytest.raises(slamcheck.InputError, match="no NEES"):
+        slamcheck.plot_nees(slamcheck.compare_estimates(bare, other))
+
+
 def outlines(axis: Axes) -> Array:
     """Return the first ellipses (n, P, 2) that were drawn."""
     first = next(one for one in axis.collections if isinstance(one, LineCollection))

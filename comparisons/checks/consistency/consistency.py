@@ -18,6 +18,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.figures import rounded
 from comparisons.innovations import InnovationLog, SensorInnovations, whiten_alone
 from comparisons.logs.log import Log
+from comparisons.shown import Brief
 from comparisons.statistics import WORDS, Band, BlockDeparture, Nis
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
@@ -30,8 +31,8 @@ _SURER = 0.05
 """Of the epochs: so many with a filter more certain than the smoother make it inconsistent."""
 
 
-@dataclass(frozen=True)
-class Consistency:
+@dataclass(frozen=True, repr=False)
+class Consistency(Brief):
     """What says how sure the filter may be.
 
     ekf, smoother: NEES against truth, where there is any. sensors: the filter's innovations.
@@ -143,8 +144,8 @@ def check_consistency(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExternalConsistency:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ExternalConsistency(Brief):
     """How an external estimate errs, and whether it is as sure as it may be.
 
     time_s: (K,) its poses in the log's time; difference: (K, 3) of these from the smoother's.

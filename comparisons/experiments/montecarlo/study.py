@@ -159,7 +159,7 @@ class External:
 
 
 def montecarlo(
-    scenario: str = "circle",
+    scenario: str | Path = "circle",
     runs: int = 50,
     filters: Iterable[str] = ("ekf",),
     *,
@@ -186,7 +186,7 @@ def montecarlo(
     Raises:
         InputError: There is no such scenario or filter, or every run of an estimator failed.
     """
-    config = MonteCarloConfig.of(scenario=scenario, runs=runs, filters=tuple(filters))
+    config = MonteCarloConfig.of(scenario=str(scenario), runs=runs, filters=tuple(filters))
     if folder is not None:
         check_folder(Path(folder))
     with tempfile.TemporaryDirectory(prefix="slamcheck-montecarlo-") as place:

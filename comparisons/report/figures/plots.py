@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from comparisons.arrays import Array
+from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
@@ -63,20 +64,21 @@ def plot_map(result: Comparison | ExternalCheck | Solution, axis: Axes | None = 
 
 
 def plot_errors(
-    result: Comparison | ExternalCheck,
+    result: Comparison | ExternalCheck | EstimateComparison,
     component: Literal["east", "north", "heading"] = "east",
     axis: Axes | None = None,
 ) -> Axes:
     """Draw one component of the pose's error over time, with the 3-sigma band of its covariance.
 
     Args:
-        result: Of `compare` or `check`.
+        result: Of `compare`, `check` or `compare_estimates`.
         component: `east` or `north` [m], or `heading` [deg].
         axis: Axes to draw on; None for those of a new figure.
 
     Returns:
         The axes. The error is against truth where the log has true poses; else against the
         smoother, with the band of P_filter - P_smoother where that is the difference's covariance.
+        Of two estimates it is what they differ by.
 
     Raises:
         InputError: There is no such component, or neither truth nor a smoother to compare with.
@@ -89,11 +91,13 @@ def plot_errors(
     return _panel(axis, errors[list(COMPONENTS).index(component)])
 
 
-def plot_nees(result: Comparison | ExternalCheck, axis: Axes | None = None) -> Axes:
+def plot_nees(
+    result: Comparison | ExternalCheck | EstimateComparison, axis: Axes | None = None
+) -> Axes:
     """Draw the normalised estimation error squared (NEES) of the pose over time, with its band.
 
     Args:
-        result: Of `compare` or `check`.
+        result: Of `compare`, `check` or `compare_estimates`.
         axis: Axes to draw on; None for those of a new figure.
 
     Returns:
@@ -106,7 +110,7 @@ def plot_nees(result: Comparison | ExternalCheck, axis: Axes | None = None) -> A
     _, squared = errors_and_nees(result)
     if squared is None:
         raise InputError("no NEES: the log has no true poses, or the estimate has no covariances "
-                         "that can be compared with the smoother's")  # fmt: skip
+                         "that can be compared with the other's")  # fmt: skip
     return _panel(axis, squared)
 
 

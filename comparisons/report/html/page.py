@@ -134,7 +134,8 @@ def _start(c: PageContent) -> float:
 def _top(c: PageContent) -> str:
     """Verdict and causes, gaps, and what stands beside them."""
     facts = "".join(f"<dt>{escape(name)}</dt><dd>{prose(text)}</dd>" for name, text in c.facts)
-    first = [f"{prose(c.causes[0].hint.removesuffix('.'))}."] if c.causes else []
+    hint = c.causes[0].hint.removesuffix(".") if c.causes else ""
+    first = [f"{prose(hint[0].upper() + hint[1:])}."] if hint else []
     words = f'<p class="words">{" ".join([*first, escape(c.words)])}</p>' if c.words else ""
     why = "".join(f"<li>{prose(reason)}</li>" for reason in c.reasons)
     gaps = ""
