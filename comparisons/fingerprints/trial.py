@@ -125,8 +125,9 @@ class Trial:
         # Equal so long: then rounding grows, or it breaks down.
         lasted = beside.poses >= _POSES and beside.sound >= _DIVERGED
         if lasted and self._wrong_without(beside.last_s):
+            until_s = beside.last_s if beside.last_s < self.given.time_s[-1] else None
             return Fingerprint(
-                fault.what, self.way.words, beside.farthest, exact=True, until_s=beside.last_s
+                fault.what, self.way.words, beside.farthest, exact=True, until_s=until_s
             )
         if near is None or not near.farthest <= (1.0 - EXPLAINED) * self.sound.farthest:
             return None

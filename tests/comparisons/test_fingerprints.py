@@ -83,6 +83,9 @@ PLANTED = (
     "the turn stands for the way in the x row",
     "steps lead along the heading of plain dead reckoning",
     "the measurements are fused one odometry sample early",
+    "the controls' part of Q grows with the interval",
+    "the prior's covariance is zero, and the stabilisation noise is left out",
+    "the prior's covariance is 1e-08 I, and the stabilisation noise",
 )
 FITTED = (
     "R of new landmarks is {}",
