@@ -10,7 +10,15 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.faults import algebra, data, models, noise
-from comparisons.faults.fault import Family, Fault, Feed, moving, observing, remembering
+from comparisons.faults.fault import (
+    Family,
+    Fault,
+    Feed,
+    moving,
+    observing,
+    remembering,
+    together,
+)
 from comparisons.logs.log import LandmarkMeasurements, Log
 from comparisons.logs.odometry import (
     OdometryNoise,
@@ -27,6 +35,10 @@ _STEERING = {"steering sign", "wheelbase wrong", "sensor's place left out"}
 _POSITIONS = {"lever arm left out", "position fused twice"}
 _RATES = ("variance_rate_position", "variance_rate_heading")
 _VARIANCES = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
+_STARTS = (0.0, 1e-12, 1e-10, 1e-9, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
+"""Variances by which filters begin that take them from no log."""
+_EXACT_START = 1e-16
+"""Stands for a variance of zero at the start, whose inverse a prior needs."""
 _RESOLVED_S = 1e-6
 """Stamps that are closer are of one instant."""
 _SIMULATED = {"interval ignored"}
@@ -86,10 +98,22 @@ def catalogue(log: Log) -> Iterator[Fault]:
     yield Fault(
         _SIGMAS_IN_PRIOR, feed=lambda log: _with_prior(log, _of_sigmas(log.prior.covariance))
     )
+    yield _start(0.0)
     if not isinstance(log.odometry, RelativePoses):
         yield from (Fault(what, feed=_noise(change)) for what, change in _WHEELS.items())
+        bare = Fault(_UNSTABLE, feed=_noise(_WHEELS[_UNSTABLE]))
+        yield from (together(_start(value), bare) for value in _STARTS)
+        yield Fault("the controls' part of Q grows with the interval, not with its square",
+                    moving(models.noise_by_interval))  # fmt: skip
         yield from _shifted_odometry()
         yield Fault("the turn counts to the right", feed=lambda log: driven(log, turn=(-1.0, 0.0)))
+
+
+def _start(variance: float) -> Fault:
+    """The fault of a filter that begins with a variance [m^2, rad^2] of its own."""
+    what = f"the prior's covariance is {f'{variance:g} I' if variance else 'zero'}"
+    covariance = max(variance, _EXACT_START) * np.eye(3)
+    return Fault(what, feed=lambda log: _with_prior(log, covariance))
 
 
 _SIGMAS_IN_PRIOR = "the prior's covariance contains sigmas, not their squares"
@@ -186,6 +210,7 @@ _MEASUREMENTS: dict[str, Change] = {
     "every second measurement is left out, the first first": _kept(1),
     "every second scan is left out": _every_second_scan,
 }
+_UNSTABLE = "the stabilisation noise is left out"
 _WHEELS: dict[str, Callable[[OdometryNoise], OdometryNoise]] = {
     "Q of the speed contains sigma, not its square": lambda n: replace(
         n, sigma_speed_mps=np.sqrt(n.sigma_speed_mps)
@@ -193,9 +218,7 @@ _WHEELS: dict[str, Callable[[OdometryNoise], OdometryNoise]] = {
     "Q of the turn contains sigma, not its square": lambda n: replace(
         n, sigma_turn=np.sqrt(n.sigma_turn)
     ),
-    "the stabilisation noise is left out": lambda n: replace(
-        n, variance_rate_position=0.0, variance_rate_heading=0.0
-    ),
+    _UNSTABLE: lambda n: replace(n, variance_rate_position=0.0, variance_rate_heading=0.0),
 }
 
 

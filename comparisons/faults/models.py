@@ -109,6 +109,12 @@ def _without_interval(own: Any, pose: Array, control: Array, duration_s: float) 
     return step._replace(jacobian_control=step.jacobian_control / duration_s)
 
 
+def noise_by_interval(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    """The sigmas of speed and turn as densities, of white noise over the interval."""
+    step: MotionStep = own(pose, control, duration_s)
+    return step._replace(jacobian_control=step.jacobian_control / np.sqrt(duration_s))
+
+
 def _drift(own: Any, pose: Array, control: Array, duration_s: float) -> MotionStep:
     step: MotionStep = own(pose, control, duration_s)
     step.pose[2] += _DRIFT_RADPS * duration_s

@@ -61,7 +61,7 @@ class Companion(NoObserver):
         far, sound = float(np.abs(apart).max()), float(self._sound[self._row[time_s]])
         if not far <= max(self._least, self._share * sound):
             raise Left
-        self._exact = self._exact and far <= NEAR
+        self._exact = self._exact and far <= self._least
         if self._exact:
             self.poses += 1
             self.last_s, self.farthest, self.sound = time_s, max(self.farthest, far), sound

@@ -94,15 +94,18 @@ def settled(fit: Fit, remainder: Remainder) -> Fit | None:
     return fit
 
 
-def selected(base: Fault, families: Iterable[Family], remainder: Remainder) -> Iterator[Fit]:
+def selected(
+    base: Fault, families: Iterable[Family], remainder: Remainder, enough: float = NEAR
+) -> Iterator[Fit]:
     """Yield fits of no number, of one, and so on, beside a fault, until only rounding is left.
 
     Forward selection: each next number is the one that, with those before it, leaves the least.
+    enough: what rounding leaves.
     """
     left = remainder(base)
     fit = None if left is None else Fit(base, (), np.empty(0), left)
     for _ in range(_NUMBERS):
-        if fit is None or fit.near(NEAR):
+        if fit is None or fit.near(enough):
             break
         yield fit
         one = _next(fit, families, remainder)

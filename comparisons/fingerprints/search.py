@@ -15,7 +15,7 @@ from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import Family, Fault
-from comparisons.fingerprints.companion import EXPLAINED, NEAR
+from comparisons.fingerprints.companion import EXPLAINED
 from comparisons.fingerprints.fit import Fit
 from comparisons.fingerprints.trial import Fingerprint, Trial, Way
 from comparisons.logs.log import Log
@@ -66,8 +66,8 @@ def fingerprints(
 
 
 def _exact(found: Iterable[Fingerprint]) -> list[Fingerprint]:
-    """The first that is exact, a whole one before others; none where none is."""
-    exact = sorted((one for one in found if one.exact), key=lambda one: not one.whole)
+    """The exact one that lasts longest, of several the first; none where none is."""
+    exact = sorted((one for one in found if one.exact), key=lambda one: one.rank[:2])
     return exact[:1]
 
 
@@ -102,7 +102,7 @@ class _Search:
                 if trial.way.name in KINDS and fault.plant is not None:
                     continue
                 one = trial.fitted(fault) if isinstance(fault, Family) else trial.of(fault)
-                if one is not None and not one.sigma > found.get(fault.what, one).sigma:
+                if one is not None and not one.rank > found.get(fault.what, one).rank:
                     found[fault.what] = one
                 if one is not None and one.whole:
                     return [one]
@@ -121,7 +121,7 @@ class _Search:
             if fit is None:
                 continue
             left.append((trial, fit))
-            found = trial.of(fit.fault) if fit.near(NEAR) else None
+            found = trial.of(fit.fault) if fit.near(trial.least) else None
             if found is not None and found.exact:
                 return [found._replace(several=True)]
         return []

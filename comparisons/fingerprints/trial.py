@@ -19,6 +19,7 @@ from comparisons.faults.fault import NONE, Family, Fault
 from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left, remainder
 from comparisons.fingerprints.fit import Fit, nearest, selected, settled
 from comparisons.logs.log import Log
+from comparisons.logs.transforms.clock import file_start
 from comparisons.pipeline.prepare import Prepared
 from comparisons.pipeline.references import filter_named
 from ekf_reference.core.ekf import Ekf
@@ -30,6 +31,8 @@ _POSES = 10
 """A number is fitted to the poses until the sound filter leaves the estimate, and so many more."""
 _BESIDE = 2
 """Numbers beside which a fault without one is looked for: none, and one."""
+_STAMPS, _MOST_BY_STAMPS = 10.0, 1e-3
+"""Last places of a stamp since 1970 by which poses may be off, and the most of it in sigma."""
 _FAR = 10.0
 """What several faults leave, and so many times more than another order of updates can move."""
 
@@ -55,6 +58,12 @@ class Fingerprint(NamedTuple):
         """Whether it reproduces all of the estimate."""
         return self.exact and self.until_s is None
 
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """Sorts what explains more before: to rounding, then longer, then with less left."""
+        lasts_s = np.inf if self.until_s is None else self.until_s
+        return not self.exact, -lasts_s, self.sigma
+
 
 class Way(NamedTuple):
     """A filter that faults are tried in. words: how it differs from the reference EKF.
@@ -67,8 +76,27 @@ class Way(NamedTuple):
     name: str
 
 
+def stamp_rounding(given: ExternalEstimate, sound: Likeness, start_s: float) -> float:
+    """Return how far, in sigma, stamps as float64 may move poses whose times count since 1970.
+
+    A filter may have its times exact or as float64 has them: one that has a fault does not show
+    which. start_s: what the log's times count from.
+    """
+    if not start_s or len(given.time_s) < 2:
+        return 0.0
+    moved = np.diff(given.pose, axis=0)
+    moved[:, 2] = np.angle(np.exp(1j * moved[:, 2]))
+    rate = np.abs(moved / np.diff(given.time_s)[:, None]).max(axis=0)
+    spread = np.sqrt(np.diagonal(sound.reference.pose_covariance, 0, 1, 2)).min(axis=0)
+    found = _STAMPS * float(np.spacing(start_s) * np.max(rate / spread))
+    return min(found, _MOST_BY_STAMPS)
+
+
 class Trial:
-    """One filter beside an estimate, without a fault as yet."""
+    """One filter beside an estimate, without a fault as yet.
+
+    least: what a fault that reproduces the estimate may leave, in sigma.
+    """
 
     def __init__(
         self,
@@ -79,6 +107,7 @@ class Trial:
     ) -> None:
         """sound: as of `fingerprints`."""
         self.given, self.prepared, self.sound, self.way = given, prepared, sound, way
+        self.least = max(NEAR, stamp_rounding(given, sound, float(file_start(way.log))))
         beside = Companion(given, sound)
         self._first, self._count = beside, beside.first(_POSES)
 
@@ -95,6 +124,10 @@ class Trial:
             return None
         return likeness(self.given, found, labelled=self.prepared.labelled)
 
+    def _equal(self, near: Likeness) -> bool:
+        """Whether rounding is left, and no more, of numbers or of stamps since 1970."""
+        return near.grade == "equal" or (self.least > NEAR and near.farthest <= self.least)
+
     def _wrong_without(self, until_s: float) -> bool:
         """Whether the filter without a fault had left the estimate for good by then."""
         if self._bare is None:
@@ -107,7 +140,7 @@ class Trial:
 
     def of(self, fault: Fault) -> Fingerprint | None:
         """What a fault explains; None where its filter leaves the estimate, or cannot run."""
-        beside = Companion(self.given, self.sound)
+        beside = Companion(self.given, self.sound, least=self.least)
         try:
             found = self._run(fault, beside)
         except Left:
@@ -118,15 +151,16 @@ class Trial:
         if found is not None:
             with np.errstate(invalid="ignore"):  # a fault may leave no covariance
                 near = likeness(self.given, found, labelled=self.prepared.labelled)
-        if near is not None and near.grade == "equal":
-            if self._bare is not None and self._bare.grade == "equal":
+        if near is not None and self._equal(near):
+            if self._bare is not None and self._equal(self._bare):
                 return None  # a fault without effect
             return Fingerprint(fault.what, self.way.words, near.farthest, exact=True)
         # Equal so long: then rounding grows, or it breaks down.
         lasted = beside.poses >= _POSES and beside.sound >= _DIVERGED
         if lasted and self._wrong_without(beside.last_s):
+            until_s = beside.last_s if beside.last_s < self.given.time_s[-1] else None
             return Fingerprint(
-                fault.what, self.way.words, beside.farthest, exact=True, until_s=beside.last_s
+                fault.what, self.way.words, beside.farthest, exact=True, until_s=until_s
             )
         if near is None or not near.farthest <= (1.0 - EXPLAINED) * self.sound.farthest:
             return None
@@ -140,7 +174,7 @@ class Trial:
         if self.neutral is None:
             return None
         fit = settled(Fit(NONE, (), np.empty(0), self.neutral).with_one(family), self._left)
-        enough = max(NEAR, (1.0 - EXPLAINED) * self._first.sound_until(self._count))
+        enough = max(self.least, (1.0 - EXPLAINED) * self._first.sound_until(self._count))
         return self.of(fit.fault) if fit is not None and fit.near(enough) else None
 
     def several(self, faults: Sequence[Fault], families: Sequence[Family]) -> Fit | None:
@@ -151,14 +185,14 @@ class Trial:
         ends the search.
         """
         tried, bases = [], []
-        for fit in selected(NONE, families, self._left):
+        for fit in selected(NONE, families, self._left, self.least):
             tried.append(fit)
-            if len(fit.at) < _BESIDE and not fit.near(NEAR):
+            if len(fit.at) < _BESIDE and not fit.near(self.least):
                 bases.append(nearest(fit, faults, self._left))
         for base in filter(None, bases):
-            if any(fit.near(NEAR) for fit in tried):
+            if any(fit.near(self.least) for fit in tried):
                 break
-            tried += selected(base, families, self._left)
+            tried += selected(base, families, self._left, self.least)
         return min(tried, key=lambda fit: float(np.linalg.norm(fit.left)), default=None)
 
     def hopeless(self, fit: Fit, other: Trial) -> bool:

@@ -54,7 +54,7 @@ from comparisons.logs.odometry import Integration, RelativePoses
 from comparisons.logs.stamps import at_instants, rounded, since_origin
 from comparisons.logs.transforms.clock import file_start, timed_by_floats
 from comparisons.pipeline.estimate_motion import in_words, integrations_by_steps, integrations_of
-from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace
+from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace, trace_run
 from comparisons.pipeline.prepare import Progress, no_progress
 from comparisons.pipeline.references import (
     APART,
@@ -456,6 +456,9 @@ def check_external(
     instants_s = solution.prepared.timeline.instants_s()
     given = replace(given, time_s=at_instants(given.time_s, instants_s))
     inside = with_poses(given, within_log(given, solution.estimate))
+    sound_trace = given.trace is not None and not given.trace.unsound
+    if sound_trace:
+        trace_run(given, solution.prepared)  # refuse one of another log before the long work
     with clock.stage("references"):
         progress("references", 0, 0)
         references = _references(inside, solution)
@@ -480,7 +483,7 @@ def check_external(
     if given.trace is not None and given.trace.unsound:
         grade = replace(grade, value="wrong")
         causes = (cause.invalid(f"{given.trace.path.name}: {given.trace.unsound}"), *causes)
-    elif given.trace is not None:
+    elif sound_trace:
         progress("trace", 0, 0)
         traced = check_trace(given, solution.prepared, solution.result.options)
         grade = by_trace(_by_equations(grade, traced, inside, labelled=labelled), traced)

@@ -103,26 +103,37 @@ class TraceCheck(TraceFigures):
     departure: Departure | None
 
 
-def check_trace(
-    given: ExternalEstimate, prepared: Prepared[SolveConfig], options: SmootherOptions
-) -> TraceCheck:
-    """Compute the gaps as for the reference EKF, and judge them.
+def trace_run(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> tuple[EkfRun, Timeline]:
+    """Return an estimate's trace as a run of its filter, and the log's steps beside it.
 
     Raises InputError for a trace that does not fit the log.
     """
-    file, log, positions = given.trace, prepared.log, prepared.positions
+    file, log = given.trace, prepared.log
     if file is None:
         raise ValueError("an estimate without a trace")
     if log.known_landmarks is not None:
         raise InputError(f"{log.name}: traces are not checked on logs with known landmarks")
     own, theirs = _timelines(file, float(given.time_s[-1]), prepared.timeline)
-    run = _as_run(given, file, theirs, positions)
+    return _as_run(given, file, theirs, prepared.positions), own
+
+
+def check_trace(
+    given: ExternalEstimate, prepared: Prepared[SolveConfig], options: SmootherOptions
+) -> TraceCheck:
+    """Compute the gaps as for the reference EKF, and judge them.
+
+    Raises InputError as `trace_run` does.
+    """
+    run, own = trace_run(given, prepared)
+    file, log, positions = given.trace, prepared.log, prepared.positions
+    if file is None:
+        raise ValueError("an estimate without a trace")
     known = given.joint_covariance is not None
     try:
         gaps = compute_gaps(
             log, run, options, Clock(), no_progress, timeline=own, covariance_known=known
         )
-        diagnosis = _diagnosis(log, run, gaps, file, same_steps=theirs is own)
+        diagnosis = _diagnosis(log, run, gaps, file, same_steps=run.timeline is own)
     except np.linalg.LinAlgError:
         raise InputError(
             f"{file.path}: a covariance that its equations need is singular to rounding"

@@ -21,6 +21,7 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import NONE, Family, Fault, together
 from comparisons.fingerprints.search import fingerprints
+from comparisons.fingerprints.trial import Fingerprint, stamp_rounding
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import check
 from comparisons.pipeline.prepare import no_progress
@@ -83,6 +84,9 @@ PLANTED = (
     "the turn stands for the way in the x row",
     "steps lead along the heading of plain dead reckoning",
     "the measurements are fused one odometry sample early",
+    "the controls' part of Q grows with the interval",
+    "the prior's covariance is zero, and the stabilisation noise is left out",
+    "the prior's covariance is 1e-08 I, and the stabilisation noise",
 )
 FITTED = (
     "R of new landmarks is {}",
@@ -200,6 +204,28 @@ def test_no_fault_stops_a_filter_that_associates_for_itself() -> None:
     with np.errstate(all="ignore"):
         found = [tried(blind, one) for one in faults]
     assert sum(one is not None for one in found) > 0.9 * len(faults)
+
+
+def test_what_lasts_longest_explains_most() -> None:
+    """Whatever is left until then; and what is left to rounding explains more than what is not."""
+    near = Fingerprint("f", "near", 1e-9, exact=False)
+    short = Fingerprint("f", "short", 1e-8, exact=True, until_s=1.0)
+    long = Fingerprint("f", "long", 1e-7, exact=True, until_s=6.0)
+    whole = Fingerprint("f", "whole", 1e-5, exact=True)
+    assert sorted((near, short, long, whole), key=lambda one: one.rank) == [
+        whole, long, short, near
+    ]  # fmt: skip
+
+
+def test_stamps_since_1970_leave_a_part_of_a_sigma(solution: Solution) -> None:
+    """Some last places of a stamp, at the estimate's speed; none where times count from 0."""
+    reference = run(solution, NONE)
+    given = handed_in(reference)
+    sound = likeness(given, reference, labelled=True)
+    assert stamp_rounding(given, sound, 0.0) == 0.0
+    assert 1e-6 < stamp_rounding(given, sound, 1.7e9) <= 1e-3
+    fast = replace(given, pose=given.pose * (1e6, 1.0, 1.0))
+    assert stamp_rounding(fast, sound, 1.7e9) == 1e-3
 
 
 def test_a_start_of_its_own_is_named(solution: Solution) -> None:

@@ -86,7 +86,7 @@ def test_stamps_resolved_to_a_tenth_of_a_millisecond_would_not_be(
 ) -> None:
     for place in ("comparisons.adapters.timeline", "comparisons.pipeline.external_trace"):
         monkeypatch.setattr(f"{place}.resolved", lambda time_s: np.round(time_s, 4))
-    with pytest.raises(InputError, match="before the prior"):
+    with pytest.raises(InputError, match="expected the time of a measurement"):
         checked(written("jittered", seed=1), tmp_path)
 
 
@@ -150,9 +150,12 @@ def column(path: Path) -> list[Decimal]:
     return [Decimal(row.split(",")[0]) for row in path.read_text().splitlines()[1:]]
 
 
-def since_1970(folder: Path, out: Path, *, whole: bool, traced: bool = False) -> str | None:
-    """The grade of a filter that reads stamps as whole nanoseconds, or as floats.
+def since_1970(
+    folder: Path, out: Path, *, whole: bool, traced: bool = False, bare: bool = False
+) -> ExternalCheck:
+    """The check of a filter that reads stamps as whole nanoseconds, or as floats.
 
+    bare: it begins with a covariance of its own, and has no stabilisation noise.
     traced: with a trace, whose times count from the first second where the stamps are whole.
     """
     log, start = read_log(folder), Decimal(0)
@@ -166,6 +169,11 @@ def since_1970(folder: Path, out: Path, *, whole: bool, traced: bool = False) ->
             odometry_s=np.array([float(one - start) for one in sampled]),
             used_s=np.array([float(one - start) for one in seen]),
         )
+    if bare:
+        log.meta["prior"]["covariance"] = (1e-9 * np.eye(3)).tolist()
+        log.meta["odometry"]["noise"] |= {
+            "variance_rate_position": 0.0, "variance_rate_heading": 0.0
+        }  # fmt: skip
     Ekf(log).run().write(out, traced=traced)
     path = out / "trajectory.tum"
     rows = [line.split(" ", 1) for line in path.read_text().splitlines()]
@@ -173,7 +181,20 @@ def since_1970(folder: Path, out: Path, *, whole: bool, traced: bool = False) ->
     found = slamcheck.check(slamcheck.load_log(folder), out, require="like")
     if traced:
         assert present(found.trace).agreement.model.within(1e-6)
-    return found.grade.value
+    return found
+
+
+@pytest.mark.slow
+def test_a_fault_is_named_of_a_filter_with_exact_times(tmp_path: Path) -> None:
+    """Stamps since 1970 as floats move a path by more than rounding, and a fault hides by which."""
+    log = tmp_path / "log"
+    course = Course("since-1970", duration_s=6.0, apart=True, start_ns=1_700_000_000_123_456_789)
+    simulate(course, 1, log)
+    found = since_1970(log, tmp_path / "mine", whole=True, bare=True)
+    assert found.causes[0].evidence.startswith(
+        "the prior's covariance is 1e-09 I, and the stabilisation noise is left out: with this "
+        "fault the reference filter equals the estimate ("
+    )
 
 
 def test_an_estimate_of_rounded_stamps_is_told_so(tmp_path: Path) -> None:
@@ -203,12 +224,12 @@ def test_stamps_since_1970_are_taken_as_the_filter_had_them(
     log = tmp_path / "log"
     course = Course("since-1970", duration_s=6.0, apart=True, start_ns=1_700_000_000_123_456_789)
     simulate(course, 1, log)
-    assert since_1970(log, tmp_path / "mine", whole=whole, traced=whole) == "equal"
+    assert since_1970(log, tmp_path / "mine", whole=whole, traced=whole).grade.value == "equal"
     if whole:
         monkeypatch.setattr("comparisons.logs.log_folder.origin", lambda first_s: 0)
     else:
         monkeypatch.setattr("comparisons.pipeline.check.timed_by_floats", lambda log: log)
-    assert since_1970(log, tmp_path / "other", whole=whole) == "like"
+    assert since_1970(log, tmp_path / "other", whole=whole).grade.value == "like"
 
 
 def driven(log: Log) -> Array:
