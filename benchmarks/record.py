@@ -430,11 +430,10 @@ def _claims(table: Table, done: Done) -> Cells:
     for folder in done.folders.values():
         for figure in json.loads((folder / "claims.json").read_text(encoding="utf-8"))["figures"]:
             for claim in figure["claims"]:
-                limit = f"{claim['relation']} {claim['limit']:.3g}"
-                measured = "none" if claim["measured"] is None else f"{claim['measured']:.3g}"
-                values = (f"{one} {claim['unit']}".strip() for one in (measured, limit))
-                holds = "yes" if claim["holds"] else "**no**"
-                rows.append((figure["name"], claim["text"], *values, holds))
+                value = claim["measured"]
+                measured = "none" if value is None else f"{value:.3g} {claim['unit']}".strip()
+                holds = "yes" if claim["holds"] else f"**no**: {claim['cause'] or 'not explained'}"
+                rows.append((figure["name"], claim["text"], measured, claim["asked"], holds))
     return ("figure", "claim", "measured", "asked", "holds"), tuple(rows)
 
 

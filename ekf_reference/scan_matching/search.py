@@ -28,6 +28,11 @@ _AT_ONCE = 2**18
 """Greatest number of readings of the picture at a time: its arrays stay in the cache."""
 _WORTH = 0.6
 """Starts that promise less than so much of the best one's score are not followed."""
+_EQUAL = 1e-6
+"""Sizes of a prior's axes, over the greatest, that are equal. Of a round prior all axes are right,
+and the last digit would choose: there the directions of x, y and heading do."""
+_ORDER = np.array((1.0, 2.0, 4.0))
+"""Of these directions, where axes or their signs are free."""
 _APART = 1.8
 """Starts closer than so many steps of the lattice are one."""
 
@@ -49,6 +54,9 @@ class Lattice:
         unit = np.array((1.0, 1.0, 1.0 / max(lever_m, spacing_m)))
         scaled = covariance / np.outer(unit, unit)
         size, axes = np.linalg.eigh(scaled)
+        if np.diff(size).min() < _EQUAL * size[-1]:
+            axes = np.linalg.eigh(scaled + _EQUAL * size[-1] * np.diag(_ORDER))[1]
+        axes = axes * np.where(_ORDER @ axes < 0.0, -1.0, 1.0)
         reach = _SIGMAS * np.sqrt(np.maximum(size, 0.0))
         while True:
             count = np.floor(reach / spacing_m).astype(int)

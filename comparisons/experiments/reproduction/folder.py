@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
@@ -39,10 +40,10 @@ def print_claims(result: ReproductionResult, folder: Path, console: Console) -> 
         )
         for claim in figure.claims:
             if not claim.holds:
-                reported = f"{_measured(claim)}, expected {_limit(claim)}"
+                reported = f"{_measured(claim)}, expected {claim.asked}"
                 lines.append(f"       does not hold: {claim.text}: {reported}")
                 if claim.why:
-                    lines.append(f"         {claim.why}")
+                    lines.append(f"         {claim.cause}: {claim.why}")
     lines += [f"{row.name:6} skipped: {row.reason}" for row in result.skipped]
     lines.append(f"report: {folder}")
     console.print("\n".join(lines), highlight=False, markup=False)
@@ -73,9 +74,9 @@ def _figure(figure: FigureResult, png: bytes) -> str:
     bad = [number for number, claim in enumerate(figure.claims) if not claim.holds]
     rows = [
         (
-            claim.text if claim.why is None else f"{claim.text} ({claim.why})",
+            claim.text if claim.why is None else f"{claim.text} ({claim.cause}: {claim.why})",
             _measured(claim),
-            _limit(claim),
+            claim.asked,
             "holds" if claim.holds else "does not hold",
         )
         for claim in figure.claims
@@ -91,8 +92,16 @@ def _figure(figure: FigureResult, png: bytes) -> str:
 
 def _summary(result: ReproductionResult, after: str) -> str:
     """after: what ends the count of claims."""
+    failed = Counter(
+        claim.cause or "not explained"
+        for figure in result.figures
+        for claim in figure.claims
+        if not claim.holds
+    )
+    causes = ", ".join(f"{count} {cause}" for cause, count in sorted(failed.items()))
     return (
-        f"{_met(*result.figures)} claims hold{after} {len(result.figures)} figures, "
+        f"{_met(*result.figures)} claims hold{f' (the others: {causes})' if causes else ''}"
+        f"{after} {len(result.figures)} figures, "
         f"{len(result.skipped)} skipped, {result.seconds:.0f} s"
     )
 
@@ -104,7 +113,3 @@ def _met(*figures: FigureResult) -> str:
 
 def _measured(claim: Claim) -> str:
     return "none" if claim.measured is None else f"{claim.measured:.3g} {claim.unit}".rstrip()
-
-
-def _limit(claim: Claim) -> str:
-    return f"{claim.relation} {claim.limit:.3g} {claim.unit}".rstrip()

@@ -30,6 +30,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    elsewhere,
 )
 from comparisons.experiments.reproduction.update_split import SPLIT, claims, draw
 from comparisons.experiments.reproduction.watched_run import truth_in_order
@@ -232,6 +233,7 @@ def claims_7(found: Covered) -> Claims:
         "it is missing on a good part of the way (share of the epochs)",
         np.mean(~found.heard),
         0.1,
+        own=True,
     )
 
 
@@ -252,19 +254,22 @@ def claims_8(found: Aided) -> Claims:
         "it falls on revisiting a known place (without GPS: least after its peak over the peak)",
         alone[peak:].min() / alone[peak],
         0.9,
+        own=True,
     )
     yield at_most(
         "GPS reduces the vehicle's covariance significantly (variance after the first position "
         "over that before)",
         np.square(sigma[first] / sigma[first - 1]),
         0.5,
-        why="one position of this GPS weighs little against what SLAM knows of itself",
+        why=elsewhere("one position of this GPS weighs little against what SLAM knows of itself"),
+        own=True,
     )
     yield at_most(
         f"and the landmarks' within {passed_s:.0f} s (median of those shown, variance "
         "after over before)",
         np.median(landmarks),
         0.5,
+        own=True,
     )
 
 
@@ -276,8 +281,11 @@ def claims_9(found: Aided) -> Claims:
         "when GPS arrives it differs significantly from SLAM (first difference over GPS sigma)",
         found.surprise_m / found.sigma_fix_m,
         3.0,
-        why=f"SLAM is {found.surprise_m:.2f} m off then, and a position has a sigma of "
-        f"{found.sigma_fix_m:.1f} m",
+        why=elsewhere(
+            f"SLAM is {found.surprise_m:.2f} m off then, and a position has a sigma of "
+            f"{found.sigma_fix_m:.1f} m"
+        ),
+        own=True,
     )
     yield at_most(
         "it is taken in by updates small enough for their Jacobians (largest move by one)",
@@ -290,6 +298,8 @@ def claims_9(found: Aided) -> Claims:
         "positions over the first difference)",
         np.median(off[-_LAST:]) / found.surprise_m,
         0.5,
+        why=elsewhere(f"the first difference is {found.surprise_m:.2f} m alone"),
+        own=True,
     )
     if found.true is not None:
         error = np.linalg.norm(found.pose[:, :2] - found.true, axis=1)
@@ -297,6 +307,7 @@ def claims_9(found: Aided) -> Claims:
             "and the vehicle to where it truly is (error at the end over that before GPS)",
             error[-1] / error[found.first - 1],
             0.5,
+            own=True,
         )
 
 

@@ -28,6 +28,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    theirs,
 )
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log
@@ -177,11 +178,13 @@ def claims_5(found: Drives) -> Claims:
         "by dead reckoning errors accumulate (last fifth of the run over the first, median)",
         growth("dead reckoning"),
         2.0,
+        own=True,
     )
     yield at_most(
         "SLAM cancels them (its error over dead reckoning's, medians of RMS)",
         median("misono") / median("dead reckoning"),
         0.5,
+        own=True,
     )
     yield at_most(
         "and tells exactly where the robot is (median RMS error; limit: the distance within "
@@ -189,7 +192,8 @@ def claims_5(found: Drives) -> Claims:
         median("misono"),
         WaypointRun().reached_m,
         "m",
-        why=_HEADING.format(*map(median, _BESIDE)),
+        why=theirs(_HEADING.format(*map(median, _BESIDE))),
+        own=True,
     )
 
 
@@ -201,6 +205,7 @@ def claims_6(found: Journeys) -> Claims:
         np.median(blind),
         1.0,
         "m",
+        own=True,
     )
     yield at_most(
         "by SLAM it returns to it (worst drive; limit: twice the distance within which a "
@@ -208,7 +213,8 @@ def claims_6(found: Journeys) -> Claims:
         slam.max(),
         2.0 * WaypointRun().reached_m,
         "m",
-        why=_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE)),
+        why=theirs(_HEADING.format(*(found.ends_m(name).max() for name in _BESIDE))),
+        own=True,
     )
 
 

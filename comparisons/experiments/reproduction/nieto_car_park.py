@@ -32,6 +32,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    elsewhere,
 )
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
@@ -64,7 +65,7 @@ ERROR_BEFORE_M = 3.0
 LEAST = 20
 """Gaussians of a high level landmark: section 6.5 names no number; with 200 there are none."""
 _WHOLE_MAP_M = 1e3
-_LAST = "returns of the last 15 s are put where the saturated steering leads"
+_LAST = elsewhere("returns of the last 15 s are put where the saturated steering leads")
 OTHER_PART = "the log is another part of the drives than the thesis'"
 OTHER_LOG = " Our log of the car park is another part of the drives than the thesis'."
 
@@ -209,13 +210,15 @@ def claims_3_20(found: CarPark) -> Claims:
         "SLAM stays closer to GPS than dead reckoning (RMS distance, over that of the wheels)",
         rms(found.path_gps) / rms(found.wheels_gps),
         0.5,
-        why="the last 15 s, without a reflector in view, are dead reckoning in both",
+        why=elsewhere("the last 15 s, without a reflector in view, are dead reckoning in both"),
+        own=True,
     )
     yield at_most(
         "where landmarks are in view it is close to GPS (median distance)",
         np.median(found.path_gps),
         0.5,
         "m",
+        own=True,
     )
     yield at_least(
         "the landmarks' surveyed places are within the 3-sigma ellipses (share)",
@@ -239,6 +242,7 @@ def claims_3_22(found: CarPark) -> Claims:
         np.median(away),
         CELL_M,
         "m",
+        own=True,
     )
     yield at_most(
         "all of it does (95 % of the distances)",
@@ -246,6 +250,7 @@ def claims_3_22(found: CarPark) -> Claims:
         CELL_M,
         "m",
         why=_LAST,
+        own=True,
     )
     yield at_least(
         "virtual landmarks were needed (regions with one)",
@@ -267,6 +272,7 @@ def claims_4_14(found: CarPark) -> Claims:
         abs(cells - points),
         CELL_M,
         "m",
+        own=True,
     )
 
 
@@ -282,7 +288,9 @@ def _closing_claims(found: CarPark, layer: str) -> Claims:
         np.percentile(then, 95.0),
         ERROR_BEFORE_M,
         "m",
-        why=f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together",
+        why=elsewhere(
+            f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together"
+        ),
     )
     yield at_most(
         "closing the loop corrects the map (RMS distance of its landmarks to the surveyed "
@@ -294,7 +302,8 @@ def _closing_claims(found: CarPark, layer: str) -> Claims:
         "by a large part (the same)",
         off[1] / off[0],
         0.5,
-        why=f"from {off[0]:.2f} m to {off[1]:.2f} m",
+        why=elsewhere(f"{OTHER_PART}: from {off[0]:.2f} m to {off[1]:.2f} m"),
+        own=True,
     )
 
 
@@ -306,6 +315,7 @@ def _near_image(found: CarPark, what: str, layer: str, *, fine: bool = False) ->
         np.median(found.off(occupied(mapping.layers[layer]))),
         cell_m,
         "m",
+        own=True,
     )
 
 
@@ -320,13 +330,16 @@ def _corner_claims(found: CarPark, *, fine: bool = False) -> Claims:
     corner = (found.searched_fine if fine else found.searched).corner
     held = occupied(mapping.layers["occupancy"])
     away = cKDTree(held).query(corner)[0] if len(corner) else np.array([np.nan])
-    yield at_least("corners are found in the grid that no single scan shows", len(corner), 2)
+    yield at_least(
+        "corners are found in the grid that no single scan shows", len(corner), 2, own=True
+    )
     yield at_most(
         "they are corners of what stands there (largest distance to an occupied cell; limit: "
         "two cells)",
         away.max(),
         2.0 * cell_m,
         "m",
+        own=True,
     )
 
 
@@ -337,6 +350,7 @@ def claims_6_11(found: CarPark) -> Claims:
         np.median(found.aided_gps),
         0.1,
         "m",
+        own=True,
     )
 
 
@@ -351,6 +365,7 @@ def claims_6_15(found: CarPark) -> Claims:
         2.0 * COARSE_M,
         "m",
         why=_LAST,
+        own=True,
     )
 
 
@@ -365,6 +380,7 @@ def claims_6_16(found: CarPark) -> Claims:
             np.median(grid.query(occupied(layers[key]))[0]),
             2.0 * COARSE_M,
             "m",
+            own=True,
         )
 
 
@@ -376,8 +392,10 @@ def claims_6_18(found: CarPark) -> Claims:
         f"nine are accepted as high level landmarks (with at least {LEAST} Gaussians each)",
         len(s.found),
         HIGH_LEVEL_COUNT,
-        why=f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
-        "landmark must have is not stated",
+        why=elsewhere(
+            f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
+            "landmark must have is not stated"
+        ),
     )
 
 

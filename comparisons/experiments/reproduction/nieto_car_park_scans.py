@@ -30,6 +30,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    elsewhere,
 )
 from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA
 from comparisons.experiments.reproduction.nieto_car_park import (
@@ -199,14 +200,14 @@ def claims_5_10(found: CarParkScans) -> Claims:
         float(np.median(away))
         for away in (found.published.path_gps, found.joined.path_gps, found.feature_gps)
     )
-    why = (
+    why = elsewhere(
         f"{OTHER_PART}: from GPS {thesis:.2f} m, joined {ours:.2f} m, feature SLAM {feature:.2f} m"
     )
     yield at_most(
         "six landmarks are incorporated (difference from six)",
         abs(count - LANDMARKS),
         0,
-        why=f"{OTHER_PART}: {count} landmarks",
+        why=elsewhere(f"{OTHER_PART}: {count} landmarks"),
     )
     yield at_least(
         "the results are not as accurate as those of feature-based SLAM (median distance from "
@@ -244,11 +245,13 @@ def _consistent(text: str, run: CarParkRun) -> Claim:
         f"{text} (share of landmarks within 3 sigma of where SLAM with GPS saw them first)",
         share,
         SHARE_WITHIN_3_SIGMA,
-        why=f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.landmark_index)} "
-        "landmarks, off by "
-        f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of those "
-        f"first seen before {TURN_S:.0f} s, when a turn begins in which the steering reading "
-        f"saturates, {np.count_nonzero(held.within[early])} of {np.count_nonzero(early)}",
+        why=elsewhere(
+            f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.landmark_index)} "
+            "landmarks, off by "
+            f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of "
+            f"those first seen before {TURN_S:.0f} s, when a turn begins in which the steering "
+            f"reading saturates, {np.count_nonzero(held.within[early])} of {early.sum()}"
+        ),
     )
 
 
@@ -271,8 +274,11 @@ def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
         float(np.median(off)) if off else float("nan"),
         limit_m,
         "m",
-        why=f"{OTHER_PART}: {len(off)} measurements, {near:.0%} of the points have a return within "
-        f"the limit (median){besides}",
+        why=elsewhere(
+            f"{OTHER_PART}: {len(off)} measurements, {near:.0%} of the points have a return within "
+            f"the limit (median){besides}"
+        ),
+        own=True,
     )
 
 

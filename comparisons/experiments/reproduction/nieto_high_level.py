@@ -28,6 +28,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    elsewhere,
 )
 from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.watched_run import truth_in_order
@@ -249,28 +250,32 @@ def claims_6_5(found: HighLevelDrives) -> Claims:
         "the first search has three candidates (fewest of the drives)",
         min(shown),
         CANDIDATES,
-        why="ours depends on where objects stand, which is not stated",
+        why=elsewhere("ours depends on where objects stand, which is not stated"),
     )
     yield at_least("at least one of them is accepted (fewest)", min(taken), FIRST)
     yield at_least(
         "and others are rejected for too few Gaussians (fewest)",
         min(n - k for n, k in zip(shown, taken, strict=True)),
         CANDIDATES - FIRST,
-        why="ours are large, and every pair of corners has several hundred Gaussians: "
-        f"{_range([g for one in first for g in one.search.gaussians.tolist()])}",
+        why=elsewhere(
+            "ours are large, and every pair of corners has several hundred Gaussians: "
+            f"{_range([g for one in first for g in one.search.gaussians.tolist()])}"
+        ),
     )
     yield at_least(
         "once the loop is closed four more have been detected (mean of the drives)",
         np.mean(later),
         LATER,
-        why="a loop takes 77 s here, so that one search falls into the second",
+        why=elsewhere("a loop takes 77 s here, so that one search falls into the second"),
     )
     yield at_least(
         "in the end five are in the state, seen again and used (mean of the drives)",
         np.mean(kept),
         FIRST + LATER,
-        why="a search at 120 s comes when half of the last loop is over, and a landmark is "
-        "used from the first measurement that fixes its heading, too",
+        why=elsewhere(
+            "a search at 120 s comes when half of the last loop is over, and a landmark is "
+            "used from the first measurement that fixes its heading, too"
+        ),
     )
 
 
@@ -293,19 +298,23 @@ def claims_6_6(found: HighLevelDrives) -> Claims:
         np.median(off) if off else np.nan,
         0.5,
         "m",
+        own=True,
     )
     yield at_most(
         "the vehicle is no farther from the truth with them (RMS position error after the "
         "first loop, over that without, mean of the drives)",
         np.mean(ratio),
         1.0,
-        why=f"few are seen again, among {landmarks} point landmarks",
+        why=elsewhere(f"few are seen again, among {landmarks} point landmarks"),
     )
     yield at_most(
         "localisation is much more robust with them (the same)",
         np.mean(ratio),
         0.5,
-        why=f"{landmarks} point landmarks are there as well, and fix the vehicle without them",
+        why=elsewhere(
+            f"{landmarks} point landmarks are there as well, and fix the vehicle without them"
+        ),
+        own=True,
     )
 
 

@@ -20,6 +20,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    ours,
 )
 from comparisons.experiments.reproduction.measures import true_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
@@ -113,22 +114,25 @@ def claims_6_9(found: Motions) -> Claims:
         max(off),
         0.5,
         "m",
+        own=True,
     )
     yield at_most(
         "and nowhere else: number of areas (most of the drives)",
         max(len(m.score.middle) for m in found.each),
         2,
-        why="a few cells at a pole beside a lane, with nothing but shadow behind it",
+        why=ours("a few cells at a pole beside a lane, with nothing but shadow behind it"),
     )
     yield at_least(
         "cells found are driven on (least precision of the drives)",
         min(m.score.precision for m in found.each),
         0.9,
+        own=True,
     )
     yield at_least(
         "cells driven on are found (least recall of the drives)",
         min(m.score.recall for m in found.each),
         0.9,
+        own=True,
     )
 
 
@@ -141,6 +145,7 @@ def claims_6_10(found: Motions) -> Claims:
         max(off),
         1.3,
         "m",
+        own=True,
     )
     yield at_most(
         "and nowhere else: number of areas (most of the drives)",

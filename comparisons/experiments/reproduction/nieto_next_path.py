@@ -369,17 +369,20 @@ def claims(found: NextPath) -> Claims:
         "spread of the paths)",
         np.abs(ours.gain - theirs.gain).max() / spread,
         _AGREED,
+        own=True,
     )
     yield at_most(
         "and choose alike (what the smoother would gain less by the filter's choice than by its "
         "own, over the spread)",
         (theirs.gain.max() - theirs.gain[ours.gain.argmax()]) / spread,
         _AGREED,
+        own=True,
     )
     yield at_most(
         "by the trace, too (what the filter's choice would leave more, over the spread)",
         (theirs.trace_m2[ours.trace_m2.argmin()] - theirs.trace_m2.min()) / np.ptp(theirs.trace_m2),
         _AGREED,
+        own=True,
     )
     yield at_most(
         "no path over the dense map crosses a true surface (crossings)",

@@ -23,6 +23,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    theirs,
 )
 from comparisons.experiments.reproduction.nieto_slam import closing_s
 from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
@@ -85,25 +86,29 @@ def claims_3_5(found: Examples) -> Claims:
         "the point's correlation with its region's landmarks is high (least)",
         min(w.min() for w in with_base),
         0.9,
-        why=f"until the loop closes it is {until(with_base).min():.2f}; {closed}",
+        why=theirs(f"until the loop closes it is {until(with_base).min():.2f}; {closed}"),
+        own=True,
     )
     yield at_least(
         "with a distant landmark it is almost one in the world (least until the loop closes)",
         until(world).min(),
         0.95,
-        why=f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}",
+        why=theirs(f"that is in east; in north it is {until([w[:, 1] for w in world]).min():.2f}"),
+        own=True,
     )
     yield at_most(
         "and almost zero in the region (largest)",
         max(c.max() for c in local),
         0.1,
-        why=f"until the loop closes it is {until(local).max():.2f}; {closed}",
+        why=theirs(f"until the loop closes it is {until(local).max():.2f}; {closed}"),
+        own=True,
     )
     yield at_most(
         "its deviation is much smaller in the region than in the world (largest ratio)",
         max(r.max() for r in ratio),
         0.2,
-        why=f"until the loop closes it is {until(ratio).max():.2f}; {closed}",
+        why=theirs(f"until the loop closes it is {until(ratio).max():.2f}; {closed}"),
+        own=True,
     )
 
 
@@ -120,16 +125,20 @@ def claims_3_12(found: Examples) -> Claims:
         np.median(world),
         0.5,
         "m",
-        why="the thesis shows one drive; how far a closing moves a map is luck: here "
-        f"{world.min():.2f} to {world.max():.2f} m",
+        why=theirs(
+            "the thesis shows one drive; how far a closing moves a map is luck: here "
+            f"{world.min():.2f} to {world.max():.2f} m"
+        ),
     )
     yield at_most(
         "in its region it moves by about 0.1 m (largest of all drives)",
         local.max(),
         0.1,
         "m",
-        why=f"the thesis shows one drive; here it is {local.min():.2f} to {local.max():.2f} m, "
-        f"in the median {np.median(local):.2f} m",
+        why=theirs(
+            f"the thesis shows one drive; here it is {local.min():.2f} to {local.max():.2f} m, "
+            f"in the median {np.median(local):.2f} m"
+        ),
     )
     yield at_most(
         "which is a fifth of its motion in the world (median ratio)",
@@ -141,8 +150,11 @@ def claims_3_12(found: Examples) -> Claims:
         max(unsettled),
         0.02,
         "m",
-        why="the thesis shows one drive; so it does in "
-        f"{sum(u <= 0.02 for u in unsettled)} of {len(unsettled)} drives",
+        why=theirs(
+            "the thesis shows one drive; so it does in "
+            f"{sum(u <= 0.02 for u in unsettled)} of {len(unsettled)} drives"
+        ),
+        own=True,
     )
 
 

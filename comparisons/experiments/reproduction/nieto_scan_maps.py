@@ -29,6 +29,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    ours,
 )
 from comparisons.experiments.reproduction.measures import occupied
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, near_share, surface_error
@@ -267,6 +268,7 @@ def claims_6_7(found: ScanMaps) -> Claims:
         max(after),
         0.4,
         "m",
+        own=True,
     )
     yield at_most(
         "closing the loop brings them there (median distance over the one before, the worst "
@@ -279,8 +281,11 @@ def claims_6_7(found: ScanMaps) -> Claims:
         "within 0.5 m of the one over that of the other, the least of the layers and drives)",
         min(more),
         2.0,
-        why="scan landmarks stand on the surfaces and 20 m apart, so that regions end at them: "
-        "a quarter of the returns lie where no region can be",
+        why=ours(
+            "scan landmarks stand on the surfaces and 20 m apart, so that regions end at them: "
+            "a quarter of the returns lie where no region can be"
+        ),
+        own=True,
     )
 
 

@@ -30,6 +30,9 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    elsewhere,
+    ours,
+    theirs,
 )
 from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA, within_3_sigma
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
@@ -306,22 +309,18 @@ def claims_5_8(found: ScanDrives) -> Claims:
     ratio = [d.ate_m / d.wheels_m for d in found.each]
     fall = [now / then for then, now in (d.errors_m for d in found.each)]
     before, after = [d.before for d in found.each], [d.after for d in found.each]
-    missed = f"by drive {_each(fall)}; where the loop is missed the map stays as it drifted"
+    missed = ours(f"by drive {_each(fall)}; where the loop is missed the map stays as it drifted")
     yield at_most(
         "the estimated path is close to the true one (RMS error over that of odometry alone, "
         "median of drives)",
         np.median(ratio),
         0.5,
+        own=True,
     )
-    yield at_least(
-        "before the loop closes the landmarks' errors are within their 3-sigma ellipses "
-        "(share of all drives' landmarks)",
-        *_within(before),
+    yield _inside(
+        "before the loop closes the landmarks' errors are within their 3-sigma ellipses", before
     )
-    yield at_least(
-        "and so they are after it (share of all drives' landmarks)",
-        *_within(after),
-    )
+    yield _inside("and so they are after it", after)
     yield at_most(
         "closing the loop reduces the error of the objects' places in every drive (RMS "
         "distance of the landmarks from the true ones, after over before, largest)",
@@ -334,6 +333,7 @@ def claims_5_8(found: ScanDrives) -> Claims:
         np.median(fall),
         0.5,
         why=missed,
+        own=True,
     )
     yield _closed("every loop closes", found.each)
     yield from _by_the_thesis(found.published)
@@ -345,7 +345,7 @@ def _closed(text: str, drives: Sequence[ScanDrive]) -> Claim:
         f"{text} (share of drives that see old landmarks again and end within {END_M:g} m)",
         float(np.mean([d.closed for d in drives])),
         1.0,
-        why=f"missed: {'; '.join(missed)}",
+        why=ours(f"missed: {'; '.join(missed)}"),
     )
 
 
@@ -353,7 +353,7 @@ def _by_the_thesis(drives: Sequence[ScanDrive]) -> Claims:
     """What comes of the settings that the thesis states, on the same logs."""
     ratio = [d.ate_m / d.wheels_m for d in drives]
     landmarks = [len(d.after.landmark_index) for d in drives]
-    form = (
+    form = elsewhere(
         f"by drive {_each(ratio)}, {min(landmarks)} to {max(landmarks)} landmarks: segments of "
         "30 returns (5.6 has no number for this drive, 5.7 has 100 on its car park) and the "
         "covariance of eqs. 5.16 and 5.17"
@@ -364,17 +364,15 @@ def _by_the_thesis(drives: Sequence[ScanDrive]) -> Claims:
         np.median(ratio),
         0.5,
         why=form,
+        own=True,
     )
     yield _closed("by the thesis' settings every loop closes", drives)
-    yield at_least(
-        "by the thesis' settings the landmarks' errors are within their 3-sigma ellipses "
-        "before the loop closes (share of all drives' landmarks)",
-        *_within([d.before for d in drives]),
+    yield _inside(
+        "by the thesis' settings the landmarks' errors are within their 3-sigma ellipses before "
+        "the loop closes",
+        [d.before for d in drives],
     )
-    yield at_least(
-        "by the thesis' settings they are so after it (share of all drives' landmarks)",
-        *_within([d.after for d in drives]),
-    )
+    yield _inside("by the thesis' settings they are so after it", [d.after for d in drives])
 
 
 def claims_5_9(found: ScanDrives) -> Claims:
@@ -401,20 +399,21 @@ def _left_top(templates: str, axes: str, drives: Sequence[ScanDrive]) -> Claims:
         max(off, default=np.nan),
         0.2,
         "m",
+        own=True,
     )
-    yield at_least(
-        f"{axes} within the 3-sigma ellipses (share of all drives' landmarks)",
-        *_within(maps),
-    )
+    yield _inside(f"{axes} within the 3-sigma ellipses", maps)
 
 
-def _within(maps: list[ScanMap]) -> tuple[float, float, str, str]:
-    """Of all landmarks: the share within 3 sigma, its limit, no unit, and the shares by map."""
+def _inside(text: str, maps: list[ScanMap]) -> Claim:
+    """Of all landmarks the share within 3 sigma; beside it the shares by map."""
     each = [m.within for m in maps if len(m.landmark_index)]
-    if not each:
-        return float("nan"), SHARE_WITHIN_3_SIGMA, "", "there are none"
-    why = f"by drive {_each([float(np.mean(one)) for one in each])}: where the filter has drifted "
-    return float(np.mean(np.concatenate(each))), SHARE_WITHIN_3_SIGMA, "", why + "it is too sure"
+    shares = _each([float(np.mean(one)) for one in each])
+    return at_least(
+        f"{text} (share of all drives' landmarks)",
+        np.mean(np.concatenate(each)) if each else np.nan,
+        SHARE_WITHIN_3_SIGMA,
+        why=theirs(f"by drive {shares}: where the filter has drifted it is too sure"),
+    )
 
 
 def _each(value: list[float]) -> str:

@@ -31,6 +31,9 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    elsewhere,
+    theirs,
+    within,
 )
 from comparisons.experiments.reproduction.measures import (
     SHARE_WITHIN_3_SIGMA,
@@ -234,7 +237,7 @@ def closing_s(log: Log) -> float:
 
 NEAR_M, FAR_M = 12.0, 50.0
 """Landmarks nearer than that are close to each other; farther ones are not."""
-_TOO_SURE = "EKF-SLAM grows too sure as its heading errs; see `slamcheck montecarlo`"
+_TOO_SURE = theirs("EKF-SLAM grows too sure as its heading errs; see `slamcheck montecarlo`")
 
 
 def claims_2_8(loops: Loops) -> Claims:
@@ -251,7 +254,7 @@ def claims_2_8(loops: Loops) -> Claims:
         "before the loop closes the path errs most on its left third (RMS over the right's)",
         rms(*left) / rms(*right),
         1.0,
-        why="our loop begins at the right, where the thesis begins at the bottom",
+        why=elsewhere("our loop begins at the right, where the thesis begins at the bottom"),
     )
     yield at_most(
         "closing the loop reduces the landmarks' error (RMS after over before)",
@@ -284,11 +287,11 @@ def claims_2_9(loops: Loops) -> Claims:
         inside[0].mean(),
         1.0,
     )
-    yield at_most(
-        "over drives the farthest landmark's error is as large as stated (mean NEES; limit: "
-        "upper end of its 95 % band)",
+    yield within(
+        "over drives the farthest landmark's error is as large as stated (mean NEES; limits: "
+        "its 95 % band)",
         np.mean(farthest),
-        mean_band(len(drives), 2).high,
+        mean_band(len(drives), 2),
         why=_TOO_SURE,
     )
     yield at_most("their error falls with the closing (ratio)", error_after / error_before, 1)
@@ -302,8 +305,10 @@ def claims_2_9(loops: Loops) -> Claims:
         "(share)",
         np.mean(np.concatenate(inside)),
         SHARE_WITHIN_3_SIGMA,
-        why="the landmarks of one drive share their error, so that one drive in ten decides "
-        "this number; the NEES above takes one landmark a drive",
+        why=theirs(
+            "the landmarks of one drive share their error, so that one drive in ten decides "
+            "this number; the NEES above takes one landmark a drive"
+        ),
     )
 
 
@@ -316,17 +321,17 @@ def claims_2_10(loops: Loops) -> Claims:
             np.mean(np.concatenate([_within(d, i) for d in drives])),
             0.99,
             why=_TOO_SURE,
+            own=True,
         )
     squared = np.array(
         [d.poses.pose.squared[np.searchsorted(d.poses.time_s, d.before.time_s)] for d in drives]
     )
-    highest = mean_band(len(drives), 3).high
     growth = max(float(np.max(d.first_landmark_m[1:] / d.first_landmark_m[:-1])) for d in drives)
-    yield at_most(
+    yield within(
         "before the loop closes the pose's error is as large as stated (mean NEES over drives; "
-        "limit: upper end of its 95 % band)",
+        "limits: its 95 % band)",
         squared.mean(),
-        highest,
+        mean_band(len(drives), 3),
         why=_TOO_SURE,
     )
     yield at_most(
@@ -348,7 +353,7 @@ def claims_2_11(loops: Loops) -> Claims:
     )
     quarter = [len(d.quarter.landmark) / len(d.before.landmark) for d in loops.drives]
     yield at_most(
-        "after a quarter of the loop not all landmarks are in (share)", max(quarter), 0.99
+        "after a quarter of the loop not all landmarks are in (share)", max(quarter), 0.99, own=True
     )
     yield at_least(
         "closing the loop makes the map more correlated (mean coefficient, least ratio)",
@@ -369,6 +374,7 @@ def claims_2_12(found: Fixed) -> Claims:
         "after over before)",
         found.after.mean_correlation / found.before.mean_correlation,
         0.5,
+        own=True,
     )
 
 
@@ -395,7 +401,8 @@ def claims_3_4(loops: Loops) -> Claims:
         f"landmarks within {NEAR_M:.0f} m of each other are highly correlated (mean)",
         np.mean(np.concatenate(near_rho)),
         0.9,
-        why="those around the start are known too well to share an error",
+        why=elsewhere("those around the start are known too well to share an error"),
+        own=True,
     )
     yield at_most(
         f"those more than {FAR_M:.0f} m apart are less so (mean over the near ones')",
@@ -406,11 +413,13 @@ def claims_3_4(loops: Loops) -> Claims:
         "close landmarks are about equally uncertain (log ratio of sigmas, near over far)",
         rms(*near_sigma) / rms(*far_sigma),
         0.5,
+        own=True,
     )
     yield at_most(
         "the closing moves close landmarks alike (difference over motion, RMS)",
         rms(*near_move) / rms(*moved),
         0.5,
+        own=True,
     )
 
 

@@ -21,6 +21,7 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    theirs,
 )
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
@@ -127,15 +128,17 @@ def claims(found: Split) -> Claims:
                 "gap over that of one update)",
                 run.gap / of_one.gap,
                 1.0,
-                why=f"{run.gap:.2f} sigma, {of_one.gap:.2f} in one update: a part linearises the "
-                "new measurement anew, what went before stays as it was",
+                why=theirs(
+                    f"{run.gap:.2f} sigma, {of_one.gap:.2f} in one update: a part linearises the "
+                    "new measurement anew, what went before stays as it was"
+                ),
             )
             yield at_least(
                 f"and is less optimistic: {one.name}, parts of {name} (least variance over the "
                 "smoother's, over that of one update)",
                 run.optimism / of_one.optimism,
                 1.0,
-                why=f"{run.optimism:.3f}, {of_one.optimism:.3f} in one update",
+                why=theirs(f"{run.optimism:.3f}, {of_one.optimism:.3f} in one update"),
             )
 
 

@@ -83,7 +83,7 @@ def clouds() -> nieto_fastslam.Clouds:
     log = simulate_waypoints(np.random.default_rng(2), WaypointRun(most_s=30.0))
     found = nieto_fastslam.clouds_of(log, (5, 20))
     most = found.runs[-1]
-    trees = np.resize(most.landmark, (120, 2))
+    trees = np.resize(most.landmark, (nieto_fastslam.TREES, 2))
     right = replace(most, median_m=1.5, landmark=trees, distinct=np.full_like(most.distinct, 2))
     return replace(found, runs=(found.runs[0], right))
 

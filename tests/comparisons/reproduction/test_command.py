@@ -23,6 +23,8 @@ from comparisons.experiments.reproduction.interface import (
     Sources,
     at_least,
     at_most,
+    ours,
+    theirs,
 )
 from comparisons.experiments.reproduction.runner import Picture, Reproduction, reproduce
 from tests.commands import refused, slamcheck, works
@@ -50,8 +52,8 @@ def draw(canvas: Canvas, number: Number) -> None:
 
 
 def claims(number: Number) -> Claims:
-    yield at_most(HOSTILE, number.value, 3.0, HOSTILE, why=HOSTILE)
-    yield at_least("never a number", float("nan"), 0.0, why=HOSTILE)
+    yield at_most(HOSTILE, number.value, 3.0, HOSTILE, why=ours(HOSTILE))
+    yield at_least("never a number", float("nan"), 0.0, why=theirs(HOSTILE))
 
 
 def run_and_skipped(found: Reproduction) -> tuple[list[str], list[str]]:
@@ -112,6 +114,10 @@ def test_claims_come_back_as_they_were_written(tmp_path: Path) -> None:
     met, unmet = json.loads(text)["figures"][0]["claims"]
     assert (met["holds"], met["measured"], met["why"]) == (True, 2.0, None)
     assert (unmet["holds"], unmet["measured"], unmet["why"]) == (False, None, HOSTILE)
+    assert [one["cause"] for one in (met, unmet)] == [None, "the document's"]
+    assert "1 of 2 claims hold (the others: 1 the document's);" in (
+        tmp_path / "out/gallery.html"
+    ).read_text(encoding="utf-8").replace("&#x27;", "'")
     assert not found.result.holds
     assert "NaN" not in text
 

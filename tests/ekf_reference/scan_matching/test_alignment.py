@@ -10,11 +10,12 @@ import pytest
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Scan
-from ekf_reference.scan_matching import alignment
+from ekf_reference.scan_matching import alignment, search
 from ekf_reference.scan_matching.alignment import align, ascend
 from ekf_reference.scan_matching.grid_correlation import correlate
 from ekf_reference.scan_matching.problem import AlignmentOptions, Problem
 from ekf_reference.scan_matching.scan_shape import of_scan
+from ekf_reference.scan_matching.search import Lattice
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.scan_matching.scenes import (
     BEAMS,
@@ -52,6 +53,27 @@ def test_a_sum_finds_its_own_copy_exactly(scene: object) -> None:
     assert np.abs(found.pose - true).max() < 1e-6
     assert found.overlap == pytest.approx(1.0)
     assert found.converged
+
+
+def lattices(seeds: int = 5) -> list[Array]:
+    """Of a prior that is round in the plane, moved in its last digits."""
+    prior, found = np.diag((3.0, 3.0, 0.5)) ** 2, []
+    for seed in range(seeds):
+        noise = 1e-13 * np.random.default_rng(seed).standard_normal((3, 3))
+        found.append(Lattice.over(np.zeros(3), prior + noise + noise.T, 0.8, 2.0).pose)
+    return found
+
+
+def test_starts_over_a_round_prior_do_not_hang_on_the_last_digit() -> None:
+    """All axes of a circle are principal: which ones are taken is a rule, not what eigh returns."""
+    first, *others = lattices()
+    assert all(np.allclose(first, other, atol=1e-6) for other in others)
+
+
+def test_starts_by_the_axes_of_eigh_alone_would(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "_EQUAL", 0.0)
+    first, *others = lattices()
+    assert not all(len(first) == len(o) and np.abs(first - o).max() < 0.1 for o in others)
 
 
 @pytest.mark.parametrize("scene", [ELL, COURT, YARD])
