@@ -121,7 +121,7 @@ def test_a_cause_comes_with_what_it_means(comparison: Comparison, kind: str) -> 
     text = drawn(comparison, RunReport.build(comparison).model_copy(update={"causes": [cause]}))
     known = EXPLANATIONS[kind]
     card = text[text.index('id="outcome"') : text.index('id="gaps"')]
-    sought = (">look.", escape(known.title), ">measured<", escape(known.meaning))
+    sought = (">Look.", escape(known.title), ">measured<", escape(known.meaning))
     places = [card.index(part) for part in sought]
     assert places == sorted(places)
     assert escape(known.check) in card
