@@ -373,7 +373,7 @@ def dangling(folder: Path) -> None:
 
 BEYOND = {
     "drives": (["reproduce", "N3.5", "--drives", "9" * 30], "expected 1 to 10000"),
-    "loops": (["convert", "simulated-loop", "log", "--loops", "1001"], "less than or equal to 1000"),
+    "loops": (["convert", "simulated-loop", "o", "--loops", "1001"], "less than or equal to 1000"),
     "runs": (["baseline", "save", "victoria-park", "k.json", "--runs", "1001"], "1 to 1000"),
     "study": (["montecarlo", "--runs", "9" * 400], "less than or equal to 1000000"),
     "tolerance": (["audit", "a.trace", "--tolerance", "inf"], "tolerance is inf"),
