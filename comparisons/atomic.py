@@ -109,6 +109,8 @@ def check_file(path: Path, kind: Kind) -> None:
         check_above(path)
         if kind is NEW and os.path.lexists(path):
             raise InputError(f"{path}: exists already, expected a new name")
+        if path.is_symlink() and not path.exists():
+            raise InputError(f"{path}: is a link to nothing, expected a new name")
         if path.exists() and not kind.earlier(path):
             raise InputError(f"{path}: exists and is not {kind.name}, expected a new name")
     except (OSError, ValueError) as error:

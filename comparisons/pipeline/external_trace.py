@@ -203,6 +203,7 @@ def _own_equations(run: EkfRun) -> Reference:
         joint_covariance=again.last.covariance,
         joint_s=float(epochs_s[-1]),
         span_s=(float(epochs_s[0]), float(epochs_s[-1])),
+        labels=run.estimate.labels,
     )
 
 
@@ -290,6 +291,7 @@ def _last(given: ExternalEstimate) -> Estimate:
         landmark=given.landmark,
         joint_covariance=np.full((size, size), np.nan) if joint is None else joint,
         information="filtered",
+        labels=given.labels,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -82,7 +82,11 @@ def reference_ekf(
     None where it breaks down.
     """
     run = _run(prepared, Ekf, time_s)
-    return None if run is None else (_of_run(EKF, run, time_s), run.before_updates().at(time_s))
+    return (
+        None
+        if run is None
+        else (_of_run(EKF, run, time_s, prepared.log.labels), run.before_updates().at(time_s))
+    )
 
 
 def variants(prepared: Prepared[SolveConfig], time_s: Array) -> Iterator[Reference]:
@@ -90,7 +94,7 @@ def variants(prepared: Prepared[SolveConfig], time_s: Array) -> Iterator[Referen
     for name, kind in _VARIANTS.items():
         run = _run(prepared, kind, time_s)
         if run is not None:
-            yield _of_run(name, run, time_s)
+            yield _of_run(name, run, time_s, prepared.log.labels)
 
 
 def smoother(solution: Solution, time_s: Array) -> Reference:
@@ -136,7 +140,7 @@ def filter_of(
 ) -> Reference | None:
     """The reference of a filter; arguments as of `filter_named`."""
     run = _run(prepared, kind, time_s, started)
-    return None if run is None else _of_run(name, run, time_s)
+    return None if run is None else _of_run(name, run, time_s, prepared.log.labels)
 
 
 def _run(
@@ -157,7 +161,7 @@ def _span(timeline: Timeline) -> tuple[float, float]:
     return float(observed_s[0]), float(observed_s[-1])
 
 
-def _of_run(name: str, run: FilterRun, time_s: Array) -> Reference:
+def _of_run(name: str, run: FilterRun, time_s: Array, labels: Mapping[int, str]) -> Reference:
     pose, covariance = run.at(time_s)
     return Reference(
         name=name,
@@ -170,4 +174,5 @@ def _of_run(name: str, run: FilterRun, time_s: Array) -> Reference:
         joint_covariance=run.map.joint_covariance,
         joint_s=run.map.time_s,
         span_s=_span(run.timeline),
+        labels=labels,
     )

@@ -177,6 +177,16 @@ def test_a_file_of_another_kind_stays(kind: object, text: str, tmp_path: Path) -
     assert path.read_text() == text
 
 
+def test_a_link_to_nothing_stands(tmp_path: Path) -> None:
+    """Its place is taken by no output, replaced or not."""
+    path = tmp_path / "kept.json"
+    path.symlink_to("nowhere")
+    with pytest.raises(InputError, match="is a link to nothing, expected a new name"):
+        write_whole(path, lambda part: part.write_text("{}"), BASELINE)
+    assert path.is_symlink()
+    assert not path.exists()
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".tex", ".html"])
 def test_a_table_replaces_a_table(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"table{suffix}"

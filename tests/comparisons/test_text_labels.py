@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,13 +12,16 @@ import pytest
 
 import slamcheck
 from benchmarks.log_doctor import drive
+from comparisons.checks.diagnosis.departure import departure_from
 from comparisons.errors import InputError
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import read_estimate, read_landmarks
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import check
+from comparisons.pipeline.check import check, check_external
 from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.solve import solve
 from comparisons.report.run import RunReport
-from tests.helpers import compared
+from tests.helpers import compared, present
 
 NAMES = ["oak, old", "<b>elm</b>", *(f"post {k}" for k in range(40))]
 
@@ -77,6 +81,31 @@ def test_an_estimate_is_checked_by_names(log: Log, run: Comparison, tmp_path: Pa
     assert any(f"landmark {estimate.names[-1]}" in one.evidence for one in wrong.causes)
     with pytest.raises(InputError, match=r"names landmarks by text .*, the log by numbers"):
         check(replace(log, provenance={}), given)
+
+
+def test_causes_and_departure_say_names(log: Log, run: Comparison) -> None:
+    """Also of the worst covariance, which was a row's number; ids where there are no names."""
+    estimate = run.ekf.estimate
+    given = ExternalEstimate.of(estimate)
+    assert given.landmark is not None
+    assert given.landmark_covariance is not None
+    rows = np.arange(len(given.landmark))
+    wrong = replace(
+        given,
+        pose=given.pose + (0.1, 0.0, 0.0) * (given.time_s >= 5.0)[:, None],
+        landmark=given.landmark + (rows == 0)[:, None] * 3.0,
+        landmark_covariance=given.landmark_covariance * (2.0 + rows)[:, None, None],
+    )
+    for named, said in ((log, NAMES), (replace(log, provenance={}), [str(k) for k in rows])):
+        found = check_external(replace(wrong, labels=named.labels), solve(named))
+        timeline = found.solution.prepared.timeline
+        left = present(departure_from(wrong, found.peers, named, timeline))
+        first = said[left.landmarks[0]]
+        assert f"of landmark{'s' * (len(left.landmarks) > 1)} {first}" in left.event
+        evidence = "; ".join(one.evidence for one in found.causes)
+        assert f"landmark {said[0]} most, by" in evidence
+        assert f"landmark {said[len(rows) - 1]} most" in evidence
+        assert re.search(r"landmark number|pose number", evidence) is None
 
 
 @pytest.mark.parametrize(

@@ -373,6 +373,10 @@ def dangling(folder: Path) -> None:
 
 BEYOND = {
     "drives": (["reproduce", "N3.5", "--drives", "9" * 30], "expected 1 to 10000"),
+    "reach": (
+        ["map", "scan-loop", "--set", "extensions.dense_maps.reach_m=1e300"],
+        "less than or equal to 10000",
+    ),
     "loops": (["convert", "simulated-loop", "o", "--loops", "1001"], "less than or equal to 1000"),
     "runs": (["baseline", "save", "victoria-park", "k.json", "--runs", "1001"], "1 to 1000"),
     "study": (["montecarlo", "--runs", "9" * 400], "less than or equal to 1000000"),

@@ -59,11 +59,12 @@ def invalid(given: Array) -> str:
 class Poses(NamedTuple):
     """Covariances (N, 3, 3) that poses should have, and what they might have been taken from.
 
-    heading: (N,). before: before each instant's measurements. smoothed: (N, 3, 3) of the smoother,
-    NaN where it has none.
+    time_s, heading: (N,). before: before each instant's measurements. smoothed: (N, 3, 3) of the
+    smoother, NaN where it has none.
     """
 
     expected: Array
+    time_s: Array
     heading: Array
     before: Array
     smoothed: Array
@@ -90,11 +91,14 @@ def of_poses(given: Array, poses: Poses, name: str) -> str:
             f"your pose covariances are those of {name} with the variances of x, y and heading "
             f"{listed} times as large{degrees}"
         )
-    return _varying("your pose covariances are", given, poses.expected, name, ("poses", "pose"))
+    called = [f"the pose at {time:.9g} s" for time in poses.time_s.tolist()]
+    return _varying("your pose covariances are", (given, poses.expected), name, "poses", called)
 
 
-def of_landmarks(given: Array, expected: Array, heading: float, name: str) -> str:
-    """Say how landmark covariances (L, 2, 2) differ. heading: of the last pose."""
+def of_landmarks(
+    given: Array, expected: Array, heading: float, name: str, labels: Sequence[str]
+) -> str:
+    """Say how landmark covariances (L, 2, 2) differ. heading: of the last pose. labels: (L,)."""
     if wrong := invalid(given):
         return f"your landmark covariances are invalid: {wrong}"
     for words, other in (
@@ -111,8 +115,8 @@ def of_landmarks(given: Array, expected: Array, heading: float, name: str) -> st
     order = _shuffled(given, expected)
     if order:
         return f"your landmark covariances are those of other landmarks: {order}"
-    what = ("landmarks", "landmark")
-    return _varying("your landmark covariances are", given, expected, name, what)
+    called = [f"landmark {label}" for label in labels]
+    return _varying("your landmark covariances are", (given, expected), name, "landmarks", called)
 
 
 def of_all(given: Array, expected: Array, name: str) -> str:
@@ -204,16 +208,19 @@ def _shuffled(given: Array, expected: Array) -> str:
     return f"{sum(other)} of {len(given)}" if other and all(other) else ""
 
 
-def _varying(begin: str, given: Array, expected: Array, name: str, what: tuple[str, str]) -> str:
-    low, high = eigenvalues(given, expected)
+def _varying(
+    begin: str, pair: tuple[Array, Array], name: str, what: str, called: Sequence[str]
+) -> str:
+    """Say between which factors a pair of covariances lies. called: each, the worst is named."""
+    low, high = eigenvalues(*pair)
     middle = float(np.median(_middle(low, high)))
     off = (low * _FITS < 1.0) | (high > _FITS)
     even = " the same in all directions," if (high <= low * _FITS**2).all() else ""
     worst = int(np.argmax(np.maximum(high, 1.0 / np.maximum(low, 1e-300))))
     return (
         f"{begin} {times(low.min())} to {times(high.max())} times those of {name},{even} typically "
-        f"{times(middle)}; {off.sum()} of {len(off)} {what[0]} differ by more than "
-        f"{100 * LIKE_VARIANCE:.0f} %, {what[1]} number {worst + 1} most"
+        f"{times(middle)}; {off.sum()} of {len(off)} {what} differ by more than "
+        f"{100 * LIKE_VARIANCE:.0f} %, {called[worst]} most"
     )
 
 

@@ -119,7 +119,9 @@ def _after(rows: list[int], log: Log) -> str:
 
 def _measured(rows: list[int], log: Log) -> str:
     names = np.unique(log.measurements.landmark[rows])
-    named = ", ".join(str(name) for name in names[:_NAMED].tolist() if name >= 0)
+    labels = log.labels
+    known = [labels.get(name, str(name)) for name in names[:_NAMED].tolist() if name >= 0]
+    named = ", ".join(known)
     more = ", ..." if len(names) > _NAMED else ""
     many = f"measurements {rows[0]} to {rows[-1]}" if len(rows) > 1 else f"measurement {rows[0]}"
     of = f", of landmark{'s' if len(names) > 1 else ''} {named}{more}" if named else ""

@@ -71,12 +71,13 @@ def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
     if given.landmark is None or given.landmark_id is None or not len(others):
         return _MAP_HINT
     more = np.setdiff1d(np.arange(len(given.landmark)), found.ours)
-    place, ids = found.reference.landmark[others], found.reference.landmark_id[others]
+    place = found.reference.landmark[others]
+    names = [found.reference.landmark_name(row) for row in others.tolist()]
     pairs = []
     for row in more:
         apart = np.linalg.norm(place - given.landmark[row], axis=1)
         if apart.min() <= _AT_M:
-            pairs.append(f"{given.landmark_id[row]} at landmark {ids[apart.argmin()]}")
+            pairs.append(f"{given.landmark_id[row]} at landmark {names[apart.argmin()]}")
     if not pairs:
         return _MAP_HINT
     listed = ", ".join(pairs[:4])
@@ -254,11 +255,14 @@ def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list
     if "poses" in off:
         smoothed = clues.smoothed[1][at]
         before = reference.pose_covariance[at] if clues.before is None else clues.before[1][at]
-        poses = signatures.Poses(*pairs["poses"][1:], given.pose[at, 2], before, smoothed)
+        poses = signatures.Poses(
+            pairs["poses"][1], given.time_s[at], given.pose[at, 2], before, smoothed
+        )
         said.append(signatures.of_poses(pairs["poses"][0], poses, name))
     if "landmarks" in off:
         heading = float(given.pose[-1, 2])
-        said.append(signatures.of_landmarks(*pairs["landmarks"], heading, name))
+        labels = [reference.landmark_name(row) for row in found.theirs.tolist()]
+        said.append(signatures.of_landmarks(*pairs["landmarks"], heading, name, labels))
     if "last pose and landmarks" in off and (not said or "landmarks" not in off):
         first, second = pairs["last pose and landmarks"]
         said.append(signatures.of_all(first[0], second[0], name))
@@ -292,8 +296,8 @@ def _swapped(given: ExternalEstimate, found: Likeness) -> Cause | None:
     other = at_others(given.landmark[ours], reference.landmark[theirs])
     if not other:
         return None
-    ids = reference.landmark_id[theirs]
-    pairs = ", ".join(f"{ids[k]} at {ids[nearest]}" for k, nearest in other[:4])
+    names = [reference.landmark_name(row) for row in theirs.tolist()]
+    pairs = ", ".join(f"{names[k]} at {names[nearest]}" for k, nearest in other[:4])
     return Cause(
         "association",
         f"{len(other)} landmarks lie at the position of another landmark: {pairs}",

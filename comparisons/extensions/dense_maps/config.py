@@ -101,7 +101,10 @@ class DenseMapsConfig(ExtensionConfig):
         math.inf, "Greatest relative sigma of the vehicle, in metres, at which its scans are mapped"
     )
     reach_m: float | None = setting(
-        None, "Greatest range of mapped returns in metres. Default: 35, on scan landmarks alone 50"
+        None,
+        "Greatest range of mapped returns in metres. Default: 35, on scan landmarks alone 50",
+        gt=0.0,
+        le=1e4,
     )
     delayed: bool = setting(True, "Buffer returns until a region for them exists")
     virtual_landmarks: bool = setting(True, "Allow regions with a virtual landmark as a corner")

@@ -479,7 +479,7 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N2.12", lambda f: replace(f, before=f.after, after=f.before), {0}),
     ("N2.13", most_particles(median_m=5.0), {0}),
     ("N2.13", most_particles(landmark=CORNERS), {1}),
-    ("N2.13", most_particles(landmark=np.tile(CORNERS, (200, 1))), {1}),
+    ("N2.13", most_particles(landmark=np.tile(CORNERS, (300, 1))), {1}),
     ("N2.13", most_particles(distinct=np.full(50, 20)), {2}),
     ("N3.4", drives(independent), {0}),
     ("N3.4", drives(scattered), {3}),
