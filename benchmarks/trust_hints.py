@@ -40,7 +40,7 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.pipeline.external_trace import TraceCheck, check_trace
+from comparisons.pipeline.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.trace.events import Event
 from comparisons.trace.reader import Trace
@@ -93,7 +93,9 @@ def checked(kind: type[Ekf], one: Case, *, stored_single: bool = False) -> Trace
         kind(one.log).run().write(folder, traced=True)
         if stored_single:
             in_single(folder)
-        return check_trace(read_external(folder), one.prepared, SmootherOptions())
+        given = read_external(folder)
+        followed = trace_run(given, one.prepared)
+        return check_trace(given, followed, one.prepared, SmootherOptions())
 
 
 def _rounded(event: Event) -> dict[str, Array]:

@@ -456,9 +456,11 @@ def check_external(
     instants_s = solution.prepared.timeline.instants_s()
     given = replace(given, time_s=at_instants(given.time_s, instants_s))
     inside = with_poses(given, within_log(given, solution.estimate))
-    sound_trace = given.trace is not None and not given.trace.unsound
-    if sound_trace:
-        trace_run(given, solution.prepared)  # refuse one of another log before the long work
+    unsound = "" if given.trace is None else given.trace.unsound
+    followed = None
+    if given.trace is not None and not unsound:
+        # A trace of another log is refused before the long work.
+        followed = trace_run(given, solution.prepared)
     with clock.stage("references"):
         progress("references", 0, 0)
         references = _references(inside, solution)
@@ -480,12 +482,12 @@ def check_external(
     if short:
         known = [one for one in known if one.gap != "coverage"]
     traced, causes = None, _causes(grade, known, found)
-    if given.trace is not None and given.trace.unsound:
+    if given.trace is not None and unsound:
         grade = replace(grade, value="wrong")
-        causes = (cause.invalid(f"{given.trace.path.name}: {given.trace.unsound}"), *causes)
-    elif sound_trace:
+        causes = (cause.invalid(f"{given.trace.path.name}: {unsound}"), *causes)
+    elif followed is not None:
         progress("trace", 0, 0)
-        traced = check_trace(given, solution.prepared, solution.result.options)
+        traced = check_trace(given, followed, solution.prepared, solution.result.options)
         grade = by_trace(_by_equations(grade, traced, inside, labelled=labelled), traced)
         causes = _with_trace(causes, traced.verdict.causes)
     if short:

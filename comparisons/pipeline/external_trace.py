@@ -118,13 +118,16 @@ def trace_run(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> tuple
 
 
 def check_trace(
-    given: ExternalEstimate, prepared: Prepared[SolveConfig], options: SmootherOptions
+    given: ExternalEstimate,
+    followed: tuple[EkfRun, Timeline],
+    prepared: Prepared[SolveConfig],
+    options: SmootherOptions,
 ) -> TraceCheck:
     """Compute the gaps as for the reference EKF, and judge them.
 
-    Raises InputError as `trace_run` does.
+    followed: of `trace_run`. Raises InputError where an equation is singular.
     """
-    run, own = trace_run(given, prepared)
+    run, own = followed
     file, log, positions = given.trace, prepared.log, prepared.positions
     if file is None:
         raise ValueError("an estimate without a trace")

@@ -214,8 +214,7 @@ def _of_pair(pair: EstimateComparison) -> tuple[tuple[Panel, ...], Panel | None]
     errors = _errors(at, pair.difference, pair.sigma, name)
     if not np.isfinite(pair.nees).any():
         return errors, None
-    low, high = np.broadcast_to(np.array(mean_band(1, 3))[:, None], (2, len(at)))
-    return errors, _squared([Curve(name, EKF_COLOUR, at, pair.nees)], low, high)
+    return errors, _squared([Curve(name, EKF_COLOUR, at, pair.nees)], mean_band(1, 3))
 
 
 def _by_truth(c: ExternalConsistency) -> tuple[tuple[Panel, ...], Panel | None]:
@@ -264,13 +263,12 @@ def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:
     curves = [
         Curve(name, colour, p.time_s[p.pose.row], p.pose.squared) for name, colour, p in poses
     ]
-    single = np.array(poses[0][2].pose.single_band)
-    low, high = np.broadcast_to(single[:, None], (2, len(curves[0].x)))
-    return _squared(curves, low, high)
+    return _squared(curves, poses[0][2].pose.single_band)
 
 
-def _squared(curves: Sequence[Curve], low: Array, high: Array) -> Panel:
-    """NEES of poses, with the band of one value of the first."""
+def _squared(curves: Sequence[Curve], single: tuple[float, float]) -> Panel:
+    """NEES of poses, with the band of a single value."""
+    low, high = np.broadcast_to(np.array(single)[:, None], (2, len(curves[0].x)))
     return Panel(
         title="NEES of the pose (3 dof)",
         x_label=TIME,
