@@ -18,7 +18,7 @@ from graphslam.arrays import Array
 from graphslam.extreme_edges import READINGS, extreme_edges, meant
 from graphslam.graph_builder import build_graph
 from graphslam.increments import dead_reckoned
-from graphslam.optimisers import optimise, polish
+from graphslam.optimisers import levenberg_marquardt, optimise, polish
 from graphslam.optimum import EXTREME, ChiSquareTest, chi_square_test
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.search import relaxed_values
@@ -26,6 +26,8 @@ from graphslam.sensor_frame import mount
 
 _NEAR = 0.1
 """A frame that the odometry tells leaves at most so much of the chi-square, before it is fitted."""
+_HOPELESS = {0: np.inf, 1: 1e3, 10: 2.0}
+"""After so many iterations more a reading is given up that is so many times above the band."""
 
 
 class EdgeReading(NamedTuple):
@@ -55,12 +57,12 @@ def misread_edges(
         return None
     if verified and not test.extreme:
         return None
-    found = _fitted(_inverted(problem), test.dof)
-    if found is not None and found.reading != "too high" and _far_less(found, test):
+    found = _fitted(_inverted(problem), (0.0, min(test.chi2, test.upper)), test)
+    if found is not None and _far_less(found, test):
         return EdgeReading("the loop closures fit when inverted", found)
     for words, other in _readings(problem, test) if test.extreme else ():
-        found = _fitted(other, test.dof)
-        if found is not None and found.reading == "plausible":
+        found = _fitted(other, (test.lower, test.upper), test)
+        if found is not None:
             return EdgeReading(words, found)
     return None
 
@@ -77,24 +79,37 @@ def few_misread(problem: SlamProblem) -> EdgeReading | None:
     """
     closed, steps = problem.loop_closures, problem.steps
     covariance = np.concatenate((problem.increment_covariance[steps], closed.covariance))
-    dof = problem.residual_dimension - problem.state_dimension
+    test = chi_square_test(np.inf, problem.residual_dimension - problem.state_dimension)
     extreme = extreme_edges(covariance)
     for how, other in meant(covariance, extreme) if len(extreme.rows) else ():
         moved = problem.increment_covariance.copy()
         moved[steps] = other[: len(steps)]
         closures = replace(closed, covariance=other[len(steps) :])
-        found = _fitted(replace(problem, increment_covariance=moved, loop_closures=closures), dof)
-        if found is not None and found.reading == "plausible":
+        read = replace(problem, increment_covariance=moved, loop_closures=closures)
+        found = _fitted(read, (test.lower, test.upper), test)
+        if found is not None:
             return EdgeReading(f"they fit when what stands there is {how}", found)
     return None
 
 
-def _fitted(problem: SlamProblem, dof: int) -> ChiSquareTest | None:
-    """Return the test of an optimum, None where there is none."""
+def _fitted(
+    problem: SlamProblem, band: tuple[float, float], test: ChiSquareTest
+) -> ChiSquareTest | None:
+    """Return the test of an optimum whose chi-square is in a band, None where there is none.
+
+    The descent ends as soon as it is below the band, or far above it after some iterations.
+    """
+    graph, (lower, upper) = build_graph(problem), band
     try:
-        return chi_square_test(_optimum(problem), dof)
+        values = relaxed_values(problem)
+        for iterations, factor in _HOPELESS.items():
+            values = levenberg_marquardt(graph, values, 1e-2, iterations)[0]
+            if not lower <= 2.0 * graph.error(values) <= factor * upper:
+                return None
+        chi2 = 2.0 * polish(graph, optimise(graph, values)[0])[1]
     except RuntimeError:
         return None
+    return replace(test, chi2=chi2) if lower <= chi2 <= upper else None
 
 
 def _far_less(found: ChiSquareTest, test: ChiSquareTest) -> bool:
@@ -147,8 +162,6 @@ def _of_another_frame(
     """Closures of a sensor that stands elsewhere on the vehicle, which the odometry alone tells."""
     if len(problem.steps) < len(problem.increment):
         return
-    from scipy.optimize import minimize  # takes long to load, and is rarely needed
-
     closed, moved_on = problem.loop_closures, dead_reckoned(problem.prior_pose, problem.increment)
 
     def moved(frame: Array) -> SlamProblem:
@@ -158,9 +171,11 @@ def _of_another_frame(
         return _optimum(moved(frame))
 
     frame = mount(closed.first, closed.second, closed.motion, moved_on)
+    if _fitted(moved(frame), (0.0, _NEAR * test.chi2), test) is None:
+        return
+    from scipy.optimize import minimize  # takes long to load, and is rarely needed
+
     try:
-        if 2.0 * error(frame) > _NEAR * test.chi2:
-            return
         frame = minimize(error, frame, method="BFGS", options={"gtol": 0.01}).x
     except RuntimeError:
         return

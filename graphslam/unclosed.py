@@ -54,7 +54,7 @@ def unclosed_passage(result: SmootherResult, covariance: Array) -> Unclosed | No
     step = float(np.median(np.hypot(*np.diff(result.poses[:, :2], axis=0).T)))
     least = max(_LOOSE * scale * float(np.sqrt(0.5 * np.median(told))), step)
     pairs = _near(result.poses, scale * _sigmas(covariance), least)
-    found = [_tied(result, *pair, scale) for pair in pairs]
+    found = _tied(result, pairs, scale)
     loose = [one for one in found if one.sigma_m > max(least, one.apart_m)]
     return max(loose, key=lambda one: one.sigma_m, default=None)
 
@@ -83,10 +83,17 @@ def _near(poses: Array, sigma: Array, least: float) -> list[tuple[int, int]]:
     return found[:: -max(1, -(-len(found) // _SOLVED))]
 
 
-def _tied(result: SmootherResult, first: int, second: int, scale: float) -> Unclosed:
-    """Return what the graph knows of the second pose in the first's frame. scale: of sigmas."""
-    joint = result.joint((first, second), ())
-    motion, spread = planar.relative(result.poses[first], result.poses[second], scale**2 * joint)
-    sigma = float(np.sqrt(np.linalg.eigvalsh(spread[:2, :2])[-1]))
-    apart = float(np.hypot(*motion[:2]))
-    return Unclosed(first, second, apart, sigma, float(np.sqrt(spread[2, 2])))
+def _tied(result: SmootherResult, pairs: list[tuple[int, int]], scale: float) -> list[Unclosed]:
+    """Return what the graph knows of each second pose in the first's frame. scale: of sigmas."""
+    if not pairs:
+        return []
+    poses, at = np.unique(pairs, return_inverse=True)
+    joint = result.joint(poses.tolist(), ()).reshape(len(poses), 3, len(poses), 3)
+    found = []
+    for (first, second), rows in zip(pairs, at.reshape(-1, 2), strict=True):
+        both = joint[rows][:, :, rows].reshape(6, 6)
+        motion, spread = planar.relative(result.poses[first], result.poses[second], scale**2 * both)
+        sigma = float(np.sqrt(np.linalg.eigvalsh(spread[:2, :2])[-1]))
+        apart = float(np.hypot(*motion[:2]))
+        found.append(Unclosed(first, second, apart, sigma, float(np.sqrt(spread[2, 2]))))
+    return found
