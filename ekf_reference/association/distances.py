@@ -10,7 +10,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.core.landmark_types import MeasurementModel
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
-from ekf_reference.core.state import KalmanState, LocalMap
+from ekf_reference.core.state import FilterDivergedError, KalmanState, LocalMap
 
 SEARCH_MARGIN_M = 10.0
 SEARCH_SIGMAS = 4.0
@@ -38,8 +38,13 @@ def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurem
     Returns:
         Points within the longest range and a margin of the vehicle, without those that `seen`
         closes.
+
+    Raises:
+        FilterDivergedError: A variance of the pose is negative.
     """
     longest, variance = float(model.range_m(seen.z).max()), state.pose_covariance.diagonal()
+    if variance.min() < 0.0:
+        raise FilterDivergedError("a variance of the pose is negative")
     sigma = math.sqrt(variance[:2].sum()) + longest * math.sqrt(variance[2:].sum())
     local = state.local_map(longest + max(SEARCH_MARGIN_M, SEARCH_SIGMAS * sigma))
     if not seen.closed:

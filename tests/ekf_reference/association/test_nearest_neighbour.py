@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from ekf_reference.association.distances import Distances, normalised_distances
 from ekf_reference.association.known import KnownAssociation
@@ -10,7 +11,7 @@ from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, Near
 from ekf_reference.core.blocks import stack
 from ekf_reference.core.landmark_types import NewLandmarks
 from ekf_reference.core.measurements import AMBIGUOUS, REJECTED, Measurements
-from ekf_reference.core.state import KalmanState
+from ekf_reference.core.state import FilterDivergedError, KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.association import scenes
 from tests.ekf_reference.numerics import point_columns
@@ -53,6 +54,13 @@ def test_distances_equal_the_textbook_for_every_pair() -> None:
             expected = nu @ np.linalg.solve(s, nu)
             assert np.isclose(nis[i, j], expected, rtol=1e-10)
             assert np.isclose(distance[i, j], expected + np.log(np.linalg.det(s)), rtol=1e-10)
+
+
+def test_a_broken_covariance_is_a_diverged_filter() -> None:
+    """What reads the filter catches that one error, and no other."""
+    state = scenes.mapped([(10.0, 3.0)], np.diag((1e-4, 1e-4, -1e-6)), [0.5])
+    with pytest.raises(FilterDivergedError, match="negative"):
+        NearestNeighbour().assign(state, MODEL, measurements([(10.2, 3.1)]))
 
 
 def test_nearest_by_n_not_by_nis() -> None:
