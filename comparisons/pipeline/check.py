@@ -373,7 +373,9 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
         sound = likeness(inside, filters[0], labelled=prepared.labelled)
     # A motion of the whole, or a factor on covariances beside right means, is simpler than several.
     simple = sound.sigma <= ROUNDING or (found.causes and found.causes[0].gap in MOTIONS)
-    known = fingerprints(inside, prepared, sound, progress, several=not simple)
+    # Beside an association in doubt, which jumps, nothing is linear that several could be fit by.
+    several = not simple and (prepared.labelled or found.solution.verified)
+    known = fingerprints(inside, prepared, sound, progress, several=several)
     if not known:
         return None
     others = found.causes
