@@ -48,7 +48,6 @@ SHELVES = {
         _of_comparisons(
             "reproduction/",
             "test_dense_claims.py",
-            "test_neglected_change.py",
         ),
         ("comparisons/experiments/reproduction/", "comparisons/documented/"),
     ),

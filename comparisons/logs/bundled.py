@@ -12,6 +12,7 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.readers import READERS, read_log
+from comparisons.logs.table import shorten
 
 
 @dataclass(frozen=True)
@@ -148,12 +149,25 @@ NAMED: dict[str, NamedLog] = {
 def recognised_format(name: str) -> str | None:
     """The format in which a path would be read, None for a bundled name and for no log at all."""
     path = Path(name)
-    try:
-        if not path.exists():
-            return None
-    except (OSError, ValueError):  # no name of a file
+    if not exists(path):
         return None
     return next((one for one, reader in READERS.items() if reader.recognises(path)), None)
+
+
+def exists(path: Path) -> bool:
+    """Whether a path names a file or folder; one that is too long, or has a null, does not."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def _nearest_name(typed: str) -> str:
+    """Return the question whether a bundled log was meant, empty where none has such a name."""
+    from difflib import get_close_matches
+
+    close = get_close_matches(typed, NAMED, n=1, cutoff=0.7)
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 def open_log(
@@ -174,10 +188,17 @@ def open_log(
         if topics:
             raise InputError(f"--topic {topics[0]}: {name} is not a ROS bag")
         return NAMED[name].open(choices)
+    path = Path(name)
+    if not exists(path):
+        near = _nearest_name(path.name)
+        raise InputError(
+            f"{shorten(name, 200)}: no such file or folder{near} "
+            "(slamcheck logs lists bundled names)"
+        )
     found = format_name or recognised_format(name)
     if found in READERS:  # else the reader says what is wrong
         _check_takes(name, ("--robot",) if READERS[found].robots else (), robot, choices)
-    return read_log(Path(name), format_name, robot, topics)
+    return read_log(path, format_name, robot, topics)
 
 
 def _check_takes(name: str, takes: tuple[str, ...], robot: int, choices: SimulationChoices) -> None:

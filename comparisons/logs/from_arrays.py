@@ -34,7 +34,7 @@ from comparisons.logs.odometry import (
     instants_of,
     poses_at,
 )
-from comparisons.logs.readers.ros_points import added_between, reckoned_motion
+from comparisons.logs.odometry_noise import added_between, reckoned_motion
 from comparisons.logs.stamps import resolved
 from comparisons.logs.validation import standard_deviation, whole_numbers
 from graphslam.increments import dead_reckoned

@@ -10,12 +10,14 @@ from __future__ import annotations
 import resource
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from comparisons.errors import InputError, note
-from comparisons.pipeline.prepare import Prepared
+
+if TYPE_CHECKING:
+    from comparisons.pipeline.prepare import Prepared
 
 GIB = 2.0**30
 BASE = 0.25 * GIB

@@ -24,12 +24,6 @@ class AccumulatedMotion:
         self.mean: Array = np.zeros(3)
         self.covariance: Array = np.zeros((3, 3))
 
-    def copy(self) -> AccumulatedMotion:
-        """Return a copy that shares nothing."""
-        other = AccumulatedMotion()
-        other.mean, other.covariance = self.mean.copy(), self.covariance.copy()
-        return other
-
     def add(
         self,
         model: MotionModel,

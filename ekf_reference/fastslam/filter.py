@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,19 +78,6 @@ class MixtureMap(NamedTuple):
     mean: Array
     covariance: Array
     share: Array
-
-
-class SavedFilter(NamedTuple):
-    """All that changes in a filter, the generator's state included; made by `FastSlam.state`."""
-
-    pose: Array
-    log_weight: Array
-    log_evidence: float
-    maps: ParticleMaps
-    motion: AccumulatedMotion
-    history: CloudHistory
-    serial: int
-    generator: Mapping[str, Any]
 
 
 class FastSlam:
@@ -305,35 +291,3 @@ class FastSlam:
         covariance = np.einsum("nl,nlij->lij", part, maps.covariance[:, column])
         covariance += np.einsum("nl,nli,nlj->lij", part, apart, apart)
         return MixtureMap(maps.number[column], mean, covariance, share)
-
-    def state(self) -> SavedFilter:
-        """Return a copy of all that changes, from which `restore` goes on to the bit."""
-        return SavedFilter(
-            self.pose.copy(),
-            self.log_weight.copy(),
-            self.log_evidence,
-            self.maps.copy(),
-            self.motion.copy(),
-            self.history.copy(),
-            self._serial,
-            dict(self.generator.bit_generator.state),
-        )
-
-    def restore(self, saved: SavedFilter) -> None:
-        """Go back to a saved state, which may be used again.
-
-        Args:
-            saved: Of a filter with the same model and options.
-
-        Raises:
-            ValueError: It has another number of particles.
-        """
-        if len(saved.pose) != self.options.particles:
-            raise ValueError(
-                f"saved with {len(saved.pose)} particles, expected {self.options.particles}"
-            )
-        self.pose, self.log_weight = saved.pose.copy(), saved.log_weight.copy()
-        self.log_evidence, self._serial = saved.log_evidence, saved.serial
-        self.maps, self.motion = saved.maps.copy(), saved.motion.copy()
-        self.history = saved.history.copy()
-        self.generator.bit_generator.state = dict(saved.generator)

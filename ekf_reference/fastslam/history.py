@@ -27,14 +27,6 @@ class CloudHistory:
         self.effective: list[float] = []
         self.origin: Index | None = None
 
-    def copy(self) -> CloudHistory:
-        """Return a copy; the arrays, which nobody changes, are shared."""
-        other = CloudHistory()
-        other.pose, other.parents = list(self.pose), list(self.parents)
-        other.mean, other.effective = list(self.mean), list(self.effective)
-        other.origin = self.origin
-        return other
-
     def add(self, pose: Array, weight: Array) -> None:
         """Append an epoch.
 

@@ -77,13 +77,6 @@ class ParticleMaps:
         self.number: NDArray[np.int64] = np.full(columns, FREE, dtype=np.int64)
         self._row: Index = np.arange(particles)[:, None]
 
-    def copy(self) -> ParticleMaps:
-        """Return a copy that shares nothing."""
-        other = ParticleMaps(len(self.mean), 0)
-        other.mean, other.covariance = self.mean.copy(), self.covariance.copy()
-        other.evidence, other.number = self.evidence.copy(), self.number.copy()
-        return other
-
     def inherit(self, parents: Index) -> None:
         """Replace each particle's map by that of its parent; free unused columns.
 

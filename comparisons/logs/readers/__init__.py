@@ -70,16 +70,6 @@ READERS: dict[str, Reader] = {
 }
 
 
-def _nearest_name(typed: str) -> str:
-    """Return the question whether a bundled log was meant, empty where none has such a name."""
-    from difflib import get_close_matches
-
-    from comparisons.logs.bundled import NAMED
-
-    close = get_close_matches(typed, NAMED, n=1, cutoff=0.7)
-    return f"; did you mean {close[0]}?" if close else ""
-
-
 def _not_recognised(path: Path) -> str:
     """What is said of a path that no reader takes: what it looks like, with its command."""
     shown = shlex.quote(str(path))
@@ -100,19 +90,10 @@ def _not_recognised(path: Path) -> str:
 def read_log(
     path: Path, format_name: str | None = None, robot: int = 1, topics: tuple[str, ...] = ()
 ) -> Log:
-    """Read a log of any known format, recognised unless it is named. Raises InputError."""
-    try:
-        found = path.exists()
-    except (OSError, ValueError):  # a name too long, or with a null character
-        found = False
-    if not found:
-        from comparisons.logs.table import shorten
+    """Read a log of any known format, recognised unless it is named. Raises InputError.
 
-        shown = shorten(str(path), 200)
-        near = _nearest_name(path.name)
-        raise InputError(
-            f"{shown}: no such file or folder{near} (slamcheck logs lists bundled names)"
-        )
+    path: of a file or folder that exists, see bundled.exists.
+    """
     if format_name is None:
         format_name = next((n for n, reader in READERS.items() if reader.recognises(path)), None)
         if format_name is None:

@@ -27,6 +27,7 @@ from comparisons.errors import InputError
 from comparisons.logs.from_arrays import LandmarkNumbers
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses, instants_of, poses_at
+from comparisons.logs.odometry_noise import reckoned_motion
 from comparisons.logs.readers import ros_points
 from comparisons.logs.readers.gps_start import LARGEST_RAD, Reckoned, east_north, lay_fixes
 from comparisons.logs.readers.ros_bag import (
@@ -212,7 +213,7 @@ class _Drive:
             none = RelativePoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
             return none, "no odometry"
         sample_s = (self.moved.time_ns - start) / 1e9
-        return ros_points.reckoned_motion(self.time_s, sample_s, np.array(self.moved.items))
+        return reckoned_motion(self.time_s, sample_s, np.array(self.moved.items))
 
 
 def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> Log:

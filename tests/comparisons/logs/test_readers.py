@@ -10,6 +10,7 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.readers import READERS, read_log
 from comparisons.logs.readers.acfr_car_park import reflector_measurements
@@ -245,8 +246,11 @@ def test_a_file_without_its_variable(tmp_path: Path) -> None:
 
 
 def test_unknown_paths_and_formats(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file or folder"):
-        read_log(tmp_path / "missing")
+    for path in (tmp_path / "missing", Path("waypoint-rum")):
+        with pytest.raises(InputError, match="no such file or folder"):
+            open_log(str(path))
+    with pytest.raises(InputError, match=r"did you mean waypoint-run\?"):
+        open_log("waypoint-rum")
     with pytest.raises(InputError, match="format not recognised, expected one of log-folder"):
         read_log(tmp_path)
     with pytest.raises(InputError, match="format 'hdf5' is unknown"):

@@ -20,8 +20,9 @@ pytest.importorskip("rosbags")
 
 from rosbags.typesys import Stores
 
+from comparisons.logs.odometry_noise import odometry_noise
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_reckoned
-from comparisons.logs.readers.ros_points import fix, odometry_noise
+from comparisons.logs.readers.ros_points import fix
 from tests.comparisons.logs.bags import EPOCH, Message, T, Types
 
 

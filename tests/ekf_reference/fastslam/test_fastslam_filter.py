@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +17,6 @@ from ekf_reference.fastslam import filter as filter_module
 from ekf_reference.fastslam.accumulated_motion import AccumulatedMotion
 from ekf_reference.fastslam.association import (
     KnownIdentities,
-    ParticleAssociation,
-    PerParticleLikelihood,
-    View,
 )
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
 from ekf_reference.fastslam.particle_maps import Expected, ParticleMaps, inverse_2x2
@@ -206,7 +204,7 @@ def test_an_epoch_equals_a_plain_loop_over_particles(
     options = FastSlamOptions(particles=7, proposal=proposal, resample_share=0.0)
     slam = slam_of(model, options)
     drive(slam, control, noise, 2)
-    start, maps, weight = slam.pose.copy(), slam.maps.copy(), slam.log_weight.copy()
+    start, maps, weight = slam.pose.copy(), deepcopy(slam.maps), slam.log_weight.copy()
     twin = np.random.default_rng(1)
     twin.bit_generator.state = slam.generator.bit_generator.state
     drive(slam, control, noise, 1, skip=2)
@@ -324,43 +322,6 @@ def bits(slam: FastSlam) -> tuple[bytes, ...]:
     )
 
 
-@pytest.mark.parametrize(
-    "rule",
-    [
-        KnownIdentities(),
-        PerParticleLikelihood(view=View(20.0)),
-        PerParticleLikelihood(view=View(20.0), choice="sampled", new_density=0.3),
-    ],
-)
-def test_resumed_equals_uninterrupted_to_the_bit(rule: ParticleAssociation) -> None:
-    options = FastSlamOptions(particles=40, association=rule, resample_share=0.9)
-    model, control, noise = MODELS[1]
-    whole, cut, forgetful = (slam_of(model, options) for _ in range(3))
-    drive(whole, control, noise, 20)
-    drive(cut, control, noise, 9)
-    cut.predict(control, noise, 0.0)
-    saved = cut.state()
-    for _ in range(2):  # a saved state serves more than once
-        other = slam_of(model, options, seed=99)
-        other.restore(saved)
-        drive(other, control, noise, 11, skip=9)
-        cut.restore(saved)
-        drive(cut, control, noise, 11, skip=9)
-        assert bits(other) == bits(cut)
-    drive(forgetful, control, noise, 9)
-    assert any(parents is not None for parents in whole.history.parents)
-    assert len(whole.history.pose) == len(cut.history.pose) == 20
-    saved_whole = slam_of(model, options)
-    drive(saved_whole, control, noise, 9)
-    again = slam_of(model, options, seed=5)
-    again.restore(saved_whole.state())
-    drive(again, control, noise, 11, skip=9)
-    assert bits(again) == bits(whole)
-    forgetful.generator = np.random.default_rng(2)  # a state without the generator's
-    drive(forgetful, control, noise, 11, skip=9)
-    assert bits(forgetful) != bits(whole)
-
-
 def test_the_same_seed_gives_the_same_bits_and_inputs_are_not_changed() -> None:
     model, control, noise = MODELS[2]
     runs = [slam_of(model, FastSlamOptions(particles=30), seed) for seed in (1, 1, 2)]
@@ -439,6 +400,3 @@ def test_what_is_no_prior_or_no_measurement_is_refused() -> None:
     slam = FastSlam(model, np.zeros(3), np.eye(3), generator)
     with pytest.raises(ValueError, match="not of points"):
         slam.observe(Measurements(np.full((1, 2), np.nan), R, np.array([1])))
-    other = FastSlam(model, np.zeros(3), np.eye(3), generator, FastSlamOptions(particles=3))
-    with pytest.raises(ValueError, match="saved with 3 particles"):
-        slam.restore(other.state())
