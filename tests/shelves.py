@@ -48,6 +48,7 @@ SHELVES = {
         _of_comparisons(
             "reproduction/",
             "test_dense_claims.py",
+            "test_neglected_change.py",
         ),
         ("comparisons/experiments/reproduction/", "comparisons/documented/"),
     ),
