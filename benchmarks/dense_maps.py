@@ -30,6 +30,7 @@ from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_seg
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import dense_slam, simulate
+from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.layers.layer import Samples
 
@@ -38,8 +39,6 @@ Array = NDArray[np.float64]
 FIRST_LOOPS = {"scan-loop": 6, "occupancy-loop": 8}
 """Drives of one loop, from seed 0."""
 CORRELATIONS = (0.95, 0.9, 0.8, 0.5, -1.0)
-MARGIN_M = 15.0
-"""So far beyond the path the landmarks of --among stand."""
 ALONE: Mapping[str, Mapping[str, Any]] = {
     "known_apart_m=0": {"known_apart_m": 0.0},
     "longest_edge_m=inf": {"longest_edge_m": math.inf},
@@ -129,26 +128,9 @@ def by_correlation(seeds: int, among: int) -> None:
 
 
 def log_among(more: int, seed: int) -> Log:
-    """A drive of section 3.9 with so many more poles, anywhere clear of the path and of objects."""
+    """A drive of section 3.9 with so many more landmarks among and behind the objects."""
     experiment = dense_slam()
-    world, rng = experiment.world, np.random.default_rng(seed)
-    solids, landmark = world.solids(), list(world.landmark)
-    low, high = world.path.min(axis=0) - MARGIN_M, world.path.max(axis=0) + MARGIN_M
-    while len(landmark) < len(world.landmark) + more:
-        place = rng.uniform(low, high)
-        apart = min(np.linalg.norm(np.array(landmark) - place, axis=1).min(), MARGIN_M)
-        clear = np.linalg.norm(world.path - place, axis=1).min() > 4.0
-        if clear and apart > 2.0 and not len(solids.within(place, 1.5).segment):
-            landmark.append(place)
-    new = np.array(landmark[len(world.landmark) :]).reshape(-1, 2)
-    pole = np.column_stack((new, np.full(len(new), float(world.pole[0, 2]))))
-    height = np.full(len(new), float(world.pole_height_m[0]))
-    world = replace(
-        world,
-        landmark=np.vstack((world.landmark, new)),
-        pole=np.vstack((world.pole, pole)),
-        pole_height_m=np.concatenate((world.pole_height_m, height)),
-    )
+    world = with_landmarks_among(experiment.world, more)
     return simulate(np.random.default_rng(seed), replace(experiment, world=world))
 
 
@@ -202,7 +184,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, help="drives of each log; 6 and 8 if left out")
     parser.add_argument("--rules", nargs="+", help="rows; all if left out")
     parser.add_argument("--correlation", action="store_true", help="coverage and deformation")
-    parser.add_argument("--among", type=int, default=80, help="landmarks more for --correlation")
+    parser.add_argument(
+        "--among", type=int, default=MORE_LANDMARKS, help="landmarks more for --correlation"
+    )
     choices = parser.parse_args()
     if choices.correlation:
         by_correlation(choices.seeds or 1, choices.among)

@@ -145,6 +145,7 @@ def test_more_landmarks_stand_clear_of_objects_and_path() -> None:
     new = place[count:]
     assert len(new) == 12
     assert distance_to_segments(new, usual.surfaces.segment).min() > 1.0
+    assert (np.ptp(place, axis=0) < (103.0, 83.0)).all()
     apart = np.linalg.norm(new[:, None] - place[None, :count], axis=2)
     assert apart.min() > 2.0
 

@@ -17,8 +17,12 @@ from comparisons.logs.log import Surfaces
 from comparisons.logs.simulate.ray_casting import Solids
 from comparisons.logs.simulate.worlds import World
 
+MORE_LANDMARKS = 80
+"""Among and behind the objects, so many that triangles of landmarks enclose most of them."""
 _POLE_SIDES = 32
 _PATH_STEP_M = 0.125
+_FROM_PATH_M, _FROM_OBJECTS_M, _APART_M = 4.0, 1.5, 2.0
+"""Least distances of landmarks: from the path, from objects, of one that is added from others."""
 
 
 class Moving(Protocol):
@@ -108,6 +112,11 @@ class ScanWorld(World):
             self.pole,
             self.pole_height_m,
         )
+
+    def is_free(self, place: Array, solids: Solids) -> bool:
+        """No object is at a place (2,) [m] or near it. solids: this world's."""
+        inside = any(_encloses(corner, place) for corner in self.outline)
+        return not inside and not len(solids.within(place, _FROM_OBJECTS_M).segment)
 
     def surfaces(self) -> Surfaces:
         """The outlines exactly, the poles as polygons of equal area: within 0.5 % of the radius."""
@@ -283,11 +292,33 @@ def with_landmarks(
     for i, at in enumerate(range(0, len(path) - every, every)):
         beside = (5.0 + 4.0 * np.modf(0.618 * i)[0]) * (-1.0) ** i
         candidate = path[at] + beside * left[at]
-        clear = np.linalg.norm(path - candidate, axis=1).min() > 4.0
-        inside = any(_encloses(corner, candidate) for corner in world.outline)
-        if clear and not inside and not len(solids.within(candidate, 1.5).segment):
+        clear = np.linalg.norm(path - candidate, axis=1).min() > _FROM_PATH_M
+        if clear and world.is_free(candidate, solids):
             landmark.append(candidate)
-    place = np.array(landmark)
+    return _with_poles(world, np.array(landmark))
+
+
+def with_landmarks_among(world: ScanWorld, more: int = MORE_LANDMARKS) -> ScanWorld:
+    """So many landmarks more among and behind the objects, within the world's extent.
+
+    The same world has them at the same places. The thesis' regions are triangles of landmarks that
+    enclose objects (Nieto 2005, sections 3.4 and 3.5); those of `with_landmarks` line the path.
+    """
+    rng, solids = np.random.default_rng(0), world.solids()
+    everything = np.vstack((world.path, world.landmark, *world.outline))
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    place = world.landmark
+    while len(place) < len(world.landmark) + more:
+        candidate = rng.uniform(low, high)
+        clear = np.linalg.norm(world.path - candidate, axis=1).min() > _FROM_PATH_M
+        alone = not len(place) or np.linalg.norm(place - candidate, axis=1).min() > _APART_M
+        if clear and alone and world.is_free(candidate, solids):
+            place = np.vstack((place, candidate))
+    return _with_poles(world, place)
+
+
+def _with_poles(world: ScanWorld, place: Array) -> ScanWorld:
+    """The world with a thin pole at each of these landmarks (L, 2), and no other poles."""
     return replace(
         world,
         landmark=place,

@@ -61,6 +61,8 @@ def round_of(number: int, classic: Samples, dense: Samples) -> nieto_dense.Round
         number=number,
         classic=classic,
         dense=dense,
+        classic_m2=0.04 * len(classic.point),
+        dense_m2=0.04 * len(dense.point),
         landmark=CORNERS,
         true=CORNERS,
         classic_error=surface_error(classic, WALL),
