@@ -347,7 +347,7 @@ class _Reading:
             kinds = ["poses"]
         if len(kinds) == 1:
             return kinds[0]
-        found = ", ".join(table.headers)
+        found = shown(table.headers)
         if kinds:
             raise InputError(
                 f"{table.path}: odometry: holds {' and '.join(kinds)}, expected one of them: give "
@@ -531,7 +531,7 @@ def _origins(table: PlainTable, *, limits: bool) -> str:
         reported.append(text)
     unused = shown([header for header in table.headers if header and header not in table.used])
     text = f"{table.path.name}, {len(table.line)} rows: {', '.join(reported)}"
-    return text + (f"; not used: {', '.join(unused)}" if unused else "")
+    return text + (f"; not used: {unused}" if unused else "")
 
 
 def _remarks(files: UserFiles, log: Log) -> dict[str, str]:

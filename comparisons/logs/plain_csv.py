@@ -217,21 +217,19 @@ def need(table: PlainTable, names: Sequence[str]) -> None:
     alone = [one for one in _ALONE if one in names]
     note = _ALONE[lacking[0]] if len(alone) == 2 and lacking[0] in alone and not lacking[1:] else ""
     raise InputError(
-        f"{table.path}: {expected}{note}; found {', '.join(shown(table.headers))}; name its "
-        f"columns so, {SEE}"
+        f"{table.path}: {expected}{note}; found {shown(table.headers)}; name its columns so, {SEE}"
     )
 
 
-def shown(headers: Sequence[str]) -> list[str]:
-    """Names of columns in their order; three or more that differ in a number alone as one."""
+def shown(headers: Sequence[str]) -> str:
+    """Names of columns in their order, cut; three or more that differ in a number alone as one."""
     alike: dict[str, list[str]] = {}
     for header in headers:
         alike.setdefault(_DIGITS.sub("#", header), []).append(header)
-    return [
-        text
-        for names in alike.values()
-        for text in ([f"{names[0]} to {names[-1]} ({len(names)})"] if names[2:] else names)
-    ]
+    words = [[shorten(name) for name in names] for names in alike.values()]
+    return shorten(
+        ", ".join(f"{w[0]} to {w[-1]} ({len(w)})" if w[2:] else ", ".join(w) for w in words), 300
+    )
 
 
 def _lines(path: Path, wanted: Sequence[str]) -> _Lines:
@@ -283,7 +281,7 @@ def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[
             f"among them {choices}; {SEE}"
         )
     return (
-        f"none of the columns wanted; found {shorten(', '.join(names), 200)}; wanted are "
+        f"none of the columns wanted; found {shown(names)}; wanted are "
         f"{choices}; name its columns so, {SEE}"
     )
 

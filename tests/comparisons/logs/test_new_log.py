@@ -320,6 +320,10 @@ BAD: dict[str, tuple[str, str, str]] = {
         r"trees.csv: no column for range_m, expected one named range or distance, and no column "
         r"for bearing_rad, expected one named bearing; found id, dist, azimuth, t; name its col",
     ),
+    "long names": (
+        VELOCITY, f"id,{'r' * 20_000},bearing,t\n1,5,0,0.1\n",
+        r"trees.csv: no column for range_m, .*; found id, r{37}\.\.\., bearing, t; name its columns",
+    ),
     "trajectory": (
         "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", TREES,
         r"odo.csv:1: numbers with blanks .* as a TUM .*; slamcheck export TRAJECTORY.tum POSES.csv",
