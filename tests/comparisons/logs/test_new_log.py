@@ -322,7 +322,7 @@ BAD: dict[str, tuple[str, str, str]] = {
     ),
     "long names": (
         VELOCITY, f"id,{'r' * 20_000},bearing,t\n1,5,0,0.1\n",
-        r"trees.csv: no column for range_m, .*; found id, r{37}\.\.\., bearing, t; name its columns",
+        r"trees.csv: no column for range_m, .*; found id, r{37}\.\.\., bearing, t; name its",
     ),
     "trajectory": (
         "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", TREES,
