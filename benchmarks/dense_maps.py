@@ -2,11 +2,13 @@
 
     python benchmarks/dense_maps.py [--seeds N] [--rules NAME ...]
     python benchmarks/dense_maps.py --correlation [--among N] [--seeds N]
+    python benchmarks/dense_maps.py --particles [--seeds N]
 
 The documents' settings beside those that runs use, and each of them alone, on simulated drives of
 one loop (Nieto 2005, sections 3.9 and 4.1.3). --correlation: what regions cover, and how far the
 closing of the loop deforms them (Fig. 3.9), by the least correlation of their landmarks alone, as
-section 3.5 has it, without and with N more landmarks among and behind the objects.
+section 3.5 has it, without and with N more landmarks among and behind the objects. --particles:
+weights of particles (Fig. 4.10) by the thesis' settings and by others that change them.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import dense_slam, simulate
+from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.layers.layer import Samples
@@ -48,6 +50,11 @@ ALONE: Mapping[str, Mapping[str, Any]] = {
     "p_occupied=0.9, p_free=0.3": {"p_occupied": 0.9, "p_free": 0.3},
 }
 """Settings of the documents, each alone."""
+PARTICLES: Mapping[str, Mapping[str, Any]] = {
+    "nieto-2005": {},
+    "d_min_m=0.5": {"d_min_m": 0.5},
+    "p_occupied=0.99": {"p_occupied": 0.99},
+}
 
 
 def errors_by_rule(seeds: int | None, rules: Sequence[str] | None = None) -> None:
@@ -127,6 +134,25 @@ def by_correlation(seeds: int, among: int) -> None:
             print(f"{row}  {near:8.3f}", flush=True)
 
 
+def by_particles(seeds: int) -> None:
+    """Shares of particles by weight, by the thesis' settings, each of PARTICLES alone."""
+    experiment = occupancy()
+    experiment = replace(experiment, world=with_landmarks_among(experiment.world))
+    logs = [simulate(np.random.default_rng(seed), experiment) for seed in range(seeds)]
+    print(f"{experiment.name}, {MORE_LANDMARKS} landmarks more, {seeds} drives")
+    print(f"{'':18} particles  > 0.8  < 0.5")
+    for title, fields in PARTICLES.items():
+        config = MapConfig.of(
+            preset="nieto-2005",
+            log={"source": experiment.name},
+            extensions={"dense_maps": {"layers": ("particles",), **fields}},
+        )
+        held = [map_log(log, config).layers["particles"].occupancy for log in logs]
+        weight = np.concatenate(held)
+        shares = f"{(weight > OCCUPIED).mean():6.1%} {(weight < 0.5).mean():6.1%}"
+        print(f"{title:18} {len(weight):9d} {shares}", flush=True)
+
+
 def log_among(more: int, seed: int) -> Log:
     """A drive of section 3.9 with so many more landmarks among and behind the objects."""
     experiment = dense_slam()
@@ -187,8 +213,11 @@ def main() -> None:
     parser.add_argument(
         "--among", type=int, default=MORE_LANDMARKS, help="landmarks more for --correlation"
     )
+    parser.add_argument("--particles", action="store_true", help="weights of particles")
     choices = parser.parse_args()
-    if choices.correlation:
+    if choices.particles:
+        by_particles(choices.seeds or 1)
+    elif choices.correlation:
         by_correlation(choices.seeds or 1, choices.among)
     else:
         errors_by_rule(choices.seeds, choices.rules)
