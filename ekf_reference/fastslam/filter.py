@@ -135,11 +135,6 @@ class FastSlam:
         """(N,) weights, which sum to one."""
         return normalised(self.log_weight)
 
-    @property
-    def effective_sample_size(self) -> float:
-        """1 / sum w^2 of the present cloud."""
-        return effective_sample_size(self.weight)
-
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         """Move the vehicle.
 

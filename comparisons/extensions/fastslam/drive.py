@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -145,13 +144,8 @@ class Inputs:
         return Measurements(self._z[rows], self._noise[rows], self._identity[rows], time_s=time_s)
 
 
-def run_fastslam(
-    slam: FastSlam,
-    log: Log,
-    timeline: Timeline,
-    on_epoch: Callable[[int, FastSlam], None] = lambda epoch, slam: None,
-) -> Cloud:
-    """Drive a FastSLAM through a log. on_epoch: called with each epoch's number.
+def run_fastslam(slam: FastSlam, log: Log, timeline: Timeline) -> Cloud:
+    """Drive a FastSLAM through a log.
 
     Poses are sampled at epochs with measurements and at the last one; in between the motion
     accumulates, so that FastSLAM 2.0 conditions all of it on the next measurements.
@@ -171,7 +165,6 @@ def run_fastslam(
         root = slam.motion.root_at_arrival()  # of motion that is not sampled yet
         root = rotated(root, float(mean[k, 2]))
         covariance[k] += root @ root.T
-        on_epoch(k, slam)
     return Cloud(
         slam=slam, mean=mean, covariance=covariance, sampled=np.array(sampled, dtype=np.intp)
     )
