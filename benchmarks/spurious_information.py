@@ -1,8 +1,8 @@
 """What variants of the EKF learn of a heading that nothing measures, beside their consistency.
 
-    python -m benchmarks.spurious_information [--runs 20] [--steps 2500] [--plot FILE]
+    python -m benchmarks.spurious_information [--runs 20] [--steps 2500]
 
-Every variant goes through the same simulated runs of a scenario of `slamcheck montecarlo`. The
+Every variant goes through the same simulated runs of `slamcheck montecarlo circle`. The
 spurious information is that of comparisons.audit.spurious, by the events that the filter itself
 records. Beside it: the mean NEES of heading and pose over the runs (1 and 3 are right), each
 averaged over the steps since the row before.
@@ -11,7 +11,6 @@ averaged over the steps since the row before.
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,18 +19,15 @@ from numpy.typing import NDArray
 from benchmarks.recorded_batch import record
 from comparisons.audit.replay import Replay
 from comparisons.audit.spurious import Learnt, SpuriousInformation
-from comparisons.experiments.montecarlo.plots import colour_of
 from comparisons.experiments.montecarlo.runs import FILTERS
 from comparisons.experiments.scenarios.scenario import read_scenario
 from comparisons.experiments.scenarios.world import World, build_world, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf, InvariantEkf
-from comparisons.report.picture import blank, save
 from comparisons.trace.events import Directions, Event, Prior
 from ekf_reference.core.geometry import wrap_angle
 
 ROWS = (100, 500, 1000, 2500)
 HEADING = 2
-_DRAWN = ("information", "heading", "pose")
 Array = NDArray[np.float64]
 
 
@@ -117,49 +113,18 @@ def print_table(by_variant: dict[str, Measured], steps: int) -> None:
             print(f"| {name} | {end} | {amount} | {sigma} | {nees} |")
 
 
-def plot(by_variant: dict[str, Measured], runs: int, to: Path) -> None:
-    """Information on the left; beside it the NEES of heading and pose, over 50 steps each."""
-    figure = blank(11.0, 3.6)
-    axes = figure.subplots(1, 3)
-    titles = "spurious heading information [1/rad^2]", "NEES of heading (1)", "NEES of pose (3)"
-    columns = [[getattr(one, field) for one in by_variant.values()] for field in _DRAWN]
-    for axis, title, curves in zip(axes, titles, columns, strict=True):
-        for name, curve in zip(by_variant, curves, strict=True):
-            style = "--" if name == "ideal" else "-"
-            colour = colour_of(name, by_variant)
-            drawn = curve if axis is axes[0] else _smooth(curve)
-            axis.plot(drawn, style, color=colour, linewidth=0.9, label=name)
-        axis.set_title(title, fontsize=10)
-        axis.set_xlabel(f"step ({runs} runs)")
-        axis.set_ylim(bottom=0.0)
-    axes[0].legend(fontsize=8)
-    save(figure, to)
-
-
-def _smooth(values: Array, window: int = 50) -> Array:
-    """Mean over the steps around; the ends over fewer."""
-    kernel = np.ones(min(window, len(values)))
-    summed = np.convolve(values, kernel, "same")
-    result: Array = summed / np.convolve(np.ones(len(values)), kernel, "same")
-    return result
-
-
 def main() -> None:
-    """Measure all variants, print a table, draw."""
+    """Measure all variants and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenario", default="circle")
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--steps", type=int)
-    parser.add_argument("--plot", type=Path)
     choices = parser.parse_args()
-    scenario = read_scenario(choices.scenario)
+    scenario = read_scenario("circle")
     if choices.steps is not None:
         scenario = scenario.model_copy(update={"steps": choices.steps})
     world = build_world(scenario)
     by_variant = {name: measured(name, world, choices.runs) for name in FILTERS}
     print_table(by_variant, scenario.steps)
-    if choices.plot is not None:
-        plot(by_variant, choices.runs, choices.plot)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from graphslam.optimisers import optimise, polish
 from graphslam.optimum import same_error
 from graphslam.relaxation import relax
 from graphslam.search import draw
-from graphslam.smoother import SmootherOptions, smooth
+from graphslam.smoother import smooth
 
 EACH = 34
 """Logs of a class; six classes make 204."""
@@ -91,14 +91,14 @@ def long_search(world: World, graph: gtsam.NonlinearFactorGraph, seed: int) -> f
     return best
 
 
-def examine(world: World, seed: int, *, accept_misfit: bool) -> Outcome:
+def examine(world: World, seed: int) -> Outcome:
     """Solve one log both ways."""
     graph = build_graph(world.problem)
     begun_s = time.process_time()
     descend(graph, track(world.problem, graph)[0])
     single_s = time.process_time() - begun_s
     begun_s = time.process_time()
-    result = smooth(world.problem, {}, options=SmootherOptions(accept_misfit=accept_misfit))
+    result = smooth(world.problem, {})
     whole_s = time.process_time() - begun_s
     optimality = result.optimality
     return Outcome(
@@ -112,11 +112,11 @@ def examine(world: World, seed: int, *, accept_misfit: bool) -> Outcome:
     )
 
 
-def outcomes(each: int, *, accept_misfit: bool = False) -> Iterator[Outcome]:
+def outcomes(each: int) -> Iterator[Outcome]:
     """Of so many logs of each class; the seeds are not those the search was built on."""
     for make in CLASSES.values():
         for seed in range(100, 100 + each):
-            yield examine(make(seed), seed, accept_misfit=accept_misfit)
+            yield examine(make(seed), seed)
 
 
 def rows(quick: bool = False) -> list[Row]:
@@ -163,11 +163,10 @@ def main() -> None:
     """Print each log that is not verified, then the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=_AS_WRITTEN)
     parser.add_argument("--each", type=int, default=EACH)
-    parser.add_argument("--accept-misfit", action="store_true")
     parser.add_argument("--list", action="store_true", help="every log that is not verified")
     given = parser.parse_args()
-    if given.list or given.accept_misfit:
-        for one in outcomes(given.each, accept_misfit=given.accept_misfit):
+    if given.list:
+        for one in outcomes(given.each):
             if one.wrong or not one.found or not one.verified:
                 print(
                     f"{one.world.name:<16} {'WRONG' if one.wrong else ''} error {one.error:.3f} "

@@ -129,7 +129,7 @@ MISONO = (
         reason="labels are taken where the log has them, so that filter and smoother are compared "
         "by their algebra and not by mistaken landmarks; by eq. 17 without GPS the published "
         "filter errs by 0.61 m, with labels and GPS by 0.48 m (median of 10 drives, "
-        "benchmarks/waypoint_run.py)",
+        "slamcheck reproduce M5)",
     ),
     Documented(
         place="M 3.4, eq. 17",

@@ -74,12 +74,11 @@ _BESIDE = ("misono-full", "misono-full, aided", "misono, aided")
 class Estimated:
     """One drive along the waypoints, steered by the truth.
 
-    true: (N, 3). estimates: (N, 3) each. landmarks: how many each has in the end.
+    true: (N, 3). estimates: (N, 3) each.
     """
 
     true: Array
     estimates: dict[str, Array]
-    landmarks: dict[str, int]
 
     def error_m(self, name: str) -> Array:
         """(N,) distances from the truth."""
@@ -115,14 +114,10 @@ def estimated(seed: int) -> Estimated:
     """One drive that the truth steers, and what is estimated of it."""
     log = simulate(np.random.default_rng(seed), WaypointRun())
     found = {name: _estimate(log, *given) for name, given in ESTIMATORS.items()}
-    return Estimated(
-        truth_in_order(log)[0].pose,
-        {name: pose for name, (pose, _) in found.items()},
-        {name: landmarks for name, (_, landmarks) in found.items()},
-    )
+    return Estimated(truth_in_order(log)[0].pose, found)
 
 
-def _estimate(log: Log, filter_name: str, aided: bool) -> tuple[Array, int]:
+def _estimate(log: Log, filter_name: str, aided: bool) -> Array:
     choices = EkfConfig(
         filter=filter_name or "full",
         association="known" if aided else "euclidean",
@@ -131,9 +126,8 @@ def _estimate(log: Log, filter_name: str, aided: bool) -> tuple[Array, int]:
     positions = fused_positions(log, choices)
     timeline = build_timeline(log, positions)
     if not filter_name:
-        return dead_reckoned(log.prior.pose, timeline.control), 0
-    run = run_ekf(log, timeline, choices, positions)
-    return run.estimate.pose, len(run.estimate.landmark_id)
+        return dead_reckoned(log.prior.pose, timeline.control)
+    return run_ekf(log, timeline, choices, positions).estimate.pose
 
 
 def navigated(seed: int, name: str) -> Array | None:
