@@ -3,7 +3,7 @@
 Every experiment is run twice on the same logs: by the settings that runs use, and by the thesis'
 (`literal`, `--preset nieto-2005`). The worlds are those of the named logs with landmarks among and
 behind the objects: the thesis' regions are triangles of landmarks that enclose objects, and between
-landmarks that line the path alone there are none (benchmarks/dense_maps.py --correlation has both).
+landmarks that line the path there is hardly any (benchmarks/dense_maps.py --correlation has both).
 """
 
 from __future__ import annotations
