@@ -18,7 +18,7 @@ from comparisons.logs.simulate.ray_casting import Solids
 from comparisons.logs.simulate.worlds import World
 
 MORE_LANDMARKS = 80
-"""Among and behind the objects, so many that triangles of landmarks enclose most of them."""
+"""So many are added among and behind the objects; the number is ours."""
 _POLE_SIDES = 32
 _PATH_STEP_M = 0.125
 _FROM_PATH_M, _FROM_OBJECTS_M, _APART_M = 4.0, 1.5, 2.0
