@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joblib.externals.loky import get_reusable_executor
 from pydantic import BaseModel
 
 from comparisons.atomic import is_unfinished
@@ -133,6 +134,7 @@ def in_child(
     file_bytes: no file may grow beyond. kill: a signal that is sent, and when.
     """
     out, into = os.pipe()
+    get_reusable_executor().shutdown()  # workers of an earlier test, on which a child would wait
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of threads that do not outlive a fork
         child = os.fork()
