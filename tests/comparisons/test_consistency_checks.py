@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from scipy.spatial.distance import mahalanobis
 from scipy.stats import chi2
 
+from comparisons import statistics
 from comparisons.checks.consistency.filter_smoother import (
     BLOCKS,
     FilterAgainstSmoother,
@@ -474,3 +475,15 @@ def test_a_filter_surer_than_the_smoother_is_told_with_its_begin() -> None:
     assert broken.unusable == {"not positive definite": 1, "not finite": 1}
     assert len(broken.time_s) == STEPS - 2
     assert np.isfinite(broken.squared).all()
+
+
+def test_single_values_lie_in_the_band_of_one() -> None:
+    """Not in that of a mean of two, which is narrower."""
+    found = statistics.normalise(np.array([[1.0, 0.0], [0.2, 0.1]]), np.tile(np.eye(2), (2, 1, 1)))
+    assert found.single_band == pytest.approx(chi2.ppf((0.025, 0.975), 2))
+    assert found.inside == 0.5
+
+
+def test_differences_are_measured_in_what_is_expected_else_in_what_is_recorded() -> None:
+    recorded, expected = np.diag((4.0, 9.0, 0.0)), np.diag((1.0, 0.0, -1.0))
+    assert statistics.units(recorded, expected).tolist() == [1.0, 3.0, 1.0]
