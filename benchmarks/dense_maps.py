@@ -31,7 +31,7 @@ from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
+from comparisons.logs.simulate.scan_drive import ScanExperiment, dense_slam, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.layers.layer import Samples
@@ -110,7 +110,7 @@ def rule_row(mapped: Sequence[DenseMapping]) -> str:
 def by_correlation(seeds: int, among: int) -> None:
     """Coverage against deformation over the least correlation of a region's landmarks."""
     for more in (0, among):
-        logs = [log_among(more, seed) for seed in range(seeds)]
+        logs = [log_among(dense_slam(), more, seed) for seed in range(seeds)]
         print(
             f"scan-loop, {more} landmarks more, {seeds} drives; deformed: change of an edge by the"
         )
@@ -137,8 +137,7 @@ def by_correlation(seeds: int, among: int) -> None:
 def by_particles(seeds: int) -> None:
     """Shares of particles by weight, by the thesis' settings, each of PARTICLES alone."""
     experiment = occupancy()
-    experiment = replace(experiment, world=with_landmarks_among(experiment.world))
-    logs = [simulate(np.random.default_rng(seed), experiment) for seed in range(seeds)]
+    logs = [log_among(experiment, MORE_LANDMARKS, seed) for seed in range(seeds)]
     print(f"{experiment.name}, {MORE_LANDMARKS} landmarks more, {seeds} drives")
     print(f"{'':18} particles  > 0.8  < 0.5")
     for title, fields in PARTICLES.items():
@@ -153,9 +152,8 @@ def by_particles(seeds: int) -> None:
         print(f"{title:18} {len(weight):9d} {shares}", flush=True)
 
 
-def log_among(more: int, seed: int) -> Log:
-    """A drive of section 3.9 with so many more landmarks among and behind the objects."""
-    experiment = dense_slam()
+def log_among(experiment: ScanExperiment, more: int, seed: int) -> Log:
+    """A drive with so many more landmarks among and behind the objects."""
     world = with_landmarks_among(experiment.world, more)
     return simulate(np.random.default_rng(seed), replace(experiment, world=world))
 

@@ -18,6 +18,7 @@ from benchmarks import bench, dense_maps, peers
 from benchmarks.timing import Pair, Side, Spent, interleaved
 from benchmarks.timing import run as ran
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
+from comparisons.logs.simulate.scan_drive import dense_slam
 from tests.graphslam.skips import pass_on
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -123,7 +124,7 @@ def test_dense_maps_benchmark_rules() -> None:
 
 @pytest.mark.slow
 def test_more_landmarks_stand_clear_of_objects_and_path() -> None:
-    usual, more = dense_maps.log_among(0, 0).truth, dense_maps.log_among(12, 0).truth
+    usual, more = (dense_maps.log_among(dense_slam(), count, 0).truth for count in (0, 12))
     assert usual.landmarks is not None
     assert usual.surfaces is not None
     assert more.landmarks is not None
