@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, cast, get_args, get_origin
 
 from pydantic import (
@@ -23,7 +24,7 @@ from pydantic import (
 
 from comparisons.documented.row import PRESETS, Preset
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS, config_class, named
+from comparisons.extensions.registry import EXTENSIONS
 from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where, renamed_settings
 
 Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]
@@ -384,7 +385,16 @@ class ExtensionConfig(Section):
 
     def build(self, config: Configured) -> Any:
         """Return the extension."""
-        return named(self.extension)(self, config)
+        return resolve_name(self.extension)(self, config)
+
+
+def config_class(name: str) -> type[ExtensionConfig]:
+    """Return the class of an extension's settings. Raises InputError for an unknown name."""
+    if name not in EXTENSIONS:
+        known = ", ".join(EXTENSIONS)
+        raise InputError(f"extensions.{name[:80]}: is unknown, expected one of {known}")
+    found: type[ExtensionConfig] = resolve_name(EXTENSIONS[name])
+    return found
 
 
 def _with_classes(value: Any) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, cast
 
 import numpy as np
@@ -54,5 +54,4 @@ def _brief(value: object) -> str:
 
 def render(how: str, *what: object) -> Any:
     """Return a result as one of RENDERERS makes it."""
-    module, _, name = RENDERERS[how].partition(":")
-    return getattr(import_module(module), name)(*what)
+    return resolve_name(RENDERERS[how])(*what)

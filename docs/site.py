@@ -28,7 +28,7 @@ import slamcheck
 from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
-from comparisons.config import JOBS, Configured
+from comparisons.config import JOBS, Configured, config_class
 from comparisons.experiments.montecarlo.folder import MonteCarloResult
 from comparisons.experiments.reproduction.interface import ReproductionResult
 from comparisons.extensions.dense_maps.check import DenseAgreement
@@ -37,7 +37,6 @@ from comparisons.extensions.high_level.source import HighLevelRun
 from comparisons.extensions.own_association.extension import OwnAssociationCheck
 from comparisons.extensions.own_matching.check import OwnMatchingCheck
 from comparisons.extensions.posterior.extension import PosteriorCheck
-from comparisons.extensions.registry import config_class
 from comparisons.extensions.scan_landmarks.result import ScanSlamResult
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.result import ScanOdometryResult

@@ -11,7 +11,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib import import_module
+from pkgutil import resolve_name
 from types import FrameType
 from typing import Annotated, Any, NoReturn
 
@@ -85,8 +85,7 @@ def build(name: str | None = None, *, whole: bool = False) -> Any:
     )
     app.callback(invoke_without_command=True)(_main)
     for one in COMMANDS if name is None else (name,):
-        module, _, attribute = COMMANDS[one].partition(":")
-        command = getattr(import_module(f"comparisons.cli.{module}"), attribute)
+        command = resolve_name(f"comparisons.cli.{COMMANDS[one]}")
         several = isinstance(command, typer.Typer)
         if name is None and not whole:
             about = command.info.help if several else command.__doc__

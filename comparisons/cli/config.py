@@ -53,8 +53,8 @@ def config(
       slamcheck config check
     """
     with guarded():
-        from comparisons.config import Configured, json_schema
-        from comparisons.extensions.registry import EXTENSIONS, config_class
+        from comparisons.config import Configured, config_class, json_schema
+        from comparisons.extensions.registry import EXTENSIONS
 
         kind = _kind(job)
         if schema:

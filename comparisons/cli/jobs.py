@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from comparisons.cli.flags import Given
@@ -60,9 +60,8 @@ def do_plain_job(given: Given, kind: str, work: str, base: Mapping[str, Any] | N
     """
 
     def done(progress: Progress) -> tuple[Job[Any], object]:
-        job = start_job(given, getattr(import_module("comparisons.config"), kind), base)
-        module, _, name = work.partition(":")
-        return job, getattr(import_module(module), name)(job.log, job.config, progress)
+        job = start_job(given, resolve_name(f"comparisons.config:{kind}"), base)
+        return job, resolve_name(work)(job.log, job.config, progress)
 
     do_job(given, done)
 

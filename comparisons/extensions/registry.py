@@ -2,14 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-from comparisons.errors import InputError
-
-if TYPE_CHECKING:
-    from comparisons.config import ExtensionConfig
-
 EXTENSIONS = {
     "own_association": "comparisons.extensions.own_association.config:OwnAssociationConfig",
     "own_matching": "comparisons.extensions.own_matching.config:OwnMatchingConfig",
@@ -23,18 +15,3 @@ EXTENSIONS = {
 }
 """Name to the class of its settings. The order is that in which extensions prepare, attach, check
 and report; one that uses what another offers comes after it."""
-
-
-def config_class(name: str) -> type[ExtensionConfig]:
-    """Return the class of an extension's settings. Raises InputError for an unknown name."""
-    if name not in EXTENSIONS:
-        known = ", ".join(EXTENSIONS)
-        raise InputError(f"extensions.{name[:80]}: is unknown, expected one of {known}")
-    found: type[ExtensionConfig] = named(EXTENSIONS[name])
-    return found
-
-
-def named(place: str) -> Any:
-    """Return what `module:name` stands for."""
-    module, _, attribute = place.partition(":")
-    return getattr(import_module(module), attribute)

@@ -9,8 +9,8 @@ from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from comparisons.config import JOBS, ExtensionConfig, Section, choices_of
-from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.config import JOBS, ExtensionConfig, Section, choices_of, config_class
+from comparisons.extensions.registry import EXTENSIONS
 from comparisons.options import Flag, Option
 
 _FIRST = (

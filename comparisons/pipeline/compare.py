@@ -24,11 +24,10 @@ from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spurious import SpuriousFinding
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
-from comparisons.config import RunConfig
+from comparisons.config import RunConfig, config_class
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension
-from comparisons.extensions.registry import config_class
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Gaps, Known, compute_gaps
 from comparisons.pipeline.prepare import (

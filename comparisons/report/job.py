@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 from pydantic import BaseModel
@@ -77,6 +77,5 @@ def report_of(found: object, read: Clock | None = None) -> Report[Any, Any]:
     place = REPORTS.get(type(found).__name__)
     if place is None:
         raise TypeError(f"a {type(found).__name__} has no report")
-    module, _, name = place.partition(":")
-    kind: type[Report[Any, Any]] = getattr(import_module(module), name)
+    kind: type[Report[Any, Any]] = resolve_name(place)
     return kind.of(found, read)

@@ -18,11 +18,12 @@ from comparisons.config import (
     OdometryConfig,
     RunConfig,
     SolveConfig,
+    config_class,
     full_path,
     json_schema,
 )
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.options import source, table
 from comparisons.options.table import of_job

@@ -17,9 +17,9 @@ from pydantic import BaseModel
 from comparisons.cli.app import COMMANDS, build, main
 from comparisons.cli.config import JobName, _kind
 from comparisons.cli.flags import Command, Given, from_flags
-from comparisons.config import JOBS, RunConfig
+from comparisons.config import JOBS, RunConfig, config_class
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.extensions.registry import EXTENSIONS
 from comparisons.options import RENAMED, renamed_words
 from comparisons.options.table import FLAGS, of_job
 from comparisons.report.destination import check_free

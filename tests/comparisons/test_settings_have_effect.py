@@ -32,6 +32,7 @@ from comparisons.config import (
     SmootherConfig,
     SolveConfig,
     choices_of,
+    config_class,
     setting,
 )
 from comparisons.errors import InputError
@@ -39,7 +40,7 @@ from comparisons.extensions.dense_maps import source as dense_source
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.fastslam import extension as fastslam
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline import odometry as front_end_job

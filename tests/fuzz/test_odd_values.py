@@ -25,8 +25,8 @@ from joblib.externals.loky import get_reusable_executor
 from pydantic import BaseModel
 
 from comparisons.atomic import is_unfinished
-from comparisons.config import JOBS
-from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.config import JOBS, config_class
+from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
