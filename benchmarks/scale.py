@@ -135,7 +135,7 @@ def measure(log: Path, out: Path, options: list[str]) -> list[Stage]:
 def run(arguments: list[str]) -> None:
     """Run the command here and print what each stage took, with all since the stage before it."""
     from comparisons.cli.app import main
-    from comparisons.pipeline.prepare import Clock
+    from comparisons.pipeline.clock import Clock
 
     began, stage = [0.0], Clock.stage
 

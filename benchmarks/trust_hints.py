@@ -41,7 +41,8 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.external_trace import TraceCheck, check_trace, trace_run
-from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.pipeline.prepare import prepare
+from comparisons.pipeline.prepared import Prepared
 from comparisons.trace.events import Event
 from comparisons.trace.reader import Trace
 from comparisons.trace.recorder import Recorder

@@ -18,7 +18,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.atomic import Kind, begins, write_whole
 from comparisons.checks.agreement import LandmarkAgreement
-from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.finding import (
     ConsistencyResult,
     ExternalConsistencyResult,
@@ -34,6 +33,7 @@ from comparisons.report.check import CheckResult
 from comparisons.report.models import Result, metrics
 from comparisons.settings import configure
 from comparisons.statistics import Nis, NormalisedFigures
+from comparisons.words import Cause
 
 Found = Result | CheckResult
 """What `slamcheck run` or `slamcheck check` found."""

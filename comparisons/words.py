@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
+
+from comparisons.figures import Aside
 
 GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
 """Causes that are gaps between the estimates; other causes explain one, or stand beside."""
@@ -26,6 +29,23 @@ class Row(NamedTuple):
     value: str
     band: str = ""
     inside: bool | None = None
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One reason for the verdict.
+
+    Attributes:
+        gap: gap or check that found it, a kind that checks.causes.EXPLANATIONS has.
+        evidence: what was found, with figures.
+        hint: where to look, or what to do.
+        alone: it holds whether the smoother's optimum is verified or not; no part of a result file.
+    """
+
+    gap: str
+    evidence: str
+    hint: str
+    alone: Aside[bool] = False
 
 
 def cause_name(key: str) -> str:

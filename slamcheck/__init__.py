@@ -239,8 +239,8 @@ def compare(
         graphslam.marginals.SingularProblemError: The smoother has no unique solution.
     """
     from comparisons.config import RunConfig
+    from comparisons.pipeline.clock import no_progress
     from comparisons.pipeline.compare import compare as run
-    from comparisons.pipeline.prepare import no_progress
 
     return run(_read(log), _configured(RunConfig, config, options), progress or no_progress)
 
@@ -276,7 +276,7 @@ def check(
     from comparisons.estimates.estimate import Estimate
     from comparisons.estimates.external import ExternalEstimate, read_external
     from comparisons.pipeline.check import check as check_external_estimate
-    from comparisons.pipeline.prepare import no_progress
+    from comparisons.pipeline.clock import no_progress
 
     settings = _configured(CheckConfig, config, options)
     if isinstance(estimate, Estimate):
@@ -345,7 +345,7 @@ def solve(
         graphslam.marginals.SingularProblemError: The smoother has no unique solution.
     """
     from comparisons.config import SolveConfig
-    from comparisons.pipeline.prepare import no_progress
+    from comparisons.pipeline.clock import no_progress
     from comparisons.pipeline.solve import solve as run
 
     return run(_read(log), _configured(SolveConfig, config, options), progress or no_progress)
@@ -374,8 +374,8 @@ def odometry(
         graphslam.scan.libraries.MissingLibraryError: KISS-ICP or Open3D is not installed.
     """
     from comparisons.config import OdometryConfig
+    from comparisons.pipeline.clock import no_progress
     from comparisons.pipeline.odometry import run_front_end
-    from comparisons.pipeline.prepare import no_progress
 
     settings = _configured(OdometryConfig, config, options)
     return run_front_end(_read(log), settings, progress or no_progress)
@@ -406,8 +406,8 @@ def dense_map(
     Source: Nieto 2005, chapters 4 and 6.2.
     """
     from comparisons.config import MapConfig
+    from comparisons.pipeline.clock import no_progress
     from comparisons.pipeline.dense_map import map_log
-    from comparisons.pipeline.prepare import no_progress
 
     if config is None:
         options.setdefault("layer", ["points", "occupancy"])

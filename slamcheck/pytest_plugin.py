@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from comparisons.baseline import Found
     from comparisons.config import CheckConfig, RunConfig
     from comparisons.logs.log import Log
-    from comparisons.pipeline.prepare import Progress
+    from comparisons.pipeline.clock import Progress
     from comparisons.pipeline.solve import Solution
     from comparisons.report.job import Report
 

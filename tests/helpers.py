@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkSource
 from comparisons.config import EkfConfig, RunConfig
-from comparisons.extensions.interface import Extension
 from comparisons.logs.log import NO_LANDMARK, Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
-from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.pipeline.prepare import prepare
+from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.models import Result
 from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_options
@@ -75,10 +75,8 @@ def written(found: Comparison, folder: Path, result: Result | None = None) -> Pa
     return folder
 
 
-class Source(Extension):
+class Source(Preparation):
     """Puts a source of measurements of pose landmarks beside the filter."""
-
-    name = "source"
 
     def __init__(self, make: Callable[[], PoseLandmarkSource]) -> None:
         self._make = make
@@ -88,7 +86,7 @@ class Source(Extension):
 
 
 def compared(
-    log: Log, *extensions: Extension, ekf: EkfConfig | None = None, **options: Any
+    log: Log, *extensions: Preparation, ekf: EkfConfig | None = None, **options: Any
 ) -> Comparison:
     """Run and compare, with extensions that no configuration names; options as of the command."""
     over = {} if ekf is None else {"ekf": ekf.model_dump(exclude_none=True)}

@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
-from comparisons.checks.check import Absent, Check, Of
+from comparisons.checks.check import Check
+from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.gaps import Known
+    from comparisons.pipeline.known import Known
 
 RPE_M = 10.0
 """Way between the two poses whose relative pose is judged, along the true path."""

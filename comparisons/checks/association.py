@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.checks.check import Absent, Check, Of
+from comparisons.checks.check import Check
+from comparisons.checks.finding import Absent, Of
 from comparisons.logs.log import Log
 from comparisons.words import Row
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.gaps import Known
+    from comparisons.pipeline.known import Known
 
 Ids = NDArray[np.int64]
 LandmarkIndices = NDArray[np.intp]

@@ -19,7 +19,7 @@ from comparisons.checks.agreement import (
     Gap,
 )
 from comparisons.checks.consistency.consistency import Consistency
-from comparisons.figures import Aside
+from comparisons.words import Cause
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:
@@ -271,23 +271,6 @@ EXPLANATIONS: dict[str, Explanation] = {
     ),
 }
 """What every kind of cause means, by the name it has in result.json; docs/verdicts.md has them."""
-
-
-@dataclass(frozen=True)
-class Cause:
-    """One reason for the verdict.
-
-    Attributes:
-        gap: gap or check that found it, a kind that EXPLANATIONS has.
-        evidence: what was found, with figures.
-        hint: where to look, or what to do.
-        alone: it holds whether the smoother's optimum is verified or not; no part of a result file.
-    """
-
-    gap: str
-    evidence: str
-    hint: str
-    alone: Aside[bool] = False
 
 
 def _apart(gap: Gap, allowed: Allowed) -> str:

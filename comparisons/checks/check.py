@@ -1,80 +1,16 @@
-"""What a check is: one question about a job, and what it finds, which every report renders.
+"""What a check is: one question about a job.
 
-A check reads what the job knows. It returns a `Finding`, or says why there is none. A report asks
-a finding for entries of the result file, rows, a line, pictures and sections, and knows no check
-by name.
+A check reads what the job knows. It returns a `Finding`, or says why there is none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING
 
-from comparisons.words import Row
+from comparisons.checks.finding import Absent, Finding
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from comparisons.checks.agreement import PlacedAgreement
-    from comparisons.checks.causes import Cause
-    from comparisons.estimates.estimate import Estimate
-    from comparisons.pipeline.gaps import Known
-    from comparisons.report.html.drawing import Drawing
-
-V = TypeVar("V")
-
-
-class Finding:
-    """What a check found. This one is empty; a check's own overrides what it needs."""
-
-    entries: Mapping[str, Any] = {}
-    """Entries of `result.json`, by key: dataclasses that describe every field that is kept."""
-    causes: Sequence[Cause] = ()
-    """Reasons to disagree. They count where the algebra and the models agree, and the smoother's
-    optimum was verified."""
-    remarks: Sequence[str] = ()
-    """Sentences that change no verdict."""
-    line: tuple[str, str] | None = None
-    """Its line of what the command prints: a name of at most 12 letters, and words."""
-    estimates: Mapping[str, Estimate] = {}
-    """Further estimates, by the folder that they are written to; the page draws each."""
-    titles: Mapping[str, str] = {}
-    """What the page calls them, where the folder's name does not say it."""
-
-    def rows(self) -> Sequence[Row]:
-        """Return rows of the table."""
-        return ()
-
-    def draw(self, axis: Axes) -> None:
-        """Draw on the map."""
-
-    def figures(self) -> Mapping[str, Figure]:
-        """Return pictures of its own, by file name without suffix."""
-        return {}
-
-    def layers(self, drawing: Drawing) -> None:
-        """Add layers to the page's map."""
-
-    def landmarks(self) -> Sequence[PlacedAgreement]:
-        """Return rows of the page's table of landmarks, of those that have a direction."""
-        return ()
-
-    def sections(self) -> Sequence[str]:
-        """Return sections of the page, as HTML."""
-        return ()
-
-
-class Of(Finding, Generic[V]):
-    """A finding of a value, which other checks and `Comparison` may read."""
-
-    value: V
-
-
-class Absent(NamedTuple):
-    """No finding. why: what the job lacks for it, as `the log has no truth`."""
-
-    why: str
+    from comparisons.pipeline.known import Known
 
 
 class Check:
@@ -93,7 +29,13 @@ class Check:
         """Return the answer, or why there is none; None where nothing was asked."""
         raise NotImplementedError
 
+    def ask(self, known: Known) -> None:
+        """Keep what is found among what the job knows, or why there is nothing.
 
-def value_of(findings: Mapping[str, Finding], kind: type[Of[V]]) -> V | None:
-    """Return the value of the first finding of a kind, None where there is none."""
-    return next((one.value for one in findings.values() if isinstance(one, kind)), None)
+        Raises InputError.
+        """
+        found = self.find(known)
+        if isinstance(found, Absent):
+            known.absent[self.name] = found.why
+        elif found is not None:
+            known.findings[self.name] = found

@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
-from comparisons.checks.causes import Cause
-from comparisons.checks.check import Absent, Check, Of
+from comparisons.checks.check import Check
+from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Poses
+from comparisons.words import Cause
 from ekf_reference.models.position import PositionFixes, PositionModel
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.gaps import Known
+    from comparisons.pipeline.known import Known
 
 
 @dataclass(frozen=True)

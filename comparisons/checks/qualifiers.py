@@ -16,18 +16,19 @@ from pydantic import computed_field
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding, exchanged_labels
 from comparisons.checks.association import AssociationFinding, AssociationScore
-from comparisons.checks.causes import Cause
-from comparisons.checks.check import Absent, Check, Of
+from comparisons.checks.check import Check
 from comparisons.checks.consistency.consistency import Consistency, inconsistencies
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.consistency.nees import TruthConsistency, limit
+from comparisons.checks.finding import Absent, Of
 from comparisons.checks.verdict import Verdict
 from comparisons.config import FailOn
 from comparisons.figures import Aside, Figure
 from comparisons.logs.log import LandmarkMeasurements
+from comparisons.words import Cause
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.gaps import Known
+    from comparisons.pipeline.known import Known
 
 TRUTH_GAP, UNCHECKED = "truth gap", "association unchecked"
 INCONSISTENT = "filter inconsistent"

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 from comparisons.audit.own_filter import run_events
 from comparisons.audit.spurious import HEADING, Learnt, learnt
-from comparisons.checks.check import Absent, Check, Of
+from comparisons.checks.check import Check
+from comparisons.checks.finding import Absent, Of
 from comparisons.figures import Model, finite
 from comparisons.words import Row
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.gaps import Known
+    from comparisons.pipeline.known import Known
 
 _NO_HEADING_DEG = 180.0
 """A heading that is known with a larger standard deviation is not known."""

@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from comparisons.checks.check import Absent, Check, Of
+from comparisons.checks.check import Check
+from comparisons.checks.finding import Absent, Of
 from comparisons.figures import Figure, finite
 from comparisons.statistics import WORDS
 from comparisons.words import Row
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.gaps import Known
+    from comparisons.pipeline.known import Known
     from graphslam.variance_components import Component
 
 _TESTABLE = 1.5

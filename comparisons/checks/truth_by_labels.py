@@ -24,7 +24,7 @@ from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.gaps import Known
+    from comparisons.pipeline.known import Known
 
 
 def with_labels(known: Known, gap: TruthGap) -> TruthGap:

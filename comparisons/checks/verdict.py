@@ -10,12 +10,12 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.audit.spurious import Learnt
 from comparisons.checks import causes as cause
 from comparisons.checks.agreement import EXACT, Agreement, Allowed, Gap
-from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.config import FailOn
 from comparisons.figures import rounded
 from comparisons.statistics import ROUNDING
+from comparisons.words import Cause
 from graphslam.optimum import ChiSquareTest, Optimality
 from graphslam.smoother import SmootherResult
 

@@ -15,7 +15,7 @@ from comparisons.options.table import of_job
 if TYPE_CHECKING:
     from comparisons.config import CheckConfig
     from comparisons.pipeline.check import ExternalCheck
-    from comparisons.pipeline.prepare import Progress
+    from comparisons.pipeline.clock import Progress
 
 _SHOWN = "--estimate --require --min-coverage --association --gps --robust --seed"
 

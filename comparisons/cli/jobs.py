@@ -15,7 +15,7 @@ from comparisons.errors import InputError
 if TYPE_CHECKING:
     from comparisons.config import JobConfig
     from comparisons.logs.log import Log
-    from comparisons.pipeline.prepare import Clock, Progress
+    from comparisons.pipeline.clock import Clock, Progress
 
 C = TypeVar("C", bound="JobConfig")
 

@@ -13,8 +13,8 @@ from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
     from comparisons.config import RunConfig
+    from comparisons.pipeline.clock import Progress
     from comparisons.pipeline.compare import Comparison
-    from comparisons.pipeline.prepare import Progress
 
 LiveOption = Annotated[
     bool,

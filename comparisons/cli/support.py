@@ -17,7 +17,7 @@ from comparisons.errors import InputError, printable
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from comparisons.pipeline.prepare import Progress
+    from comparisons.pipeline.clock import Progress
     from comparisons.report.terminal import Summary
 
 AGREE, DISAGREE, UNUSABLE, UNVERIFIED = 0, 1, 2, 3

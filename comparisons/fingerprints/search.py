@@ -9,7 +9,6 @@ from typing import get_args
 import numpy as np
 
 from comparisons.adapters.motion import CLOCK_S
-from comparisons.checks.causes import Cause
 from comparisons.checks.grade import Likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
@@ -21,10 +20,12 @@ from comparisons.fingerprints.trial import Fingerprint, Trial, Way
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Named, RelativePoses, own_integration
 from comparisons.pipeline.beside import Beside
+from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.estimate_motion import in_words
-from comparisons.pipeline.prepare import Prepared, Progress, no_progress
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import KINDS, ORDERS
 from comparisons.pipeline.size import counts
+from comparisons.words import Cause
 
 
 def fingerprints(

@@ -20,7 +20,7 @@ from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left,
 from comparisons.fingerprints.fit import Fit, nearest, selected, settled
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.clock import file_start
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import filter_named
 from ekf_reference.core.ekf import Ekf
 

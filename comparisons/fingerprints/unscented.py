@@ -14,7 +14,7 @@ from comparisons.checks.grade import Likeness, Reference
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.fingerprints.companion import EXPLAINED, Companion, remainder
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import filter_of
 
 NAME = "an unscented Kalman filter with the estimate's sigma points"

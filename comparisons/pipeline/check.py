@@ -14,7 +14,6 @@ from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess
 from comparisons.checks.agreement import Gap
-from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import ExternalConsistency, external_consistency
 from comparisons.checks.diagnosis.departure import Departure, departure_from
 from comparisons.checks.diagnosis.diagnosis import (
@@ -53,9 +52,9 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses
 from comparisons.logs.stamps import at_instants, rounded, since_origin
 from comparisons.logs.transforms.clock import file_start, timed_by_floats
+from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.estimate_motion import in_words, integrations_by_steps, integrations_of
 from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace, trace_run
-from comparisons.pipeline.prepare import Progress, no_progress
 from comparisons.pipeline.references import (
     APART,
     EKF,
@@ -70,6 +69,7 @@ from comparisons.pipeline.size import announce_time
 from comparisons.pipeline.solve import Solution, prepare_solve, solve
 from comparisons.shown import Brief, Shown, render
 from comparisons.statistics import ROUNDING
+from comparisons.words import Cause
 
 if TYPE_CHECKING:
     from pandas import DataFrame

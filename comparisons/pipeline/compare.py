@@ -15,11 +15,11 @@ from comparisons.audit.spurious import Learnt
 from comparisons.checks.accuracy import Accuracies, AccuracyFinding
 from comparisons.checks.agreement import Agreement
 from comparisons.checks.association import AssociationFinding, AssociationScore
-from comparisons.checks.causes import Cause, log_fault, log_number
-from comparisons.checks.check import Finding, value_of
+from comparisons.checks.causes import log_fault, log_number
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
+from comparisons.checks.finding import Finding, value_of
 from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spurious import SpuriousFinding
@@ -29,17 +29,14 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Log
-from comparisons.pipeline.gaps import Gaps, Known, compute_gaps
-from comparisons.pipeline.prepare import (
-    Prepared,
-    Progress,
-    Required,
-    check_memory,
-    no_progress,
-    prepare,
-)
+from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.gaps import Gaps, compute_gaps
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepare import Required, check_memory, prepare
+from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.pipeline.size import announce_time
 from comparisons.shown import Shown, render
+from comparisons.words import Cause
 from ekf_reference.core.ekf import Ekf
 from graphslam.optimum import ChiSquareTest
 from graphslam.smoother import SmootherOptions, SmootherResult
@@ -198,19 +195,20 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     with clock.stage("ekf"):
         run, setup = run_filter(prepared)
     second, unchecked = _second_association(prepared, run)
-    asked = prepared.extensions if second is None else (*prepared.extensions, second)
+    extensions = _extensions(prepared)
+    asked = extensions if second is None else (*extensions, second)
     with _started(asked, prepared, run) as started:
         gaps = compute_gaps(log, run, options, clock, progress)
         own = Known(prepared=prepared, setup=setup, ekf=run, gaps=gaps, started=started)
-        for one in prepared.extensions:
-            own.ask(one)
+        for one in extensions:
+            one.ask(own)
         if second is not None:
             unchecked = _ask(second, own)
     with clock.stage("checks"):
         progress("checks", 0, 0)
         known = replace(own, findings={}, absent={})
         for check in CHECKS:
-            known.ask(check)
+            check.ask(known)
         known.findings.update(own.findings)
         known.absent.update(own.absent)
         return _judged(known, unchecked)
@@ -278,7 +276,7 @@ def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Ext
     if prepared.labelled or reported or not len(log.measurements.time_s):
         return None, ""
     if name in prepared.config.extensions:
-        if any(one.asked for one in prepared.extensions if one.name == name):
+        if any(one.asked for one in _extensions(prepared) if one.name == name):
             return None, ""
         return None, "the association is unchecked, as --smoother-association ekf asks"
     pairs = len(run.landmark_index) * len(run.estimate.landmark)
@@ -294,16 +292,19 @@ def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Ext
 def _ask(second: Extension, known: Known) -> str:
     """Ask for an association that nobody named; return why it finds nothing."""
     try:
-        known.ask(second)
+        second.ask(known)
     except InputError as error:
         return f"the association is unchecked: {error}"
     return ""
 
 
-class Modified(Extension):
-    """Replaces parts of the filter before it starts, which is how defects are planted."""
+def _extensions(prepared: Prepared[Any]) -> tuple[Extension, ...]:
+    """Return those that find something, of all that take part."""
+    return tuple(one for one in prepared.extensions if isinstance(one, Extension))
 
-    name = "modified"
+
+class Modified(Preparation):
+    """Replaces parts of the filter before it starts, which is how defects are planted."""
 
     def __init__(self, modify: Callable[[Ekf], None]) -> None:
         """modify: given the filter at its prior."""

@@ -13,13 +13,9 @@ from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, grid_model
 from comparisons.logs.log import Log
-from comparisons.pipeline.prepare import (
-    Prepared,
-    Progress,
-    Required,
-    no_progress,
-    prepare,
-)
+from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.prepare import Required, prepare
+from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples

@@ -18,7 +18,7 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.fingerprints.companion import Companion, Left
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, Named, RelativePoses, own_integration
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import ORDERS, filter_named
 from ekf_reference.core.geometry import wrap_angle
 

@@ -50,8 +50,9 @@ from comparisons.estimates.trace_file import TraceFile
 from comparisons.innovations import InnovationFigures
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
+from comparisons.pipeline.clock import Clock, no_progress
 from comparisons.pipeline.gaps import Gaps, compute_gaps
-from comparisons.pipeline.prepare import Clock, Prepared, no_progress
+from comparisons.pipeline.prepared import Prepared
 from comparisons.trace.events import Snapshot
 from comparisons.trace.reader import Trace
 from ekf_reference.core.ekf import PoseReading

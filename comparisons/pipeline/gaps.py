@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.recorded import recorded_predictions
 from comparisons.adapters.smoother_input import (
     build_problem,
@@ -25,7 +24,6 @@ from comparisons.adapters.smoother_input import (
     solve_recorded,
 )
 from comparisons.adapters.timeline import Timeline
-from comparisons.arrays import Array
 from comparisons.checks.agreement import (
     Agreement,
     Allowed,
@@ -35,17 +33,15 @@ from comparisons.checks.agreement import (
     lost_of,
     rounding_of,
 )
-from comparisons.checks.check import Absent, Check, Finding, Of, value_of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.beside import Beside
-from comparisons.pipeline.prepare import Clock, Prepared
+from comparisons.pipeline.clock import Clock
 from comparisons.shown import Brief
 from comparisons.statistics import ROUNDING, covariance_gap, units
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import TraceArrays
 from graphslam.arrays import Marginal
-from graphslam.increments import dead_reckoned
 from graphslam.linear_problem import LinearProblem, LinearRelations
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult
@@ -318,37 +314,3 @@ def _finished(work: Beside[Frozen], clock: Clock) -> Frozen:
         found = work.result()
     clock.add_cpu("frozen", work.cpu_s)
     return found
-
-
-@dataclass(frozen=True, kw_only=True)
-class Known:
-    """What a run knows once both estimators have run, for its checks.
-
-    setup: what stood beside the filter, with what extensions offered. started: what extensions have
-    started beside the smoother, by name. findings: of the checks that came before, by name.
-    """
-
-    prepared: Prepared[Any]
-    setup: FilterSetup
-    ekf: EkfRun
-    gaps: Gaps
-    started: Mapping[str, Beside[Any]] = field(default_factory=dict)
-    findings: dict[str, Finding] = field(default_factory=dict)
-    absent: dict[str, str] = field(default_factory=dict)
-
-    @cached_property
-    def dead_reckoned(self) -> Array:
-        """(K, 3) poses where the odometry alone leads."""
-        return dead_reckoned(self.gaps.problem.prior_pose, self.gaps.problem.increment)
-
-    def ask(self, one: Check) -> None:
-        """Keep what a check finds, or why it finds nothing. Raises InputError."""
-        found = one.find(self)
-        if isinstance(found, Absent):
-            self.absent[one.name] = found.why
-        elif found is not None:
-            self.findings[one.name] = found
-
-    def value(self, kind: type[Of[V]]) -> V | None:
-        """Return the value of a finding of a kind, None where no check has it."""
-        return value_of(self.findings, kind)

@@ -23,7 +23,9 @@ from comparisons.logs.transforms.known_landmarks import (
     indices_by_label,
 )
 from comparisons.logs.transforms.scan_motion import divide, measurements_kept, with_scan_motion
-from comparisons.pipeline.prepare import Prepared, Progress, no_progress, prepare
+from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.prepare import prepare
+from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown
 from graphslam.increments import dead_reckoned
 from graphslam.scan.loop_closure import (

@@ -10,7 +10,7 @@ from comparisons.config import JobConfig, LogSection, check_unchanged, full_path
 from comparisons.logs.bundled import NAMED, SimulationChoices, open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
-from comparisons.pipeline.prepare import Clock
+from comparisons.pipeline.clock import Clock
 from graphslam.scan.libraries import require
 
 C = TypeVar("C", bound=JobConfig)

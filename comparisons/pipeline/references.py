@@ -30,7 +30,7 @@ from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.checks.grade import SMOOTHER, Reference
 from comparisons.config import SolveConfig
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.solve import Solution
 from ekf_reference.core.ekf import Ekf
 

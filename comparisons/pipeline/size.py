@@ -17,7 +17,7 @@ import numpy as np
 from comparisons.errors import InputError, note
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.prepare import Prepared
+    from comparisons.pipeline.prepared import Prepared
 
 GIB = 2.0**30
 BASE = 0.25 * GIB

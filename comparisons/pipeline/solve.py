@@ -26,14 +26,9 @@ from comparisons.figures import rounded
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import indices_by_label
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
-from comparisons.pipeline.prepare import (
-    Prepared,
-    Progress,
-    Required,
-    check_memory,
-    no_progress,
-    prepare,
-)
+from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.prepare import Required, check_memory, prepare
+from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown, render
 from graphslam.association_variants import variants
 from graphslam.increments import dead_reckoned

@@ -38,7 +38,7 @@ from comparisons.statistics import Averaged
 from comparisons.words import Row
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.prepare import Clock
+    from comparisons.pipeline.clock import Clock
 
 _STYLES: dict[Verdict, str] = {
     "sound": "agree",

@@ -12,8 +12,12 @@ import numpy as np
 
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, landmark_errors
-from comparisons.checks.agreement import BlockAgreement, LandmarkAgreement
-from comparisons.checks.causes import Cause
+from comparisons.checks.agreement import (
+    LARGEST_DISTANCE,
+    BlockAgreement,
+    LandmarkAgreement,
+    largest_distance,
+)
 from comparisons.checks.consistency.finding import (
     ExternalConsistencyResult,
     consistency_line,
@@ -23,11 +27,11 @@ from comparisons.checks.consistency.finding import (
     smoothed_rows,
 )
 from comparisons.checks.diagnosis.departure import Departure
-from comparisons.checks.grade import Likeness, match_map
+from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
 from comparisons.figures import Model, band, finite, in_sigma, shown
 from comparisons.pipeline.check import ExternalCheck
+from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.external_trace import TraceFigures
-from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.drawing import Drawing
@@ -42,7 +46,7 @@ from comparisons.report.html.map import (
 from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.job import Report
-from comparisons.report.ladder import check_ladder
+from comparisons.report.ladder import SMOOTHER, Step, gap_steps
 from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.models import JobResult, SmootherResult
 from comparisons.report.panels import external_panels, filters_compared
@@ -61,8 +65,10 @@ from comparisons.report.settings import (
     settings_rows,
 )
 from comparisons.report.terminal import STYLES, Summary
-from comparisons.words import Row
+from comparisons.words import Cause, Row
+from ekf_reference.core.landmark_types import POINT
 
+EXTERNAL = "external estimate"
 NOT_STATED = "not stated"
 """In place of what an estimate's poses know of the log."""
 
@@ -381,6 +387,58 @@ class CheckResult(JobResult):
     departure: Departure | None
     verdict: Literal["agree", "disagree", "unverified"]
     causes: list[Cause]
+
+
+def check_ladder(result: CheckResult) -> list[Step]:
+    """Return the gaps of an external estimate.
+
+    With a trace they are those of a run; a grade does not need the last one. Without a trace there
+    are two: from the estimate to the nearest reference, and to the smoother.
+    """
+    failed = {cause.gap for cause in result.causes}
+    if result.trace is not None:
+        verified = result.smoother.verified
+        *steps, last = gap_steps(result.trace, failed, verified=verified, first=EXTERNAL)
+        near = last.sigma is not None and last.sigma <= LARGEST_DISTANCE
+        return [*steps, replace(last, judged=last.judged and (near or last.fails))]
+    blocks = [*result.landmarks, *([] if result.last_pose is None else [result.last_pose])]
+    sigma = max((one.distance_sigma for one in blocks), default=None)
+    limit = largest_distance(len(result.landmarks), POINT.width)
+    near = sigma is None or sigma <= limit
+    to_smoother = Step(
+        gap="optimum",
+        above=EXTERNAL,
+        below=SMOOTHER,
+        sigma=sigma,
+        error_m=result.rms_m,
+        fails="optimum" in failed,
+        judged=result.smoother.verified and (near or result.grade == "plausible"),
+        limit=limit,
+    )
+    return [*_reference_steps(result), to_smoother]
+
+
+def _reference_steps(result: CheckResult) -> list[Step]:
+    """The estimate against the reference that it is nearest to, if that is not the smoother."""
+    nearest = result.nearest
+    if nearest is None or SMOOTHER in nearest.name:
+        return []
+    ratios = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
+    like = result.grade in ("equal", "like")
+    return [
+        Step(
+            gap="reference",
+            above=EXTERNAL,
+            below=nearest.name.removeprefix("the "),
+            sigma=nearest.largest_sigma,
+            covariance=max(
+                (abs(ratio - 1.0) for ratio in ratios if ratio is not None), default=None
+            ),
+            fails=not like and result.verdict == "disagree",
+            judged=like,
+            limit=LIKE_SIGMA,
+        )
+    ]
 
 
 class CheckReport(Report[ExternalCheck, CheckResult]):

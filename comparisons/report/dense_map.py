@@ -24,8 +24,8 @@ from comparisons.extensions.dense_maps.figure import (
     thinned,
 )
 from comparisons.figures import Model
+from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.dense_map import DenseMapping
-from comparisons.pipeline.prepare import Clock
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import estimate_map
 from comparisons.report.html.page import PageContent, write_page

@@ -14,7 +14,7 @@ from comparisons.report.folder import JobFolder, write_job_folder
 from comparisons.report.terminal import Summary
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.prepare import Clock
+    from comparisons.pipeline.clock import Clock
     from comparisons.report.html.page import PageContent
 
 F = TypeVar("F")

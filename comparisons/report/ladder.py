@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
     Agreement,
     GapFigures,
-    largest_distance,
 )
 from comparisons.checks.qualifiers import TruthGap
 from comparisons.figures import finite
 from comparisons.report.models import Result
-from ekf_reference.core.landmark_types import POINT
-
-if TYPE_CHECKING:
-    from comparisons.report.check import CheckResult
 
 EKF = "EKF"
-EXTERNAL = "external estimate"
 LINEAR = "linear problem, EKF's matrices"
 LINEAR_MODEL = "linear problem, smoother's factors"
 SMOOTHER = "smoother"
@@ -89,35 +82,6 @@ def ladder(result: Result) -> list[Step]:
         *_association_steps(result, failed),
         *truth_steps(result.truth_gap, failed),
     ]
-
-
-def check_ladder(result: CheckResult) -> list[Step]:
-    """Return the gaps of an external estimate.
-
-    With a trace they are those of a run; a grade does not need the last one. Without a trace there
-    are two: from the estimate to the nearest reference, and to the smoother.
-    """
-    failed = {cause.gap for cause in result.causes}
-    if result.trace is not None:
-        verified = result.smoother.verified
-        *steps, last = gap_steps(result.trace, failed, verified=verified, first=EXTERNAL)
-        near = last.sigma is not None and last.sigma <= LARGEST_DISTANCE
-        return [*steps, replace(last, judged=last.judged and (near or last.fails))]
-    blocks = [*result.landmarks, *([] if result.last_pose is None else [result.last_pose])]
-    sigma = max((one.distance_sigma for one in blocks), default=None)
-    limit = largest_distance(len(result.landmarks), POINT.width)
-    near = sigma is None or sigma <= limit
-    to_smoother = Step(
-        gap="optimum",
-        above=EXTERNAL,
-        below=SMOOTHER,
-        sigma=sigma,
-        error_m=result.rms_m,
-        fails="optimum" in failed,
-        judged=result.smoother.verified and (near or result.grade == "plausible"),
-        limit=limit,
-    )
-    return [*_reference_steps(result), to_smoother]
 
 
 def gap_steps(
@@ -209,30 +173,5 @@ def _association_steps(result: Result, failed: Collection[str]) -> list[Step]:
             fails="association" in failed,
             judged=entry["verified"],
             limit=LARGEST_DISTANCE,
-        )
-    ]
-
-
-def _reference_steps(result: CheckResult) -> list[Step]:
-    """The estimate against the reference that it is nearest to, if that is not the smoother."""
-    from comparisons.checks.grade import LIKE_SIGMA  # a run needs no grades
-
-    nearest = result.nearest
-    if nearest is None or SMOOTHER in nearest.name:
-        return []
-    ratios = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
-    like = result.grade in ("equal", "like")
-    return [
-        Step(
-            gap="reference",
-            above=EXTERNAL,
-            below=nearest.name.removeprefix("the "),
-            sigma=nearest.largest_sigma,
-            covariance=max(
-                (abs(ratio - 1.0) for ratio in ratios if ratio is not None), default=None
-            ),
-            fails=not like and result.verdict == "disagree",
-            judged=like,
-            limit=LIKE_SIGMA,
         )
     ]

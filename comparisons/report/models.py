@@ -10,12 +10,12 @@ from comparisons.checks.accuracy import Accuracies, Accuracy
 from comparisons.checks.agreement import Agreement
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import AssociationCheck
-from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.finding import ConsistencyResult
 from comparisons.checks.qualifiers import TruthGap
 from comparisons.checks.spurious import SpuriousHeadingResult
 from comparisons.figures import Model, stored
 from comparisons.report.settings import SettingsResult
+from comparisons.words import Cause
 
 
 class LogResult(Model):

@@ -23,8 +23,8 @@ from comparisons.extensions.scan_motion.result import (
 )
 from comparisons.figures import Model
 from comparisons.logs.transforms.scan_motion import measurements_kept
+from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.odometry import FrontEnd
-from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.style import (
     draw_aside,
     draw_cloud,

@@ -13,11 +13,11 @@ import numpy as np
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
 from comparisons.checks.agreement import BlockAgreement
-from comparisons.checks.check import value_of
+from comparisons.checks.finding import value_of
 from comparisons.checks.position_gate import PositionsFinding
 from comparisons.figures import stored
+from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.compare import Comparison
-from comparisons.pipeline.prepare import Clock
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.heat_map import heat_maps
 from comparisons.report.html.map import (

@@ -27,7 +27,7 @@ from graphslam import smoother
 
 if TYPE_CHECKING:
     from comparisons.checks.position_gate import RejectedFixes
-    from comparisons.pipeline.prepare import Prepared
+    from comparisons.pipeline.prepared import Prepared
 
 
 def about_job(

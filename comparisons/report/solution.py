@@ -12,7 +12,7 @@ from comparisons.checks.accuracy import accuracy_line, accuracy_rows
 from comparisons.checks.association import association_rows
 from comparisons.checks.verdict import misfit_remarks
 from comparisons.figures import rounded
-from comparisons.pipeline.prepare import Clock
+from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import JobFolder

@@ -11,7 +11,6 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.checks.agreement import BlockAgreement, LandmarkAgreement
-from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.config import JobConfig
@@ -23,10 +22,11 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import Solution
-from comparisons.report.check import CheckReport
+from comparisons.report.check import CheckReport, check_ladder
 from comparisons.report.destination import leaves
-from comparisons.report.ladder import check_ladder, ladder
+from comparisons.report.ladder import ladder
 from comparisons.report.run import RunReport
+from comparisons.words import Cause
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -15,8 +15,8 @@ from comparisons.errors import printable
 from comparisons.words import Row, cause_name
 
 if TYPE_CHECKING:
-    from comparisons.checks.causes import Cause
     from comparisons.report.ladder import Step
+    from comparisons.words import Cause
 
 WIDTH, MOST = 80, 5
 """Columns of what is printed, and how many causes, reasons and notes; the report has all."""

@@ -20,10 +20,10 @@ from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.pipeline.check import ExternalCheck, check
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.check import CheckReport
+from comparisons.report.check import EXTERNAL, CheckReport, check_ladder
 from comparisons.report.figures.run import map_figure
 from comparisons.report.html.page import page
-from comparisons.report.ladder import EXTERNAL, SMOOTHER, check_ladder
+from comparisons.report.ladder import SMOOTHER
 from comparisons.report.marks import Panel
 from comparisons.report.panels import external_panels
 from tests.comparisons.browser import came_up, look

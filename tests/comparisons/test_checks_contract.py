@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.checks.check import Absent, Check, Finding
+from comparisons.checks.check import Check
+from comparisons.checks.finding import Absent, Finding
 from comparisons.checks.registry import CHECKS
 from comparisons.figures import kept_fields, meanings
 from comparisons.logs.log import Log, Truth

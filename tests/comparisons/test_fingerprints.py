@@ -24,7 +24,7 @@ from comparisons.fingerprints.search import fingerprints
 from comparisons.fingerprints.trial import Fingerprint, stamp_rounding
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import check
-from comparisons.pipeline.prepare import no_progress
+from comparisons.pipeline.clock import no_progress
 from comparisons.pipeline.references import APART, EKF, KINDS, filter_named, variants
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf

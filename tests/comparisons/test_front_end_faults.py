@@ -25,7 +25,7 @@ from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Landmarks, Log, Positions, Truth
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import Modified
-from comparisons.pipeline.gaps import Known
+from comparisons.pipeline.known import Known
 from comparisons.pipeline.odometry import run_front_end
 from comparisons.pipeline.solve import solve
 from comparisons.report.odometry import FrontEndReport

@@ -29,7 +29,6 @@ from comparisons.adapters.reference_filter import run_reference
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.agreement import Band, Gap
-from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis.covariance_signatures import fit
 from comparisons.checks.external_agreement import _whole, compare_external
 from comparisons.checks.grade import (
@@ -54,6 +53,7 @@ from comparisons.pipeline.check import (
 )
 from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import Solution, solve
+from comparisons.words import Cause
 from ekf_reference.core.ekf import Ekf
 from tests.commands import slamcheck
 from tests.helpers import present

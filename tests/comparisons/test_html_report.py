@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.checks.causes import EXPLANATIONS, Cause
-from comparisons.checks.check import Finding
+from comparisons.checks.causes import EXPLANATIONS
 from comparisons.checks.consistency.finding import ConsistencyFinding
+from comparisons.checks.finding import Finding
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.html import map as map_page
@@ -29,7 +29,7 @@ from comparisons.report.models import Result
 from comparisons.report.panels import consistency_panels
 from comparisons.report.run import RunReport, run_rows
 from comparisons.report.settings import SettingLine, setting_lines, settings_result
-from comparisons.words import SETTINGS, Row
+from comparisons.words import SETTINGS, Cause, Row
 from tests.helpers import altered, compared, present, simulated, written
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.checks.causes import Cause
 from comparisons.report.run import RunReport
+from comparisons.words import Cause
 from tests.comparisons.browser import noted
 from tests.helpers import compared, simulated, written
 

@@ -7,24 +7,23 @@ from dataclasses import replace
 
 import pytest
 
-from comparisons.checks.causes import Cause
 from comparisons.pipeline.compare import Comparison
+from comparisons.report.check import EXTERNAL, check_ladder
 from comparisons.report.html.ladder import ladder_picture
 from comparisons.report.ladder import (
     EKF,
-    EXTERNAL,
     LINEAR,
     LINEAR_MODEL,
     OWN_ASSOCIATION,
     SMOOTHER,
     TRUTH,
     Step,
-    check_ladder,
     gap_steps,
     ladder,
 )
 from comparisons.report.models import Result
 from comparisons.report.run import RunReport
+from comparisons.words import Cause
 from tests.helpers import compared, present, simulated
 
 

@@ -24,7 +24,6 @@ from benchmarks.strangers import (
     read_log,
     simulate,
 )
-from comparisons.checks.causes import Cause
 from comparisons.checks.grade import likeness
 from comparisons.estimates.external import read_external
 from comparisons.faults.fault import Method
@@ -35,6 +34,7 @@ from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import ExternalCheck
 from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import solve
+from comparisons.words import Cause
 from tests.comparisons.test_stamps import of_speeds_and_yaw_rates
 from tests.helpers import present
 

@@ -17,8 +17,8 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.compare import Comparison
-from comparisons.pipeline.prepare import Clock
 from comparisons.report.destination import check_free, default_folder
 from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import write_job_folder

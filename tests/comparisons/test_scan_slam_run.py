@@ -17,7 +17,6 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.extensions.scan_landmarks.figure import template_points
@@ -35,7 +34,8 @@ from comparisons.extensions.scan_landmarks.source import (
 from comparisons.figures import stored
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison, Modified, run_filter
-from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.pipeline.prepare import prepare
+from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_config, run_options
 from ekf_reference.association.dynamic_rejection import DynamicGuard
@@ -68,7 +68,7 @@ def drawn() -> Comparison:
     return compared(log(), landmarks="scans")
 
 
-def driven(log: Log, *extensions: Extension) -> tuple[EkfRun, ScanLandmarks]:
+def driven(log: Log, *extensions: Preparation) -> tuple[EkfRun, ScanLandmarks]:
     """The filter's run on scan landmarks, and what it saw of them."""
     config = run_config(landmarks="scans")
     run, setup = run_filter(prepare(log, config, also=extensions))
@@ -219,10 +219,8 @@ def test_scans_that_hold_nothing_or_one_return_begin_nothing_and_the_run_goes_on
     assert min(len(t.shape) for t in found[True].template.values()) >= 15
 
 
-class Guarded(Extension):
+class Guarded(Preparation):
     """Puts a guard beside the filter."""
-
-    name = "guarded"
 
     def __init__(self, guard: DynamicGuard) -> None:
         self._guard = guard

@@ -17,8 +17,10 @@ from comparisons.logs.log import Log
 from comparisons.pipeline import prepare as prepare_module
 from comparisons.pipeline import size
 from comparisons.pipeline.check import check
+from comparisons.pipeline.clock import Progress
 from comparisons.pipeline.compare import REQUIRED, compare_prepared, run_filter
-from comparisons.pipeline.prepare import Prepared, Progress, prepare
+from comparisons.pipeline.prepare import prepare
+from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.size import GIB, announce_time, check_size, needed, seconds
 from comparisons.pipeline.solve import Solution, solve
 from tests.helpers import present, simulated

@@ -12,7 +12,6 @@ import pytest
 from rich.console import Console
 
 from comparisons.checks.accuracy import accuracy_line
-from comparisons.checks.causes import Cause
 from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.pipeline.check import check
@@ -32,7 +31,7 @@ from comparisons.report.terminal import (
     print_summary,
     table,
 )
-from comparisons.words import Row
+from comparisons.words import Cause, Row
 from tests.commands import Done, slamcheck
 from tests.helpers import compared, first_seconds, simulated
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from comparisons.checks.check import Check, Of
+from comparisons.checks.check import Check
 from comparisons.checks.consistency.consistency import (
     Consistency,
     ExternalConsistency,
@@ -15,13 +15,14 @@ from comparisons.checks.consistency.consistency import (
 )
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmootherFigures
 from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.checks.finding import Of
 from comparisons.figures import Model, band
 from comparisons.innovations import InnovationFigures
 from comparisons.statistics import BlockDeparture, Normalised, NormalisedFigures
 from comparisons.words import Row
 
 if TYPE_CHECKING:
-    from comparisons.pipeline.gaps import Known
+    from comparisons.pipeline.known import Known
 
 _NEES_BANDS = "95 % bands; the verdict: pose and landmarks at 99.9 %"
 _NIS_BANDS = "95 % bands; the verdict: NIS alone, at 99.9 %"

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.checks.causes import Cause
 from comparisons.statistics import f_quantile
+from comparisons.words import Cause
 
 Complex = NDArray[np.complex128]
 Fit = Callable[[Complex, Complex], tuple[complex, complex, str]]

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import at_others
-from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis import covariance_signatures as signatures
 from comparisons.checks.diagnosis.diagnosis import Diagnosis, Moved, Paths, diagnose, rms
 from comparisons.checks.grade import (
@@ -26,6 +25,7 @@ from comparisons.checks.grade import (
 )
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.stamps import at_instants
+from comparisons.words import Cause
 
 _MAP_HINT = "supply the whole map, with the ids of the log's measurements"
 _AT_M = 0.5

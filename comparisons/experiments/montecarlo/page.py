@@ -13,6 +13,7 @@ from comparisons.experiments.montecarlo.statistics import DOF, ERRORS, LEVEL, Pa
 from comparisons.report.html.curves import data_block, panel_data
 from comparisons.report.html.shell import again, document, number, script, sortable, table
 from comparisons.report.marks import TIME, Band, Curve, Panel
+from comparisons.report.notebook import framed
 
 if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.study import Outcome
@@ -25,6 +26,11 @@ _WHAT = {
     "heading_rmse": "heading RMSE [rad]",
     "landmarks_rmse": "landmark RMSE [m]",
 }
+
+
+def framed_page(outcome: Outcome) -> str:
+    """Return the page as a notebook shows it."""
+    return framed(study_page(outcome, [], stored=False))
 
 
 def study_page(outcome: Outcome, remarks: list[str], *, stored: bool = True) -> str:

@@ -7,7 +7,8 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,10 +116,8 @@ class Outcome:
         return f"<MonteCarlo of {self.study.name}: {runs}, filters {', '.join(self.figures)}>"
 
     def _repr_html_(self) -> str:
-        from comparisons.experiments.montecarlo.page import study_page
-        from comparisons.report.notebook import framed
-
-        return framed(study_page(self, [], stored=False))
+        shown: str = resolve_name("comparisons.experiments.montecarlo.page:framed_page")(self)
+        return shown
 
     def to_pandas(self, table: Literal["filters", "pairs", "nees"] = "filters") -> DataFrame:
         """Return a table as a pandas data frame.
@@ -134,10 +133,8 @@ class Outcome:
         Raises:
             InputError: pandas is not installed, or there is no such table.
         """
-        from comparisons.experiments.montecarlo.tables import study_tables
-        from comparisons.report.tables import data_frame
-
-        return data_frame(study_tables(self), table)
+        frame = resolve_name("comparisons.experiments.montecarlo.tables:study_frame")
+        return cast("DataFrame", frame(self, table))
 
     @property
     def final_map(self) -> bool:

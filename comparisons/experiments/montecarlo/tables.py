@@ -6,19 +6,22 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from comparisons.experiments.montecarlo.statistics import ERRORS
-from comparisons.report.tables import Columns, Tables
+from comparisons.report.tables import Columns, Tables, data_frame
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from comparisons.experiments.montecarlo.study import Outcome
 
 
-def study_tables(outcome: Outcome) -> Tables:
-    """Return what `Outcome.to_pandas` offers."""
-    return {
+def study_frame(outcome: Outcome, table: str) -> DataFrame:
+    """Return what `Outcome.to_pandas` does. Raises InputError."""
+    tables: Tables = {
         "filters": lambda: _filters(outcome),
         "pairs": lambda: [asdict(pair) for pair in outcome.pairs],
         "nees": lambda: _nees(outcome),
     }
+    return data_frame(tables, table)
 
 
 def _filters(outcome: Outcome) -> Columns:

@@ -36,7 +36,6 @@ from comparisons.experiments.reproduction.interface import (
 )
 from comparisons.experiments.reproduction.measures import SHARE_WITHIN_3_SIGMA, within_3_sigma
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
-from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
@@ -44,7 +43,8 @@ from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
 from comparisons.pipeline.compare import run_filter
-from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.pipeline.prepare import prepare
+from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import rotation
@@ -190,10 +190,8 @@ class _Remembering:
             self.covariance = before
 
 
-class _Remember(Extension):
+class _Remember(Preparation):
     """Lets the source of scan landmarks, which comes before it, remember."""
-
-    name = "remember"
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         """Take the source's place."""
@@ -231,7 +229,7 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         raise InputError(f"{log.name}: true poses and surfaces are needed")
     config = RunConfig(extensions={"scan_landmarks": settings or OURS})
     prepared = prepare(log, config)
-    watched = replace(prepared, extensions=(*prepared.extensions, _Remember(None, config)))
+    watched = replace(prepared, extensions=(*prepared.extensions, _Remember()))
     run, setup = run_filter(watched)
     source = setup.find(_Remembering)
     if source is None or source.slam.closing is None or run.breakdown is not None:

@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from comparisons.adapters.motion import poses_at
 from comparisons.arrays import Array
-from comparisons.checks.causes import Cause
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.accuracy import (
     OCCUPIED,
@@ -25,7 +24,7 @@ from comparisons.extensions.dense_maps.accuracy import (
 from comparisons.extensions.dense_maps.source import DenseRun, grid_model
 from comparisons.figures import Aside
 from comparisons.logs.log import Log
-from comparisons.words import Row
+from comparisons.words import Cause, Row
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap

@@ -14,7 +14,7 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.arrays import Array
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.check import DenseAgreement, compare_dense, dense_cause
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
@@ -22,8 +22,8 @@ from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
 from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import Drawing
 from comparisons.words import Row
 from ekf_reference.core.landmark_types import POINT

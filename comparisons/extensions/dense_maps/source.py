@@ -17,7 +17,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.prepare import Clock
+from comparisons.pipeline.clock import Clock
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, flip_margin

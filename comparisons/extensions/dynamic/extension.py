@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.dynamic.config import DynamicConfig
 from comparisons.extensions.interface import Extension
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from ekf_reference.dense.dynamic import Differencing, places
 
 

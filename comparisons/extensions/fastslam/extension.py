@@ -10,7 +10,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -26,8 +26,8 @@ from comparisons.extensions.fastslam.drive import (
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
 from comparisons.extensions.interface import Extension
 from comparisons.logs.transforms.known_landmarks import surveyed
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT

@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.config import Configured
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
@@ -20,8 +20,8 @@ from comparisons.extensions.high_level.source import (
     HighLevelSource,
 )
 from comparisons.extensions.interface import Extension
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import Drawing
 from comparisons.words import Row
 

@@ -22,8 +22,7 @@ from comparisons.checks.association import (
     differing_measurements,
     score_association,
 )
-from comparisons.checks.causes import Cause
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.checks.misfit import squared_misfit
 from comparisons.config import Configured
 from comparisons.errors import InputError
@@ -33,12 +32,12 @@ from comparisons.extensions.own_association.config import OwnAssociationConfig
 from comparisons.figures import Aside, in_sigma
 from comparisons.logs.log import LandmarkMeasurements
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines
 from comparisons.report.html.shell import number, sortable
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.words import Row
+from comparisons.words import Cause, Row
 from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from graphslam.optimum import Optimality
 from graphslam.problem import PoseLandmarkMeasurements

@@ -15,10 +15,10 @@ from scipy.stats import chi2, f
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, aligned
 from comparisons.checks.agreement import Gaussian, block_agreement
-from comparisons.checks.causes import Cause
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside, Figure
+from comparisons.words import Cause
 from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Optimality

@@ -14,7 +14,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.scan_source import CloudsAt, ScanSource
 from comparisons.adapters.smoother_input import build_problem, smoothed_estimate
 from comparisons.checks.accuracy import accuracy_rows, assess
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.extensions.interface import Extension
 from comparisons.extensions.own_matching.check import (
     OwnMatchingCheck,
@@ -26,7 +26,7 @@ from comparisons.figures import in_sigma
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.stamps import resolved
-from comparisons.pipeline.gaps import Known
+from comparisons.pipeline.known import Known
 from comparisons.report.html.shell import number, sortable
 from comparisons.words import Row
 from ekf_reference.scan_landmarks.templates import Template as FiltersTemplate

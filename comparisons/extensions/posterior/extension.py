@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Index
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.interface import Extension
 from comparisons.extensions.posterior.config import PosteriorConfig
 from comparisons.figures import Aside, finite
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row
 from graphslam.chain_diagnostics import Estimated
 from graphslam.sampling import (

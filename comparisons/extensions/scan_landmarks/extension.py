@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.extensions.interface import Extension
@@ -27,8 +27,8 @@ from comparisons.extensions.scan_landmarks.source import (
     ScanSlamSource,
     scan_slam_options,
 )
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import Drawing
 from comparisons.words import Row
 from ekf_reference.scan_landmarks.merging import FusingOptions

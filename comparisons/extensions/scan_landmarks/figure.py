@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
-from comparisons.pipeline.gaps import Known
+from comparisons.pipeline.known import Known
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks

@@ -14,7 +14,7 @@ from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.checks.map_agreement import compare_maps
 from comparisons.config import Configured
 from comparisons.errors import InputError
@@ -37,8 +37,8 @@ from comparisons.extensions.scan_motion.three_way import (
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
 from comparisons.logs.transforms.scan_motion import BEYOND, measurements_kept, with_scan_motion
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row
 from graphslam.scan.loop_closure import LoopCloser, loop_closer
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from comparisons.checks.accuracy import Accuracy
-from comparisons.checks.causes import Cause
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside
+from comparisons.words import Cause
 from graphslam.optimum import Optimality, chi_square_test
 from graphslam.smoother import SmootherResult
 

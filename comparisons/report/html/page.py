@@ -19,11 +19,11 @@ from comparisons.report.terminal import Summary
 from comparisons.words import SETTINGS, SPENT, Row, cause_name
 
 if TYPE_CHECKING:
-    from comparisons.checks.causes import Cause
     from comparisons.report.html.map import MapContent
     from comparisons.report.html.tables import LandmarkRow
     from comparisons.report.ladder import Step
     from comparisons.report.settings import SettingLine
+    from comparisons.words import Cause
 
 _ROW = "; click a landmark to find its row"
 _TIME = "Point at a time to see it on all curves and on the map. "

@@ -13,12 +13,12 @@ from pydantic import BaseModel
 
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
-from comparisons.checks.check import Finding
+from comparisons.checks.finding import Finding
 from comparisons.errors import InputError
 from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Poses
-from comparisons.pipeline.gaps import Known
-from comparisons.pipeline.prepare import Prepared
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.prepared import Prepared
 from comparisons.report.picture import blank
 from comparisons.words import Row
 from ekf_reference.core.ekf import NEW, Ekf
