@@ -77,9 +77,9 @@ types: $(VENV)/installed-dev
 
 # The documents' constants beside those that runs use.
 settings: $(VENV)/installed
-	$(BIN)/python -m comparisons.documented.page > docs/settings.md
-	$(BIN)/python -m comparisons.options.source > table.py~ && mv table.py~ comparisons/options/table.py
-	$(BIN)/python -m comparisons.options.typed > typed.py~ && mv typed.py~ slamcheck/_options.py
+	$(BIN)/python -m tools.settings_page > docs/settings.md
+	$(BIN)/python -m tools.options_table > table.py~ && mv table.py~ comparisons/options/table.py
+	$(BIN)/python -m tools.options_types > typed.py~ && mv typed.py~ slamcheck/_options.py
 
 # The pages, in build/docs; a dead link is an error.
 docs: $(VENV)/installed-dev

@@ -12,7 +12,7 @@ from scipy import stats
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.innovations import SensorInnovations
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.statistics import Normalised, Whiteness, mean_band
 from graphslam.optimum import ChiSquareTest
 

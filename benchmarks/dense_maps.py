@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 from comparisons.checks.accuracy import match_by_distance, rigid_motion
 from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
+from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, dense_slam, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
-from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.layers.layer import Samples
 
 Array = NDArray[np.float64]

@@ -38,11 +38,11 @@ from comparisons.extensions.fastslam.check import CloudCheck, check_clouds
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
 from comparisons.extensions.fastslam.stretches import StretchComparison
+from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers import victoria_park
-from comparisons.pipeline.compare import Comparison, compare
 from ekf_reference.core.trace import Trace
 
 DATA = ROOT.parent / "shared" / "data" / "victoria_park"

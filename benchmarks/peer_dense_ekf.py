@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.timing import ROOT, MissingError, Pair, here
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import run_filter_loop
+from comparisons.adapters.time_window import cut_log
 from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory
@@ -26,7 +27,6 @@ from comparisons.config import EkfConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers import victoria_park
-from comparisons.logs.transforms.time_window import cut_log
 from ekf_reference.core.trace import Trace
 
 DATA = ROOT.parent / "shared" / "data" / "victoria_park"

@@ -22,9 +22,9 @@ from scipy.special import gammaincinv
 from benchmarks.timing import timed
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.config import RunConfig
+from comparisons.jobs.run import run_filter
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
 from graphslam.increments import dead_reckoned
 from graphslam.sampling import (

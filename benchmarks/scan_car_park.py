@@ -18,14 +18,14 @@ from joblib import Parallel, delayed
 
 from benchmarks.scan_rounding import perturbed
 from benchmarks.timing import timed
+from comparisons.adapters.time_window import cut_log
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned, rigid_motion
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.jobs.run import compare
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.logs.transforms.time_window import cut_log
-from comparisons.pipeline.compare import compare
 from comparisons.settings import run_config
 
 BEACON_M = 1.5

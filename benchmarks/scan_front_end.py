@@ -26,10 +26,10 @@ from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.adapters.scan_source import ScanSource
 from comparisons.extensions.scan_motion.increments import check_increments, normalised_errors
+from comparisons.extensions.scan_motion.job import run_front_end
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.readers import read_log
-from comparisons.pipeline.odometry import run_front_end
 from graphslam.scan import planar
 from graphslam.scan.libraries import kiss_icp
 from graphslam.scan.odometry import ScanOdometry

@@ -12,9 +12,9 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.jobs.run import compare
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Odometry, RelativePoses, SteeringOdometry
-from comparisons.pipeline.compare import compare
 from comparisons.settings import run_config
 from ekf_reference.scan_landmarks.segmentation import Quality, quality
 from ekf_reference.scan_landmarks.templates import Observation, observe

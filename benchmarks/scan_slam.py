@@ -28,12 +28,12 @@ from comparisons.extensions.dense_maps.accuracy import error_of_points
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.extensions.scan_landmarks.figure import template_points
 from comparisons.extensions.scan_landmarks.source import LogScans
+from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_drive import ScanExperiment, scan_slam, simulate
 from comparisons.logs.simulate.scanners import Planar
-from comparisons.pipeline.compare import Comparison, compare
 from comparisons.settings import run_config
 from comparisons.statistics import chi2_quantile
 from ekf_reference.scan_matching.alignment_covariance import scan_align

@@ -8,10 +8,10 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
+from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.log import Log, Positions, Truth
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.compare import Comparison, compare
 
 SCALE = 0.01
 """Of the documents' noise: sigmas of 1.5 mm and 0.01 degree, where nothing is curved."""

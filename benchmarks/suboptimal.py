@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from benchmarks.scale import simulate
 from benchmarks.timing import timed
 from comparisons.config import EkfConfig, RunConfig
+from comparisons.jobs.run import run_filter
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
 from ekf_reference.core import machine
 from ekf_reference.core.geometry import Index

@@ -24,10 +24,10 @@ from comparisons.checks import association_variants
 from comparisons.checks.qualifiers import TRUTH_GAP, UNCHECKED
 from comparisons.config import SmootherConfig, SolveConfig
 from comparisons.errors import InputError
+from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log, Truth
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.compare import Comparison, compare
 from comparisons.pipeline.solve import solve
 from comparisons.settings import run_config
 from graphslam.marginals import SingularProblemError

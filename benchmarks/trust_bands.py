@@ -30,10 +30,10 @@ from benchmarks.trust_row import Row, print_table
 from comparisons.config import EkfConfig, Filter, RunConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.faults.fault import with_state
+from comparisons.jobs.run import Modified, compare, compare_prepared
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.compare import Modified, compare, compare_prepared
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.solve import solve
 from ekf_reference.core.geometry import Array, Index

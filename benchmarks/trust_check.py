@@ -45,9 +45,9 @@ from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_tr
 from comparisons.faults.algebra import other_gain
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.fault import Done, after
+from comparisons.jobs.check import ExternalCheck, check_external
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.check import ExternalCheck, check_external
 from comparisons.pipeline.solve import Solution, solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index

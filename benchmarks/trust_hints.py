@@ -36,11 +36,11 @@ from comparisons.checks.causes import ALGEBRA_HINT, FITTED, MODEL_HINT
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import read_external
 from comparisons.estimates.trace_file import TRACE
+from comparisons.jobs.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.pipeline.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.trace.events import Event

@@ -28,8 +28,8 @@ from benchmarks.log_doctor import sound, travelled
 from benchmarks.trust_row import Row, print_table
 from comparisons.audit.audit import audit
 from comparisons.checks.verdict import misfit_remarks
+from comparisons.jobs.run import compare
 from comparisons.logs.bundled import open_log
-from comparisons.pipeline.compare import compare
 from comparisons.pipeline.solve import solve
 from graphslam.scan import planar
 

@@ -24,7 +24,7 @@ from pydantic import (
 
 from comparisons.documented.row import PRESETS, Preset
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.options import ESTIMATORS, FRONT_END, GRADE, JOB, Option, Where, renamed_settings
 
 Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from comparisons.config import RunConfig, Section, setting_default, shown
 from comparisons.errors import InputError, note
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.table import parse_toml, read_toml
 from comparisons.options import RENAMED, Flag, below, merge, renamed_settings
 from comparisons.options.table import FLAGS, of_job

@@ -32,6 +32,7 @@ from comparisons.config import JOBS, Configured, config_class
 from comparisons.experiments.montecarlo.folder import MonteCarloResult
 from comparisons.experiments.reproduction.interface import ReproductionResult
 from comparisons.extensions.dense_maps.check import DenseAgreement
+from comparisons.extensions.dense_maps.report import MapResult
 from comparisons.extensions.fastslam.extension import FastSlamResult
 from comparisons.extensions.high_level.source import HighLevelRun
 from comparisons.extensions.own_association.extension import OwnAssociationCheck
@@ -39,14 +40,13 @@ from comparisons.extensions.own_matching.check import OwnMatchingCheck
 from comparisons.extensions.posterior.extension import PosteriorCheck
 from comparisons.extensions.scan_landmarks.result import ScanSlamResult
 from comparisons.extensions.scan_motion.increments import IncrementCheck
+from comparisons.extensions.scan_motion.report import FrontEndResult
 from comparisons.extensions.scan_motion.result import ScanOdometryResult
 from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.figures import kept_fields, meanings
 from comparisons.options.table import FLAGS
 from comparisons.report.check import CheckResult
-from comparisons.report.dense_map import MapResult
 from comparisons.report.models import Result, SolutionResult
-from comparisons.report.odometry import FrontEndResult
 
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")

@@ -18,10 +18,10 @@ from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
+from comparisons.jobs.check import ExternalCheck, check
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.pipeline.check import ExternalCheck, check
 from ekf_reference.models.motion import AckermannModel
 from slamcheck import Recorder
 

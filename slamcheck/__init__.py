@@ -48,12 +48,12 @@ if TYPE_CHECKING:
     from comparisons.estimates.folder import write_estimate as write_estimate
     from comparisons.experiments.montecarlo.study import Outcome as MonteCarlo
     from comparisons.experiments.montecarlo.study import montecarlo as montecarlo
+    from comparisons.extensions.dense_maps.job import DenseMapping as DenseMapping
+    from comparisons.extensions.scan_motion.job import FrontEnd as FrontEnd
+    from comparisons.jobs.check import ExternalCheck as ExternalCheck
+    from comparisons.jobs.run import Comparison as Comparison
     from comparisons.logs.log import Log as Log
     from comparisons.logs.log_folder import write_log_folder as write_log
-    from comparisons.pipeline.check import ExternalCheck as ExternalCheck
-    from comparisons.pipeline.compare import Comparison as Comparison
-    from comparisons.pipeline.dense_map import DenseMapping as DenseMapping
-    from comparisons.pipeline.odometry import FrontEnd as FrontEnd
     from comparisons.pipeline.solve import Solution as Solution
     from comparisons.report.figures.plots import plot_errors as plot_errors
     from comparisons.report.figures.plots import plot_ladder as plot_ladder
@@ -80,15 +80,15 @@ if TYPE_CHECKING:
 _PLACES = {
     "Audit": "comparisons.audit.audit",
     "CheckConfig": "comparisons.config",
-    "Comparison": "comparisons.pipeline.compare",
+    "Comparison": "comparisons.jobs.run",
     "CompressedEkf": "ekf_reference.filters.compressed",
-    "DenseMapping": "comparisons.pipeline.dense_map",
+    "DenseMapping": "comparisons.extensions.dense_maps.job",
     "DirectionCosineEkf": "ekf_reference.filters.misono",
     "Ekf": "ekf_reference.core.ekf",
     "Estimate": "comparisons.estimates.estimate",
     "EstimateComparison": "comparisons.checks.pair_of_estimates",
-    "FrontEnd": "comparisons.pipeline.odometry",
-    "ExternalCheck": "comparisons.pipeline.check",
+    "FrontEnd": "comparisons.extensions.scan_motion.job",
+    "ExternalCheck": "comparisons.jobs.check",
     "ExternalEstimate": "comparisons.estimates.external",
     "InputError": "comparisons.errors",
     "Log": "comparisons.logs.log",
@@ -239,8 +239,8 @@ def compare(
         graphslam.marginals.SingularProblemError: The smoother has no unique solution.
     """
     from comparisons.config import RunConfig
+    from comparisons.jobs.run import compare as run
     from comparisons.pipeline.clock import no_progress
-    from comparisons.pipeline.compare import compare as run
 
     return run(_read(log), _configured(RunConfig, config, options), progress or no_progress)
 
@@ -275,7 +275,7 @@ def check(
     from comparisons.config import CheckConfig
     from comparisons.estimates.estimate import Estimate
     from comparisons.estimates.external import ExternalEstimate, read_external
-    from comparisons.pipeline.check import check as check_external_estimate
+    from comparisons.jobs.check import check as check_external_estimate
     from comparisons.pipeline.clock import no_progress
 
     settings = _configured(CheckConfig, config, options)
@@ -374,8 +374,8 @@ def odometry(
         graphslam.scan.libraries.MissingLibraryError: KISS-ICP or Open3D is not installed.
     """
     from comparisons.config import OdometryConfig
+    from comparisons.extensions.scan_motion.job import run_front_end
     from comparisons.pipeline.clock import no_progress
-    from comparisons.pipeline.odometry import run_front_end
 
     settings = _configured(OdometryConfig, config, options)
     return run_front_end(_read(log), settings, progress or no_progress)
@@ -406,8 +406,8 @@ def dense_map(
     Source: Nieto 2005, chapters 4 and 6.2.
     """
     from comparisons.config import MapConfig
+    from comparisons.extensions.dense_maps.job import map_log
     from comparisons.pipeline.clock import no_progress
-    from comparisons.pipeline.dense_map import map_log
 
     if config is None:
         options.setdefault("layer", ["points", "occupancy"])

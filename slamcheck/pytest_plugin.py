@@ -274,13 +274,13 @@ def _judge(
     checked: object
     if isinstance(config, CheckConfig):
         from comparisons.estimates.external import read_external
-        from comparisons.pipeline.check import check
+        from comparisons.jobs.check import check
 
         title += f", estimate {config.estimate}"
         given = read_external(Path(config.estimate), config.times, config.trace)
         checked = check(log, given, config, solver=partial(_solved, kept))
     else:
-        from comparisons.pipeline.compare import compare
+        from comparisons.jobs.run import compare
 
         checked = _once(kept, log, config, lambda: compare(log, config))
     from comparisons.report.job import report_of

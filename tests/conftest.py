@@ -11,8 +11,8 @@ import pytest
 from hypothesis import Phase, settings
 from packaging.version import Version
 
+from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.bundled import open_log
-from comparisons.pipeline.compare import Comparison, compare
 from graphslam.scan.libraries import open3d
 from tests.fresh_environment import fresh_environment
 from tests.graphslam.skips import pytest_runtest_call as pytest_runtest_call

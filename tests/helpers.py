@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkSource
+from comparisons.adapters.time_window import cut_log
 from comparisons.config import EkfConfig, RunConfig
+from comparisons.jobs.run import REQUIRED, Comparison, compare_prepared
 from comparisons.logs.log import NO_LANDMARK, Log
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.logs.transforms.time_window import cut_log
-from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.models import Result

@@ -283,9 +283,9 @@ def test_nothing_stands_on_experiments() -> None:
 
 
 APART = (
-    "comparisons.documented.page",  # makes docs/settings.md
-    "comparisons.options.source",  # makes the table of options
-    "comparisons.options.typed",  # makes their types
+    "tools.settings_page",  # makes docs/settings.md
+    "tools.options_table",  # makes the table of options
+    "tools.options_types",  # makes their types
     "comparisons.logs.readers.",  # found by the name of a format
     "ekf_reference.scan_matching.grid_correlation",  # of the documents, for researchers
 )
@@ -317,7 +317,7 @@ def test_the_wheel_holds_nothing_that_only_tests_and_benchmarks_use() -> None:
     edges = {name: set(mentions(path.read_text())) & set(known) for name, path in known.items()}
     starts = [name for name in known if name.startswith(("slamcheck", "comparisons.cli"))]
     folders = {name for name in known if known[name].name == "__init__.py"}
-    assert "comparisons.pipeline.compare" in reached(edges, starts)
+    assert "comparisons.jobs.run" in reached(edges, starts)
     unused = set(known) - folders - reached(edges, starts)
     assert [name for name in sorted(unused) if not name.startswith(APART)] == []
 
@@ -330,33 +330,28 @@ def test_a_module_that_nothing_reaches_is_found() -> None:
 
 LAYERS = {
     "arrays": 0, "errors": 0, "atomic": 0, "archive": 0, "words": 0, "statistics": 0,
-    "figures": 0, "shown": 0, "trace": 0, "innovations": 0,
+    "figures": 0, "shown": 0, "trace": 0, "innovations": 0, "extension_names": 0,
     "logs": 1, "options": 1,
     "config": 2, "documented": 2, "estimates": 2,
-    "settings": 3, "adapters": 3, "logs.transforms": 3, "audit": 3,
-    "faults": 3,
+    "settings": 3, "adapters": 3, "audit": 3, "faults": 3,
     "checks": 4,
-    "pipeline": 5, "fingerprints": 5,
-    "extensions": 6, "report": 6,
-    "baseline": 8,
-    "cli": 9, "experiments": 9,
-    "options.source": 3,
-    # Jobs that are made of an extension stand on it.
-    "pipeline.dense_map": 7, "report.dense_map": 7,
-    "pipeline.odometry": 7, "report.odometry": 7,
-    "report.notebook": 7,
-    # The contract and the names are what all know of checks and extensions.
-    "checks.check": 0, "checks.finding": 0, "extensions.registry": 0,
-    "extensions.interface": 5,
+    "pipeline": 5,
+    "fingerprints": 6,
+    "jobs": 7,
+    "report": 8,
+    "extensions": 9,
+    "baseline": 10,
+    "cli": 11, "experiments": 11,
 }  # fmt: skip
-"""Parts of comparisons from the ground up: each stands on its own level and those below."""
+"""Parts of comparisons from the ground up: each stands on its own level and those below.
+
+No module is an exception."""
 
 
 def level(module: str) -> int:
-    """Of the longest part that a module is in; -1 outside comparisons."""
+    """Of the part that a module is in; -1 outside comparisons."""
     house, _, name = module.partition(".")
-    found = [part for part in LAYERS if f"{name}.".startswith(f"{part}.")]
-    return LAYERS[max(found, key=len)] if house == "comparisons" and found else -1
+    return LAYERS.get(name.partition(".")[0], -1) if house == "comparisons" else -1
 
 
 def upward(edges: dict[str, set[str]]) -> list[str]:

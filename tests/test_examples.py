@@ -22,8 +22,8 @@ from comparisons.config import CheckConfig
 from comparisons.estimates.external import read_external
 from comparisons.experiments.scenarios.scenario import read_scenario
 from comparisons.experiments.scenarios.world import build_world, log_of_run
+from comparisons.jobs.check import ExternalCheck, check
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
-from comparisons.pipeline.check import ExternalCheck, check
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 

@@ -67,7 +67,7 @@ def test_types_reach_a_users_type_checker(package: str) -> None:
 
 def test_options_are_typed_as_the_table_has_them() -> None:
     """`make settings` makes the file; a wrong word then fails in a user's type checker."""
-    from comparisons.options.typed import source
+    from tools.options_types import source
 
     text = (SOURCE.parent / "_options.py").read_text()
     assert text == source()

@@ -228,12 +228,12 @@ def _find(log: Log, config: RunConfig | CheckConfig) -> Found:
     with progress_bar() as progress:
         if isinstance(config, CheckConfig):
             from comparisons.estimates.external import read_external
-            from comparisons.pipeline.check import check
+            from comparisons.jobs.check import check
             from comparisons.report.check import CheckReport
 
             given = read_external(Path(config.estimate), config.times, config.trace)
             return CheckReport.build(check(log, given, config, progress))
-        from comparisons.pipeline.compare import compare as compare_estimators
+        from comparisons.jobs.run import compare as compare_estimators
         from comparisons.report.run import RunReport
 
         return RunReport.build(compare_estimators(log, config, progress))

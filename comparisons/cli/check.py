@@ -14,7 +14,7 @@ from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
     from comparisons.config import CheckConfig
-    from comparisons.pipeline.check import ExternalCheck
+    from comparisons.jobs.check import ExternalCheck
     from comparisons.pipeline.clock import Progress
 
 _SHOWN = "--estimate --require --min-coverage --association --gps --robust --seed"
@@ -49,7 +49,7 @@ def check(given: Given) -> None:
             handed_in.append(read_external(Path(config.estimate), config.times, config.trace))
 
         job = start_job(given, CheckConfig, check=read_first)
-        from comparisons.pipeline.check import check as check_estimate
+        from comparisons.jobs.check import check as check_estimate
 
         return job, check_estimate(job.log, handed_in[0], job.config, progress)
 

@@ -54,7 +54,7 @@ def config(
     """
     with guarded():
         from comparisons.config import Configured, config_class, json_schema
-        from comparisons.extensions.registry import EXTENSIONS
+        from comparisons.extension_names import EXTENSIONS
 
         kind = _kind(job)
         if schema:

@@ -23,4 +23,4 @@ def map_command(given: Given) -> None:
       slamcheck map dynamic-places --dynamic        with moved objects
       slamcheck map scan-slam --landmarks scans --layer sog
     """
-    do_plain_job(given, "MapConfig", "comparisons.pipeline.dense_map:map_log", _DEFAULT)
+    do_plain_job(given, "MapConfig", "comparisons.extensions.dense_maps.job:map_log", _DEFAULT)

@@ -18,4 +18,4 @@ def odometry(given: Given) -> None:
       slamcheck odometry scan-loop-fine             simulated scans, with truth
       slamcheck odometry path/to/acfr_car_park --cloud pcd
     """
-    do_plain_job(given, "OdometryConfig", "comparisons.pipeline.odometry:run_front_end")
+    do_plain_job(given, "OdometryConfig", "comparisons.extensions.scan_motion.job:run_front_end")

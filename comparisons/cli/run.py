@@ -13,8 +13,8 @@ from comparisons.options.table import of_job
 
 if TYPE_CHECKING:
     from comparisons.config import RunConfig
+    from comparisons.jobs.run import Comparison
     from comparisons.pipeline.clock import Progress
-    from comparisons.pipeline.compare import Comparison
 
 LiveOption = Annotated[
     bool,
@@ -56,7 +56,7 @@ def run(given: Given) -> None:
         from comparisons.config import RunConfig
 
         job = start_job(given, RunConfig)
-        from comparisons.pipeline.compare import compare
+        from comparisons.jobs.run import compare
 
         comparison = compare(job.log, job.config, progress)
         if record is not None:  # first: where that fails, no folder is left

@@ -7,7 +7,7 @@ from typing import Any
 
 from comparisons.documented.row import AnyBut, Documented, Value, same
 from comparisons.documented.rows import ROWS
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.options import merge
 
 Default = Callable[[str], Value]

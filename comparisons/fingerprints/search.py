@@ -15,13 +15,13 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import Family, Fault
 from comparisons.fingerprints.companion import EXPLAINED
+from comparisons.fingerprints.estimate_motion import in_words
 from comparisons.fingerprints.fit import Fit
 from comparisons.fingerprints.trial import Fingerprint, Trial, Way
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Named, RelativePoses, own_integration
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.clock import Progress, no_progress
-from comparisons.pipeline.estimate_motion import in_words
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import KINDS, ORDERS
 from comparisons.pipeline.size import counts

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from comparisons.adapters.ekf_factory import settle
 from comparisons.config import Configured, EkfConfig
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import join_known_measurements

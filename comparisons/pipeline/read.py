@@ -23,11 +23,11 @@ def load_log(section: LogSection) -> Log:
     source = str(recorded_path(section.source))
     log = open_log(source, section.format, section.robot, choices, topics)
     if section.start_s is not None or section.end_s is not None:
-        from comparisons.logs.transforms.time_window import cut_log
+        from comparisons.adapters.time_window import cut_log
 
         log = cut_log(log, section.start_s, section.end_s)
     if section.features == "trees":
-        from comparisons.logs.transforms.tree_features import with_tree_features
+        from comparisons.adapters.tree_features import with_tree_features
 
         log = with_tree_features(log)
     if section.sigmas == "published":

@@ -29,9 +29,9 @@ from comparisons.checks.consistency.finding import (
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
 from comparisons.figures import Model, band, finite, in_sigma, shown
-from comparisons.pipeline.check import ExternalCheck
+from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.external_trace import TraceFigures
 from comparisons.pipeline.clock import Clock
-from comparisons.pipeline.external_trace import TraceFigures
 from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.drawing import Drawing

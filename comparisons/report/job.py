@@ -23,9 +23,9 @@ R = TypeVar("R", bound=BaseModel)
 REPORTS = {
     "Audit": "comparisons.report.audit:AuditReport",
     "Comparison": "comparisons.report.run:RunReport",
-    "DenseMapping": "comparisons.report.dense_map:MapReport",
+    "DenseMapping": "comparisons.extensions.dense_maps.report:MapReport",
     "ExternalCheck": "comparisons.report.check:CheckReport",
-    "FrontEnd": "comparisons.report.odometry:FrontEndReport",
+    "FrontEnd": "comparisons.extensions.scan_motion.report:FrontEndReport",
     "Solution": "comparisons.report.solution:SolutionReport",
 }
 """By the class of what was found; imported when it is asked for."""

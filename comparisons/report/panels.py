@@ -19,7 +19,7 @@ from comparisons.checks.consistency.nees import PoseErrors
 from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.estimates.estimate import Estimate
 from comparisons.innovations import SensorInnovations
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.report.marks import (
     DEPARTURE,
     DEPARTURE_COLOUR,
@@ -38,7 +38,7 @@ from comparisons.statistics import mean_band
 if TYPE_CHECKING:
     from comparisons.checks.consistency.consistency import ExternalConsistency
     from comparisons.checks.grade import Reference
-    from comparisons.pipeline.check import ExternalCheck
+    from comparisons.jobs.check import ExternalCheck
 
 REFERENCE_COLOUR = "#5c6f2b"
 REFERENCE_COLOURS = (REFERENCE_COLOUR, "#b05f9e", "#8f5d2b")

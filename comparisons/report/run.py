@@ -16,8 +16,8 @@ from comparisons.checks.agreement import BlockAgreement
 from comparisons.checks.finding import value_of
 from comparisons.checks.position_gate import PositionsFinding
 from comparisons.figures import stored
+from comparisons.jobs.run import Comparison
 from comparisons.pipeline.clock import Clock
-from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.heat_map import heat_maps
 from comparisons.report.html.map import (

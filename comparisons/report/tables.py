@@ -18,9 +18,9 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import stored
 from comparisons.innovations import SensorInnovations
+from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import ExternalCheck
-from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import Solution
 from comparisons.report.check import CheckReport, check_ladder
 from comparisons.report.destination import leaves

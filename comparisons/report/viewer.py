@@ -17,8 +17,8 @@ from comparisons.arrays import Array
 from comparisons.atomic import Kind, begins, check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log, Poses
-from comparisons.pipeline.compare import Comparison
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, ellipses
 from graphslam.scan import planar
 

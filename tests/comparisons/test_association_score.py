@@ -14,8 +14,8 @@ from comparisons.checks.association import (
     score_association,
     score_partition,
 )
+from comparisons.jobs.run import Modified
 from comparisons.logs.log import Landmarks, Log, Truth
-from comparisons.pipeline.compare import Modified
 from comparisons.report.run import RunReport
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.known import SurveyedLandmarks

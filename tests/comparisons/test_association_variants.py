@@ -21,8 +21,8 @@ from comparisons.checks.association_variants import (
 )
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.jobs.check import check_external
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.pipeline.check import check_external
 from comparisons.pipeline.solve import solve
 from comparisons.report.models import SolutionResult
 from comparisons.report.solution import SolutionReport

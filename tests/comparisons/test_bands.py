@@ -20,8 +20,8 @@ from comparisons.checks.consistency.filter_smoother import (
     filter_against_smoother,
 )
 from comparisons.checks.consistency.finding import ConsistencyFinding
+from comparisons.jobs.run import Comparison
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.compare import Comparison
 from comparisons.statistics import Band, Whiteness, mean_band, whiteness
 from graphslam.optimum import chi_square_test
 from tests.helpers import Array, altered

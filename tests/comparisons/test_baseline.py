@@ -33,9 +33,9 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import tum_text, write_estimate
+from comparisons.jobs.check import check
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.pipeline.check import check
-from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import CheckReport, CheckResult
 from comparisons.report.models import EkfResult, Result, metrics
 from comparisons.report.run import RunReport

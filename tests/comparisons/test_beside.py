@@ -20,10 +20,10 @@ import pytest
 
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
+from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.log import Truth
 from comparisons.pipeline import beside
 from comparisons.pipeline.beside import Beside
-from comparisons.pipeline.compare import Comparison, compare
 from comparisons.pipeline.solve import solve
 from comparisons.report.run import RunReport
 from comparisons.report.solution import SolutionReport

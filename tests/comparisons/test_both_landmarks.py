@@ -16,8 +16,8 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.config import EkfConfig, Filter
 from comparisons.errors import InputError
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
+from comparisons.jobs.run import Comparison, Modified, run_filter
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import Comparison, Modified, run_filter
 from comparisons.pipeline.prepare import prepare
 from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf

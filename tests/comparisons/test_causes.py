@@ -17,9 +17,9 @@ from comparisons.checks.diagnosis.linearisation_growth import (
     linearisation_growth,
 )
 from comparisons.estimates.estimate import Estimate
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.pipeline.compare import Comparison
 from comparisons.words import GAPS
 from ekf_reference.core.landmark_types import POSE
 from graphslam.layout import POINT

@@ -18,8 +18,8 @@ from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
-from comparisons.pipeline.check import ExternalCheck, check
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.check import ExternalCheck, check
+from comparisons.jobs.run import Comparison
 from comparisons.report.check import EXTERNAL, CheckReport, check_ladder
 from comparisons.report.figures.run import map_figure
 from comparisons.report.html.page import page

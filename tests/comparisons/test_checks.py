@@ -16,7 +16,7 @@ from comparisons.checks.agreement import (
     largest_distance,
 )
 from comparisons.checks.verdict import Diagnosis, judge
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.statistics import eigenvalue_range
 from ekf_reference.core.layout import Layout
 from graphslam.optimum import Optimality, Stationarity, chi_square_test

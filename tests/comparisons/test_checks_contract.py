@@ -14,8 +14,8 @@ from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Finding
 from comparisons.checks.registry import CHECKS
 from comparisons.figures import kept_fields, meanings
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log, Truth
-from comparisons.pipeline.compare import Comparison
 from comparisons.report.run import RunReport, run_rows
 from tests.commands import refused, works
 from tests.helpers import compared, simulated

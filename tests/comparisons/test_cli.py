@@ -189,7 +189,7 @@ def test_neither_a_crash_nor_an_interrupt_is_a_verdict(
     def fails(*_: object, **__: object) -> None:
         raise fault
 
-    monkeypatch.setattr("comparisons.pipeline.compare.compare", fails)
+    monkeypatch.setattr("comparisons.jobs.run.compare", fails)
     done = slamcheck("run", "simulated-loop", "--out", "a/report", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (code, "")
     assert said in done.stderr

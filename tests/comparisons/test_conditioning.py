@@ -13,9 +13,9 @@ from comparisons.checks.agreement import EXACT
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.faults.fault import with_state
+from comparisons.jobs.run import REQUIRED, Modified, compare_prepared
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, RelativePoses
-from comparisons.pipeline.compare import REQUIRED, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
 from comparisons.report.run import RunReport
 from comparisons.settings import configure

@@ -23,14 +23,15 @@ from comparisons.config import (
     json_schema,
 )
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.options import source, table
+from comparisons.options import table
 from comparisons.options.table import of_job
 from comparisons.pipeline.read import read_for
 from comparisons.settings import configure, run_config
 from tests.commands import slamcheck
 from tests.helpers import simulated
+from tools import options_table
 
 RUN, MAP = of_job("run"), of_job("map")
 
@@ -53,7 +54,9 @@ def test_a_path_under_the_home_folder_is_recorded_from_there_on(
 
 
 def test_the_table_of_options_is_generated_from_the_settings() -> None:
-    assert Path(table.__file__).read_text() == source.source(), "options are old: make settings"
+    assert Path(table.__file__).read_text() == options_table.source(), (
+        "options are old: make settings"
+    )
 
 
 def test_the_switches_of_extensions_offer_what_their_settings_take() -> None:

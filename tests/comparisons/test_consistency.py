@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.estimates.estimate import Estimate
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.statistics import mean_band
 from tests.helpers import Array, assert_followed, compared, present, simulated
 

@@ -22,9 +22,9 @@ from comparisons.checks.consistency.finding import (
 )
 from comparisons.config import EkfConfig
 from comparisons.faults.fault import with_state
+from comparisons.jobs.run import Comparison, Modified
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
-from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.report.figures.run import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save

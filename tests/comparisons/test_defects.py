@@ -14,7 +14,7 @@ from comparisons.errors import InputError
 from comparisons.faults.catalogue import NAMED
 from comparisons.faults.fault import Fault, Method, Plant, observing, stepping
 from comparisons.faults.models import h_times
-from comparisons.pipeline.compare import Modified
+from comparisons.jobs.run import Modified
 from comparisons.statistics import ROUNDING
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import PredictedMeasurements

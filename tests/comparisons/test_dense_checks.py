@@ -17,9 +17,9 @@ from comparisons.extensions.dense_maps.accuracy import (
 )
 from comparisons.extensions.dense_maps.check import AGREE_M, compare_dense
 from comparisons.extensions.dense_maps.extension import DenseMapsFinding
+from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.compare import Comparison
 from ekf_reference.dense.layers.layer import Samples
 from graphslam.scan import planar
 from tests.helpers import compared, present

@@ -8,8 +8,8 @@ import pytest
 from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import surface_error
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.logs.bundled import SimulationChoices, open_log
-from comparisons.pipeline.dense_map import DenseMapping, map_log
 
 SEEDS = (1, 2, 5)
 

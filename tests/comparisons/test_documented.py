@@ -14,11 +14,10 @@ import pytest
 
 from comparisons.adapters.ekf_factory import build_association, build_ekf, settle
 from comparisons.config import LogSection, RunConfig, setting_default
-from comparisons.documented.page import differs, in_code, markdown, undocumented, used
 from comparisons.documented.preset import SETTINGS, applies, differing, read
 from comparisons.documented.row import Documented, Preset, same
 from comparisons.documented.rows import ROWS
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
@@ -31,6 +30,7 @@ from comparisons.words import Row
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.trace import Trace
 from tests.helpers import first_seconds, simulated
+from tools.settings_page import differs, in_code, markdown, undocumented, used
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "settings.md"
 

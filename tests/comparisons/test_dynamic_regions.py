@@ -17,8 +17,11 @@ from comparisons.checks.accuracy import assess
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.experiments.reproduction.nieto_motion import middles, score_dynamic
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.job import DenseMapping, map_log
+from comparisons.extensions.dense_maps.report import MapResult
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.dynamic_worlds import LANES_M, changed_places
 from comparisons.logs.simulate.scan_drive import (
@@ -28,9 +31,6 @@ from comparisons.logs.simulate.scan_drive import (
     simulate,
 )
 from comparisons.logs.simulate.scan_worlds import Mover
-from comparisons.pipeline.compare import Comparison
-from comparisons.pipeline.dense_map import DenseMapping, map_log
-from comparisons.report.dense_map import MapResult
 from ekf_reference.dense.dynamic import Differencing, DynamicLayer
 from tests.commands import works
 from tests.helpers import compared, present

@@ -14,9 +14,9 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.watched_run import watched_run
+from comparisons.jobs.run import Comparison, Modified
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import Comparison, Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.trace import Trace
 from ekf_reference.filters.compressed import CompressedEkf, CompressedState, LocalAreas

@@ -9,8 +9,8 @@ import pytest
 
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS
-from comparisons.pipeline.compare import compare
+from comparisons.extension_names import EXTENSIONS
+from comparisons.jobs.run import compare
 from comparisons.report.run import RunReport, run_rows
 from comparisons.settings import configure, run_config
 from comparisons.words import Row
@@ -23,10 +23,10 @@ ELSEWHERE = (
     "comparisons.baseline",
     "comparisons.checks.grade",
     "comparisons.experiments",
-    "comparisons.extensions.",
+    "comparisons.extensions",
     "comparisons.faults",
     "comparisons.fingerprints",
-    "comparisons.pipeline.check",
+    "comparisons.jobs.check",
     "comparisons.report.check",
     "ekf_reference.dense",
     "ekf_reference.fastslam",
@@ -105,9 +105,8 @@ def test_a_run_on_points_loads_no_extension(log: str, tmp_path: Path) -> None:
     """And little else that it does not need."""
     house = ("comparisons", "ekf_reference", "graphslam")
     found = {name for name in loaded(f"run {log}", tmp_path) if name.split(".")[0] in house}
-    known = {f"comparisons.extensions.{name}" for name in ("interface", "registry")}
-    assert known <= found
-    assert [name for name in sorted(found - known) if name.startswith(ELSEWHERE)] == []
+    assert "comparisons.jobs.run" in found
+    assert [name for name in sorted(found) if name.startswith(ELSEWHERE)] == []
 
 
 def test_an_option_loads_its_extension_only() -> None:

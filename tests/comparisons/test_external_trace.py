@@ -28,12 +28,12 @@ from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import FORMER, TRACE, read_trace
 from comparisons.faults.catalogue import NAMED, catalogue
 from comparisons.faults.fault import Fault
+from comparisons.jobs.check import ExternalCheck, check, check_external
+from comparisons.jobs.external_trace import OWN
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.pipeline.check import ExternalCheck, check, check_external
-from comparisons.pipeline.compare import Comparison
-from comparisons.pipeline.external_trace import OWN
 from comparisons.pipeline.solve import solve
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
@@ -365,7 +365,7 @@ def test_damage_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Before any reference filter runs."""
-    monkeypatch.setattr("comparisons.pipeline.check._references", pytest.fail)
+    monkeypatch.setattr("comparisons.jobs.check._references", pytest.fail)
     log, choices, run = plain
     hand_in(run, tmp_path)
     edit, reported = BAD[name]

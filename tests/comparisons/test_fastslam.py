@@ -24,9 +24,9 @@ from comparisons.extensions.fastslam.extension import (
     cloud_estimate,
 )
 from comparisons.extensions.fastslam.stretches import StretchComparison, between, draw_particle
+from comparisons.jobs.run import Comparison, compare
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log
-from comparisons.pipeline.compare import Comparison, compare
 from comparisons.report.run import RunReport
 from tests.helpers import present
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.tree_features import with_tree_features
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.scans import Mount, Scans
-from comparisons.logs.transforms.tree_features import with_tree_features
 from graphslam.scan import planar
 from tests.ekf_reference.features.test_tree_detection import ANGLES, scan_of
 from tests.helpers import assert_followed, compared, present, simulated

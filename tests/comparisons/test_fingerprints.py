@@ -22,8 +22,8 @@ from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import NONE, Family, Fault, together
 from comparisons.fingerprints.search import fingerprints
 from comparisons.fingerprints.trial import Fingerprint, stamp_rounding
+from comparisons.jobs.check import check
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import check
 from comparisons.pipeline.clock import no_progress
 from comparisons.pipeline.references import APART, EKF, KINDS, filter_named, variants
 from comparisons.pipeline.solve import Solution, solve

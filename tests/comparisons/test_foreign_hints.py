@@ -11,7 +11,7 @@ from benchmarks.trust_hints import IN_SINGLE, Case, checked, hint_parts, simulat
 from comparisons.checks.causes import ALGEBRA_HINT
 from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
 from comparisons.estimates.stored_precision import SINGLE, restored, stored_rounding
-from comparisons.pipeline.external_trace import TraceCheck
+from comparisons.jobs.external_trace import TraceCheck
 from tests.helpers import Array
 
 

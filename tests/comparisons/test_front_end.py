@@ -16,17 +16,17 @@ from comparisons.config import FrontEndConfig, OdometryConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
 from comparisons.extensions.scan_motion.extension import ScanMotionFinding
+from comparisons.extensions.scan_motion.job import run_front_end
+from comparisons.extensions.scan_motion.report import FrontEndReport, FrontEndResult
 from comparisons.extensions.scan_motion.three_way import ThreeWay, find_inconsistent_source
+from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.readers import read_log
 from comparisons.logs.readers.scan_odometry import no_measurements
-from comparisons.pipeline.compare import Comparison
-from comparisons.pipeline.odometry import run_front_end
 from comparisons.report.models import Result
-from comparisons.report.odometry import FrontEndReport, FrontEndResult
 from comparisons.report.run import RunReport
 from graphslam.g2o import read_g2o
 from tests.commands import refused, works

@@ -20,15 +20,15 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.extension import ScanMotionFinding
 from comparisons.extensions.scan_motion.increments import check_increments
+from comparisons.extensions.scan_motion.job import run_front_end
+from comparisons.extensions.scan_motion.report import FrontEndReport
+from comparisons.jobs.run import Modified
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Landmarks, Log, Positions, Truth
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.compare import Modified
 from comparisons.pipeline.known import Known
-from comparisons.pipeline.odometry import run_front_end
 from comparisons.pipeline.solve import solve
-from comparisons.report.odometry import FrontEndReport
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
 from tests.comparisons.test_front_end import three_of
@@ -210,7 +210,7 @@ def test_positions_held_back_stay_so_where_scans_begin_late(
     def noted(estimate: Estimate, log: Log, *, labelled: bool) -> None:
         judging.append(log.positions)
 
-    monkeypatch.setattr("comparisons.pipeline.odometry.assess", noted)
+    monkeypatch.setattr("comparisons.extensions.scan_motion.job.assess", noted)
     late = without_odometry(with_scans(short(), slice(2, None)))
     for first_s in (0.0, 0.4):
         front_end = run_front_end(with_positions(late, first_s), with_gps("half"))

@@ -16,7 +16,7 @@ from comparisons.extensions.scan_landmarks.extension import (
     ScanLandmarksFinding,
 )
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
-from comparisons.pipeline.compare import REQUIRED, Comparison, Modified, compare_prepared
+from comparisons.jobs.run import REQUIRED, Comparison, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
 from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf

@@ -14,12 +14,12 @@ import pytest
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.jobs.check import check
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log, LoopClosures
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.check import check
 from comparisons.pipeline.solve import solve
 from comparisons.report.solution import FRAME, SolutionReport
 from comparisons.report.terminal import brief

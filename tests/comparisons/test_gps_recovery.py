@@ -12,9 +12,9 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.position_gate import RejectedFixes, rejected_fixes, streaks
 from comparisons.config import EkfConfig, RunConfig
+from comparisons.jobs.run import compare
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import SteeringOdometry
-from comparisons.pipeline.compare import compare
 from comparisons.report.run import RunReport, run_rows
 from ekf_reference.core.geometry import Array as EkfArray
 from ekf_reference.models.position import Streak

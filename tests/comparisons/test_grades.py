@@ -42,15 +42,15 @@ from comparisons.checks.grade import (
 from comparisons.config import EkfConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.logs.log import Log
-from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.check import (
+from comparisons.jobs.check import (
     ExternalCheck,
     Graded,
     by_trace,
     check_external,
     outcome_of,
 )
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.references import reference_ekf
 from comparisons.pipeline.solve import Solution, solve
 from comparisons.words import Cause

@@ -19,7 +19,7 @@ from comparisons.cli.config import JobName, _kind
 from comparisons.cli.flags import Command, Given, from_flags
 from comparisons.config import JOBS, RunConfig, config_class
 from comparisons.errors import InputError
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.options import RENAMED, renamed_words
 from comparisons.options.table import FLAGS, of_job
 from comparisons.report.destination import check_free

@@ -22,9 +22,9 @@ from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.extensions.high_level.extension import HighLevel, HighLevelFinding
 from comparisons.extensions.high_level.source import SEARCHED, HighLevelOptions, HighLevelSource
 from comparisons.figures import stored
+from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import Comparison
 from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_config, run_options
 from ekf_reference.core.geometry import wrap_angle

@@ -10,7 +10,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.report.html.shell import script
 from tests.comparisons.browser import came_up, look
 from tests.comparisons.test_html_report import HOSTILE

@@ -17,7 +17,7 @@ from comparisons.checks.causes import EXPLANATIONS
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.finding import Finding
 from comparisons.estimates.estimate import Estimate
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.report.html import map as map_page
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing

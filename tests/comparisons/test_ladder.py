@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.report.check import EXTERNAL, check_ladder
 from comparisons.report.html.ladder import ladder_picture
 from comparisons.report.ladder import (

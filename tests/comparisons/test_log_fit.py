@@ -12,10 +12,10 @@ import pytest
 from benchmarks.log_doctor import drive
 from comparisons.checks.diagnosis.log_doctor import examine
 from comparisons.checks.diagnosis.log_fit import explains, log_fits
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
-from comparisons.pipeline.compare import Comparison
 from graphslam.optimum import ChiSquareTest
 from tests.helpers import compared
 

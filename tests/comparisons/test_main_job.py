@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import open_log
-from comparisons.pipeline.compare import Comparison
 from comparisons.report.run import RunReport
 from comparisons.report.terminal import print_summary
 from tests.helpers import assert_followed, compared, first_seconds, present

@@ -14,8 +14,8 @@ from comparisons.errors import InputError
 from comparisons.extensions.dense_maps import extension
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.extension import Demand
+from comparisons.extensions.dense_maps.report import MapResult
 from comparisons.logs.bundled import open_log
-from comparisons.report.dense_map import MapResult
 from comparisons.report.map_export import (
     Raster,
     rasterise,

@@ -16,10 +16,10 @@ from comparisons.adapters.ekf_factory import (
 )
 from comparisons.config import EkfConfig
 from comparisons.faults.fault import with_state
+from comparisons.jobs.run import Comparison, Modified
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.settings import run_config
 from comparisons.statistics import ROUNDING
 from ekf_reference.association.known import KnownAssociation

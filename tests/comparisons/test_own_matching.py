@@ -23,7 +23,7 @@ from comparisons.extensions.own_matching.check import (
 from comparisons.extensions.own_matching.extension import OwnMatchingFinding, matching_differences
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.figures import stored
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.report.run import RunReport
 from ekf_reference.scan_matching.alignment_covariance import ScanAlignment, scan_align
 from ekf_reference.scan_matching.sog import SumOfGaussians

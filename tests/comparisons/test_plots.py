@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import slamcheck
 from comparisons.arrays import Array
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.report import panels
 from comparisons.report.figures.style import draw_estimate
 from comparisons.report.job import report_of

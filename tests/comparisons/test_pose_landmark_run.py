@@ -30,7 +30,7 @@ from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.extensions.own_association.extension import OwnAssociationFinding
 from comparisons.faults.fault import with_state
-from comparisons.pipeline.compare import Modified
+from comparisons.jobs.run import Modified
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import POSE, PredictedMeasurements

@@ -14,9 +14,9 @@ from comparisons.adapters.ekf_factory import fused_positions, held_out_positions
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
+from comparisons.jobs.run import Modified
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
-from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import UpdateSplitter

@@ -20,7 +20,7 @@ from comparisons.extensions.posterior.extension import (
     failures,
     judged,
 )
-from comparisons.pipeline.compare import Comparison, compare
+from comparisons.jobs.run import Comparison, compare
 from comparisons.report.run import RunReport, run_rows
 from comparisons.settings import run_config
 from graphslam.chain_diagnostics import Estimated, chain_evidence

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.time_window import cut_log
 from comparisons.checks import truth_by_labels
 from comparisons.checks.accuracy import exchanged_labels
 from comparisons.checks.consistency.consistency import Consistency, inconsistencies
@@ -24,12 +25,11 @@ from comparisons.checks.qualifiers import (
     truth_gap,
 )
 from comparisons.checks.verdict import Outcome, Verdict
+from comparisons.jobs import run as comparing
+from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Poses, Prior, Truth
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.logs.transforms.time_window import cut_log
-from comparisons.pipeline import compare as comparing
-from comparisons.pipeline.compare import Comparison
 from comparisons.report.run import RunReport, finding_lines
 from comparisons.settings import run_config
 from comparisons.trace.events import Sensor

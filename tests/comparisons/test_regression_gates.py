@@ -16,9 +16,9 @@ from comparisons.config import CheckConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import tum_text, write_estimate
+from comparisons.jobs.check import check
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.pipeline.check import check
 from comparisons.report.check import CheckReport
 from tests.comparisons.test_cli import python
 from tests.helpers import compared, simulated

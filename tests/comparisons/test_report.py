@@ -13,12 +13,12 @@ from comparisons.atomic import LIST, _write_list, check_replaceable, folder_name
 from comparisons.config import CheckConfig, MapConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate, write_estimate
+from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.clock import Clock
-from comparisons.pipeline.compare import Comparison
 from comparisons.report.destination import check_free, default_folder
 from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import write_job_folder

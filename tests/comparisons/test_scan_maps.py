@@ -10,10 +10,10 @@ import pytest
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.extension import DenseMapsFinding
-from comparisons.pipeline.compare import Comparison, run_filter
-from comparisons.pipeline.dense_map import DenseMapping, map_log
+from comparisons.extensions.dense_maps.job import DenseMapping, map_log
+from comparisons.extensions.dense_maps.report import MapReport, regions_csv
+from comparisons.jobs.run import Comparison, run_filter
 from comparisons.pipeline.prepare import prepare
-from comparisons.report.dense_map import MapReport, regions_csv
 from comparisons.settings import run_config
 from ekf_reference.core.landmark_types import POSE
 from tests.helpers import compared, present

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.errors import InputError
 from comparisons.extensions.scan_motion.increments import check_increments, normalised_errors
+from comparisons.extensions.scan_motion.log_by_scans import divide, with_scan_motion
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses
@@ -25,7 +26,6 @@ from comparisons.logs.simulate.scan_drive import (
     dense_slam_in_space,
     simulate,
 )
-from comparisons.logs.transforms.scan_motion import divide, with_scan_motion
 from graphslam.increments import Samples, compose
 from graphslam.scan import planar
 from tests.comparisons.test_front_end_faults import with_scans, without_odometry

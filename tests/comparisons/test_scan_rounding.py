@@ -17,10 +17,10 @@ import pytest
 from benchmarks.scan_rounding import SIZE, Difference, difference, outcome, perturbed
 from comparisons.adapters import beam_noise
 from comparisons.adapters.beam_noise import sensor_of
+from comparisons.adapters.time_window import cut_log
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.scans import Scans
-from comparisons.logs.transforms.time_window import cut_log
 from ekf_reference.scan_landmarks import segmentation, templates
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, segments
 from ekf_reference.scan_landmarks.templates import Template, View, share_in_view

@@ -32,8 +32,8 @@ from comparisons.extensions.scan_landmarks.source import (
     scan_slam_options,
 )
 from comparisons.figures import stored
+from comparisons.jobs.run import Comparison, Modified, run_filter
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import Comparison, Modified, run_filter
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.run import RunReport

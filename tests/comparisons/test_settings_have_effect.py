@@ -17,6 +17,7 @@ import pytest
 
 import slamcheck
 from comparisons.adapters.ekf_factory import build_ekf, fused_positions, settle
+from comparisons.adapters.time_window import cut_log
 from comparisons.config import (
     JOBS,
     CheckConfig,
@@ -36,20 +37,19 @@ from comparisons.config import (
     setting,
 )
 from comparisons.errors import InputError
+from comparisons.extension_names import EXTENSIONS
 from comparisons.extensions.dense_maps import source as dense_source
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.job import DenseMapping, map_log
+from comparisons.extensions.dense_maps.report import _layer_files
 from comparisons.extensions.fastslam import extension as fastslam
 from comparisons.extensions.fastslam.config import FastSlamConfig
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extensions.scan_motion import job as front_end_job
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
-from comparisons.logs.transforms.time_window import cut_log
-from comparisons.pipeline import odometry as front_end_job
 from comparisons.pipeline import read
-from comparisons.pipeline.compare import Comparison
-from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.solve import prepare_solve, solve
-from comparisons.report.dense_map import _layer_files
 from comparisons.report.run import RunReport
 from ekf_reference.core.trace import Trace
 from ekf_reference.dense.layers.particles import Particles

@@ -13,12 +13,12 @@ import pytest
 from comparisons.config import CheckConfig, EkfConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.jobs.check import check
+from comparisons.jobs.run import REQUIRED, compare_prepared, run_filter
 from comparisons.logs.log import Log
 from comparisons.pipeline import prepare as prepare_module
 from comparisons.pipeline import size
-from comparisons.pipeline.check import check
 from comparisons.pipeline.clock import Progress
-from comparisons.pipeline.compare import REQUIRED, compare_prepared, run_filter
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.size import GIB, announce_time, check_size, needed, seconds

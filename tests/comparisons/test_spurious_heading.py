@@ -17,7 +17,7 @@ from comparisons.audit.run_trace import write_run
 from comparisons.audit.spurious import HEADING, LargestShare, Learnt, LearntDirection
 from comparisons.checks import causes
 from comparisons.checks.spurious import SpuriousFinding, spurious_rows
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.report.html.curves import panel_data
 from comparisons.report.panels import consistency_panels
 from comparisons.report.run import RunReport, run_rows

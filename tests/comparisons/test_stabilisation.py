@@ -11,6 +11,7 @@ import pytest
 
 from comparisons.adapters import motion
 from comparisons.adapters.motion import check_regular
+from comparisons.adapters.time_window import cut_log
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig, Filter, SolveConfig
 from comparisons.errors import InputError
@@ -19,7 +20,6 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.readers import read_log
-from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.solve import solve
 from tests.comparisons.test_external_trace import checked, filtered, hand_in
 from tests.golden.cases import SHARED

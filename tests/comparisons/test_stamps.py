@@ -21,12 +21,12 @@ from benchmarks.strangers import Course, Ekf, read_log, simulate
 from comparisons.arrays import Array
 from comparisons.audit.run_trace import write_event
 from comparisons.errors import InputError
+from comparisons.jobs.check import ExternalCheck
 from comparisons.logs import stamps
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, VelocityOdometry
 from comparisons.logs.stamps import at_instants, resolved
-from comparisons.pipeline.check import ExternalCheck
 from comparisons.trace.reader import Trace
 from tests.helpers import present, simulated
 
@@ -84,7 +84,7 @@ def test_a_right_filter_is_equal_whatever_the_stamps(kind: str, tmp_path: Path) 
 def test_stamps_resolved_to_a_tenth_of_a_millisecond_would_not_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for place in ("comparisons.adapters.timeline", "comparisons.pipeline.external_trace"):
+    for place in ("comparisons.adapters.timeline", "comparisons.jobs.external_trace"):
         monkeypatch.setattr(f"{place}.resolved", lambda time_s: np.round(time_s, 4))
     with pytest.raises(InputError, match="expected the time of a measurement"):
         checked(written("jittered", seed=1), tmp_path)
@@ -228,7 +228,7 @@ def test_stamps_since_1970_are_taken_as_the_filter_had_them(
     if whole:
         monkeypatch.setattr("comparisons.logs.log_folder.origin", lambda first_s: 0)
     else:
-        monkeypatch.setattr("comparisons.pipeline.check.timed_by_floats", lambda log: log)
+        monkeypatch.setattr("comparisons.jobs.check.timed_by_floats", lambda log: log)
     assert since_1970(log, tmp_path / "other", whole=whole).grade.value == "like"
 
 

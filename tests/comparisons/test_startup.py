@@ -84,7 +84,7 @@ def test_the_guard_sees_what_is_loaded_too_much(
 
 def test_pictures_are_loaded_after_the_estimates(tmp_path: Path) -> None:
     """A run that ends within the comparison has not waited for matplotlib."""
-    stop = "import comparisons.pipeline.compare as stage\ndef end(*given): sys.exit(1)\n"
+    stop = "import comparisons.jobs.run as stage\ndef end(*given): sys.exit(1)\n"
     run = "run simulated-loop --set log.end_s=10 --figures png"
     assert "matplotlib" not in loaded(run, tmp_path, f"{stop}stage.compare = end")
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from comparisons.checks.accuracy import accuracy_line
 from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
-from comparisons.pipeline.check import check
+from comparisons.jobs.check import check
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import CheckReport
 from comparisons.report.ladder import Step

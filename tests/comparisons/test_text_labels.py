@@ -16,9 +16,9 @@ from comparisons.checks.diagnosis.departure import departure_from
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import read_estimate, read_landmarks
+from comparisons.jobs.check import check, check_external
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import check, check_external
-from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import solve
 from comparisons.report.run import RunReport
 from tests.helpers import compared, present

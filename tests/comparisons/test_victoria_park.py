@@ -8,7 +8,7 @@ import gtsam
 import pytest
 
 from comparisons.adapters.smoother_input import build_problem
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from graphslam.graph_builder import build_graph
 from graphslam.initialisation import extension
 from graphslam.optimisers import levenberg_marquardt

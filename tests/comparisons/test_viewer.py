@@ -12,7 +12,7 @@ import pytest
 from comparisons.atomic import LIST, listed_files, write_whole
 from comparisons.config import ReportConfig
 from comparisons.errors import InputError
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.run import Comparison
 from comparisons.report import viewer
 from comparisons.report.run import RunReport
 from tests.helpers import compared, first_seconds, simulated

@@ -26,7 +26,7 @@ from pydantic import BaseModel
 
 from comparisons.atomic import is_unfinished
 from comparisons.config import JOBS, config_class
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder

@@ -15,6 +15,7 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.smoother_input import assemble, position_rows
+from comparisons.adapters.time_window import cut_log
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.diagnosis.log_fit import chi2_by_run, explains, fitted_numbers
@@ -23,7 +24,6 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.calibration import controlled, driven, sensed
 from comparisons.logs.transforms.known_landmarks import indices_by_label, join_known_measurements
-from comparisons.logs.transforms.time_window import cut_log
 from graphslam.graph_builder import build_graph
 from graphslam.increments import dead_reckoned
 from graphslam.optimisers import levenberg_marquardt

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
+from comparisons.extensions.dense_maps.job import DenseMapping
 from comparisons.logs.log import Log
-from comparisons.pipeline.dense_map import DenseMapping
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.scan_landmarks.high_level import Around

@@ -44,10 +44,10 @@ from comparisons.experiments.reproduction.measures import (
 )
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_cloud, draw_occupied, draw_regions
+from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR
 from comparisons.logs.log import Log
-from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.report.figures.style import draw_landmarks, draw_reference
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.dense.layers.gaussians import Ellipses

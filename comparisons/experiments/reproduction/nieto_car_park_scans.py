@@ -44,9 +44,9 @@ from comparisons.extensions.dense_maps.figure import draw_cloud
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
+from comparisons.jobs.run import run_filter
 from comparisons.logs.log import Log, Poses
 from comparisons.logs.transforms.published_sigmas import SensorSigmas, with_published_sigmas
-from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from comparisons.settings import configure, run_options

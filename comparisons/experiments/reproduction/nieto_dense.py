@@ -58,11 +58,11 @@ from comparisons.extensions.dense_maps.figure import (
     draw_regions,
     draw_surfaces,
 )
+from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.extensions.dense_maps.source import BeforeClosing, DenseWatcher, grid_model
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, dense_slam, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
-from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from comparisons.statistics import mean_band
 from ekf_reference.core.trace import Trace

@@ -35,6 +35,7 @@ from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces
+from comparisons.extensions.dense_maps.job import map_log
 from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR, draw_high_level
 from comparisons.extensions.high_level.source import (
     SEARCHED,
@@ -47,7 +48,6 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import with_landmarks
-from comparisons.pipeline.dense_map import map_log
 from comparisons.report.figures.style import draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world

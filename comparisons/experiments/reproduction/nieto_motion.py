@@ -25,6 +25,7 @@ from comparisons.experiments.reproduction.interface import (
 from comparisons.experiments.reproduction.measures import true_segments
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_occupied, draw_regions, draw_surfaces
+from comparisons.extensions.dense_maps.job import map_log
 from comparisons.extensions.dynamic.config import DynamicConfig
 from comparisons.logs.simulate import dynamic_worlds
 from comparisons.logs.simulate.dynamic_worlds import moved_over
@@ -35,7 +36,6 @@ from comparisons.logs.simulate.scan_drive import (
     simulate,
 )
 from comparisons.logs.simulate.scan_worlds import Moving
-from comparisons.pipeline.dense_map import map_log
 from comparisons.report.marks import TRUTH_COLOUR
 from ekf_reference.dense.dynamic import DynamicLayer, places
 from ekf_reference.dense.layers.layer import Samples

@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from comparisons.adapters.ekf_factory import build_ekf, motion_model, settle
 from comparisons.adapters.filter_loop import Beside, run_filter_loop
 from comparisons.adapters.smoother_input import assemble, position_rows
+from comparisons.adapters.time_window import cut_log
 from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.config import EkfConfig
@@ -44,7 +45,6 @@ from comparisons.extensions.dense_maps.figure import draw_occupied
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.logs.transforms.time_window import cut_log
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from ekf_reference.core.ekf import Ekf

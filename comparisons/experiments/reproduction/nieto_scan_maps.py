@@ -40,13 +40,13 @@ from comparisons.extensions.dense_maps.figure import (
     draw_regions,
     draw_surfaces,
 )
+from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.figure import axes_of, place_covariances, template_points
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.models.relative_pose import RelativePose

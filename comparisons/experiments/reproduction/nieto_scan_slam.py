@@ -40,9 +40,9 @@ from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
+from comparisons.jobs.run import run_filter
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses

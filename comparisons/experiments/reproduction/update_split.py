@@ -23,9 +23,9 @@ from comparisons.experiments.reproduction.interface import (
     at_most,
     theirs,
 )
+from comparisons.jobs.run import compare
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import compare
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from ekf_reference.core.landmark_types import POINT
 

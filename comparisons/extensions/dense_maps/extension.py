@@ -19,9 +19,9 @@ from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.check import DenseAgreement, compare_dense, dense_cause
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
-from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import Drawing

@@ -8,7 +8,7 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.checks.finding import Finding
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.dynamic.config import DynamicConfig
-from comparisons.extensions.interface import Extension
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from ekf_reference.dense.dynamic import Differencing, places

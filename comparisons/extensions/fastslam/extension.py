@@ -24,8 +24,8 @@ from comparisons.extensions.fastslam.drive import (
     run_fastslam,
 )
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
-from comparisons.extensions.interface import Extension
 from comparisons.logs.transforms.known_landmarks import surveyed
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row

@@ -19,7 +19,7 @@ from comparisons.extensions.high_level.source import (
     HighLevelRun,
     HighLevelSource,
 )
-from comparisons.extensions.interface import Extension
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import Drawing

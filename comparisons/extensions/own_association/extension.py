@@ -27,11 +27,11 @@ from comparisons.checks.misfit import squared_misfit
 from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Extension
 from comparisons.extensions.own_association.config import OwnAssociationConfig
 from comparisons.figures import Aside, in_sigma
 from comparisons.logs.log import LandmarkMeasurements
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines

@@ -15,7 +15,6 @@ from comparisons.adapters.scan_source import CloudsAt, ScanSource
 from comparisons.adapters.smoother_input import build_problem, smoothed_estimate
 from comparisons.checks.accuracy import accuracy_rows, assess
 from comparisons.checks.finding import Finding
-from comparisons.extensions.interface import Extension
 from comparisons.extensions.own_matching.check import (
     OwnMatchingCheck,
     check_own_matching,
@@ -26,6 +25,7 @@ from comparisons.figures import in_sigma
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.stamps import resolved
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.report.html.shell import number, sortable
 from comparisons.words import Row

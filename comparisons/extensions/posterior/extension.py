@@ -15,9 +15,9 @@ from comparisons.checks.finding import Finding
 from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Extension
 from comparisons.extensions.posterior.config import PosteriorConfig
 from comparisons.figures import Aside, finite
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row

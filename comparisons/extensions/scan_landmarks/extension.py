@@ -13,7 +13,6 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.checks.finding import Finding
 from comparisons.config import Configured
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
     ScanLandmark,
@@ -27,6 +26,7 @@ from comparisons.extensions.scan_landmarks.source import (
     ScanSlamSource,
     scan_slam_options,
 )
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import Drawing

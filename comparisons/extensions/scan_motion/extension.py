@@ -19,9 +19,13 @@ from comparisons.checks.map_agreement import compare_maps
 from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Extension
 from comparisons.extensions.scan_motion.config import ScanMotionConfig
 from comparisons.extensions.scan_motion.increments import check_increments
+from comparisons.extensions.scan_motion.log_by_scans import (
+    BEYOND,
+    measurements_kept,
+    with_scan_motion,
+)
 from comparisons.extensions.scan_motion.result import (
     increment_remarks,
     scan_odometry_result,
@@ -36,7 +40,7 @@ from comparisons.extensions.scan_motion.three_way import (
 )
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
-from comparisons.logs.transforms.scan_motion import BEYOND, measurements_kept, with_scan_motion
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 from comparisons.adapters.scan_odometry import ScanMotion
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
+from comparisons.extensions.scan_motion.log_by_scans import divide
 from comparisons.logs.log import Log, Poses, Positions
-from comparisons.logs.transforms.scan_motion import divide
 from graphslam.increments import Samples, dead_reckoned
 from graphslam.scan import planar
 

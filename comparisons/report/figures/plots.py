@@ -16,9 +16,9 @@ from comparisons.arrays import Array
 from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
+from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import ExternalCheck
-from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.style import (
     draw_aside,

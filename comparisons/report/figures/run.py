@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from comparisons.pipeline.check import ExternalCheck
-from comparisons.pipeline.compare import Comparison
+from comparisons.jobs.check import ExternalCheck
+from comparisons.jobs.run import Comparison
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.plots import plot_map
 from comparisons.report.figures.style import draw_correlation, plan

@@ -22,8 +22,8 @@ from comparisons.estimates.external import read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE
 from comparisons.faults.catalogue import NAMED
-from comparisons.pipeline.check import ExternalCheck, check_external
-from comparisons.pipeline.compare import Comparison, Modified, repeat_filter
+from comparisons.jobs.check import ExternalCheck, check_external
+from comparisons.jobs.run import Comparison, Modified, repeat_filter
 from comparisons.pipeline.solve import solve
 from comparisons.trace.events import Event, Predict, Prior, Snapshot, Update
 from comparisons.trace.recorder import Recorder

@@ -15,8 +15,8 @@ from comparisons.audit.replay import Replay
 from comparisons.audit.run_trace import write_event, write_run
 from comparisons.audit.spurious import Learnt, learnt
 from comparisons.faults.catalogue import NAMED
+from comparisons.jobs.run import Comparison, Modified
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.trace.events import Augment, Directions, Event, Prior, Remove, Snapshot, Update
 from comparisons.trace.reader import Trace
 from comparisons.trace.recorder import Recorder

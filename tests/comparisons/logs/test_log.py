@@ -210,7 +210,7 @@ def test_of_two_samples_at_one_instant_the_later_holds() -> None:
 
 @pytest.mark.slow
 def test_measurements_between_relative_poses_are_refused(victoria_park: object) -> None:
-    from comparisons.pipeline.compare import Comparison
+    from comparisons.jobs.run import Comparison
 
     assert isinstance(victoria_park, Comparison)
     log = victoria_park.log

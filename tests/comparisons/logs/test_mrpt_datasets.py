@@ -14,10 +14,10 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.estimates.estimate import Estimate
+from comparisons.jobs.run import compare
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import read_log
-from comparisons.pipeline.compare import compare
 from tests.comparisons.logs.test_readers import assert_refused
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.scan_odometry import run_scan_odometry
+from comparisons.adapters.tree_features import with_tree_features
 from comparisons.errors import InputError
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import read_log
-from comparisons.logs.transforms.tree_features import with_tree_features
 from tests.comparisons.logs.test_readers import assert_refused
 from tests.comparisons.logs.test_scan_readers import assert_survives_a_folder
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from comparisons.adapters.tree_features import with_tree_features
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
@@ -21,7 +22,6 @@ from comparisons.logs.odometry import (
     poses_at,
 )
 from comparisons.logs.readers import READERS, read_log
-from comparisons.logs.transforms.tree_features import with_tree_features
 from tests.comparisons.logs.test_log_folder import assert_same
 from tests.comparisons.logs.test_readers import assert_refused
 

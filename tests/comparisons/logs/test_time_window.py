@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.time_window import cut_log
 from comparisons.config import LogSection
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, LoopClosures, Positions, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.read import load_log
 from tests.commands import slamcheck
 from tests.helpers import compared, simulated

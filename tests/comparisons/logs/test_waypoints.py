@@ -10,13 +10,13 @@ import pytest
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
+from comparisons.adapters.tree_features import with_tree_features
 from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.misono import direction_cosine_navigator
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.logs.transforms.tree_features import with_tree_features
 from ekf_reference.models.range_bearing import RangeBearing
 from graphslam.increments import dead_reckoned
 

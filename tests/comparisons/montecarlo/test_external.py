@@ -34,9 +34,9 @@ from comparisons.experiments.montecarlo.study import (
 )
 from comparisons.experiments.scenarios.scenario import bundled_scenarios
 from comparisons.experiments.scenarios.world import log_of_run
+from comparisons.jobs.run import run_filter
 from comparisons.logs.log import Log, Poses, Truth
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
-from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
 from tests.commands import refused, works
 from tests.comparisons.montecarlo.test_command import ENVIRONMENT, SLAMCHECK

@@ -8,7 +8,7 @@ import pytest
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.experiments.reproduction.update_split import ONE, SPLITS, runs
-from comparisons.pipeline.compare import compare
+from comparisons.jobs.run import compare
 from comparisons.settings import configure
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import UpdateSplitter

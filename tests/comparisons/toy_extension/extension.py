@@ -15,8 +15,8 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.checks.finding import Finding
 from comparisons.errors import InputError
-from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Poses
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.report.picture import blank

@@ -68,7 +68,7 @@ def test_audit_loads_no_planar_harness(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["comparisons.config", "comparisons.pipeline.compare"])
+@pytest.mark.parametrize("module", ["comparisons.config", "comparisons.jobs.run"])
 def test_planar_harness_would_be_counted(module: str, tmp_path: Path) -> None:
     trace = tmp_path / "run.trace"
     _faulty(trace)

@@ -27,9 +27,9 @@ from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig, config_class
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.interface import Extension
 from comparisons.logs.log import Log
 from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.gaps import Gaps, compute_gaps
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, check_memory, prepare

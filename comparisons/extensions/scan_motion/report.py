@@ -14,6 +14,8 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows
 from comparisons.estimates.folder import tum_text
 from comparisons.extensions.scan_motion.increments import IncrementCheck
+from comparisons.extensions.scan_motion.job import FrontEnd
+from comparisons.extensions.scan_motion.log_by_scans import measurements_kept
 from comparisons.extensions.scan_motion.result import (
     ScanOdometryResult,
     by_reason,
@@ -22,9 +24,7 @@ from comparisons.extensions.scan_motion.result import (
     scan_odometry_rows,
 )
 from comparisons.figures import Model
-from comparisons.logs.transforms.scan_motion import measurements_kept
 from comparisons.pipeline.clock import Clock
-from comparisons.pipeline.odometry import FrontEnd
 from comparisons.report.figures.style import (
     draw_aside,
     draw_cloud,

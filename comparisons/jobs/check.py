@@ -46,15 +46,19 @@ from comparisons.checks.spread import within_spread
 from comparisons.checks.verdict import Outcome
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, with_poses
+from comparisons.fingerprints.estimate_motion import (
+    in_words,
+    integrations_by_steps,
+    integrations_of,
+)
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.unscented import unscented_filters
+from comparisons.jobs.external_trace import OWN, TraceCheck, check_trace, trace_run
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses
 from comparisons.logs.stamps import at_instants, rounded, since_origin
 from comparisons.logs.transforms.clock import file_start, timed_by_floats
 from comparisons.pipeline.clock import Progress, no_progress
-from comparisons.pipeline.estimate_motion import in_words, integrations_by_steps, integrations_of
-from comparisons.pipeline.external_trace import OWN, TraceCheck, check_trace, trace_run
 from comparisons.pipeline.references import (
     APART,
     EKF,

@@ -1,4 +1,4 @@
-"""`slamcheck/_options.py`, generated: `python -m comparisons.options.typed > FILE`."""
+"""`slamcheck/_options.py`, generated: `python -m tools.options_types > FILE`."""
 
 from __future__ import annotations
 

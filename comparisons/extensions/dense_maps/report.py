@@ -23,9 +23,9 @@ from comparisons.extensions.dense_maps.figure import (
     plan,
     thinned,
 )
+from comparisons.extensions.dense_maps.job import DenseMapping
 from comparisons.figures import Model
 from comparisons.pipeline.clock import Clock
-from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import estimate_map
 from comparisons.report.html.page import PageContent, write_page

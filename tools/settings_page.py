@@ -1,4 +1,4 @@
-"""`docs/settings.md`, generated: `python -m comparisons.documented.page > docs/settings.md`."""
+"""`docs/settings.md`, generated: `python -m tools.settings_page > docs/settings.md`."""
 
 from __future__ import annotations
 

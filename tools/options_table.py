@@ -1,4 +1,4 @@
-"""`comparisons/options/table.py`, generated: `python -m comparisons.options.source > FILE`."""
+"""`comparisons/options/table.py`, generated: `python -m tools.options_table > FILE`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from comparisons.config import JOBS, ExtensionConfig, Section, choices_of, config_class
-from comparisons.extensions.registry import EXTENSIONS
+from comparisons.extension_names import EXTENSIONS
 from comparisons.options import Flag, Option
 
 _FIRST = (

@@ -16,13 +16,17 @@ from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.config import EkfConfig, OdometryConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.increments import IncrementCheck, check_increments
+from comparisons.extensions.scan_motion.log_by_scans import (
+    divide,
+    measurements_kept,
+    with_scan_motion,
+)
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.transforms.known_landmarks import (
     SURVEYED,
     indices_by_label,
 )
-from comparisons.logs.transforms.scan_motion import divide, measurements_kept, with_scan_motion
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Prepared
