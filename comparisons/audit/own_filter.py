@@ -17,7 +17,7 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.audit.directions import planar_directions
-from comparisons.audit.replay import ShortFormReplay
+from comparisons.audit.replay import LongFormReplay, Replay, ShortFormReplay
 from comparisons.audit.spurious import VEHICLE
 from comparisons.trace.events import (
     Augment,
@@ -63,24 +63,32 @@ def run_events(run: EkfRun) -> Iterator[Event]:
     return _Events(run).all()
 
 
-def rounded_covariance(run: EkfRun) -> tuple[Array, int] | None:
-    """Return the last covariance (n, n) as a sound filter of double precision computes it.
+def sound_recursion(run: EkfRun) -> tuple[Array, Array] | None:
+    """Return what a sound filter of double precision comes to with the matrices of a run.
 
-    From the matrices that the run recorded, with the number of its updates; None where it has no
-    snapshot of a whole pose.
+    It has the short form of the covariance. Two others, of Joseph's form, follow its corrections:
+    what they hold for the error of its estimate is rounding.
+
+    Args:
+        run: As the filter made it.
+
+    Returns:
+        The last covariance (n, n) and errors (2, n) of the estimate; None where the run has no
+        snapshot of a whole pose.
     """
     last: Event | None = None
-    updates = 0
     for event in run_events(run):
         if isinstance(event, Prior):
-            replay = ShortFormReplay(event)
-        updates += isinstance(event, Update)
-        replay.apply(event)
-        last = event
+            short, others = ShortFormReplay(event), (Replay(event), LongFormReplay(event))
+        fused, last = short.apply(event), event
+        if isinstance(event, Update) and fused is not None:
+            event = event._replace(correction=fused.applied)
+        for one in others:
+            one.apply(event)
     if not isinstance(last, Snapshot) or len(last.covariance) < len(run.estimate.joint_mean):
         return None
-    at = replay.layout.columns(last.blocks)
-    return replay.covariance[at][:, at], updates
+    at = short.layout.columns(last.blocks)
+    return short.covariance[at][:, at], np.array([one.mean[at] for one in others])
 
 
 def watch(ekf: Ekf, run: EkfRun, take: Callable[[Event], object]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,6 +23,7 @@ from comparisons.adapters.smoother_input import (
     solve_recorded,
 )
 from comparisons.adapters.timeline import Timeline
+from comparisons.arrays import Array
 from comparisons.checks.agreement import (
     Agreement,
     Allowed,
@@ -94,7 +94,9 @@ class Gaps(Brief):
         algebra = self.agreement.algebra
         if algebra.explained_by(self.rounding):
             return self.rounding
-        return self._moved(self.solved, self._f1, algebra).at_least_of(self._recursion())
+        unit = units(self.run.estimate.joint_covariance, self._f1.covariance)  # as of the gap
+        moved = self._moved(self.solved, self._f1, algebra, unit)
+        return moved.at_least_of(self._recursion())
 
     @cached_property
     def model_rounding(self) -> Allowed:
@@ -105,11 +107,12 @@ class Gaps(Brief):
         model = self.agreement.model
         if model.explained_by(self.rounding):
             return self.rounding
-        moved = self._moved(self.solved, self._f1, model)
+        unit = np.sqrt(np.diag(self.smoothed.joint_covariance))
+        moved = self._moved(self.solved, self._f1, model, unit)
         if self.run.trace.departed.shape[1:] != self.run.departed.shape[1:]:
             return moved
         own = self.model_solved(self.run.trace)
-        return moved.at_least_of(self._moved(self.model_solved, own, model))
+        return moved.at_least_of(self._moved(self.model_solved, own, model, unit))
 
     @cached_property
     def _f1(self) -> Gaussian:
@@ -122,33 +125,32 @@ class Gaps(Brief):
         return lost_of(noise[:2].max(), noise[2:].max(), last)
 
     def _moved(
-        self, solve: Callable[[TraceArrays], Gaussian], stored: Gaussian, least: Gap
+        self, solve: Callable[[TraceArrays], Gaussian], stored: Gaussian, least: Gap, sigma: Array
     ) -> Allowed:
-        """What moving the records in their last places changes, at least `rounding`."""
+        """What moving the records in their last places changes, at least `rounding`.
+
+        sigma: (n,) units of the means, those of the gap.
+        """
         from comparisons.checks.diagnosis.single_precision import rounding_gap
 
-        sigma = np.sqrt(np.diag(self.smoothed.joint_covariance))
         moved = rounding_gap(solve, stored, self.run.trace, sigma, least)
         return self.rounding.at_least_of(moved)
 
     def _recursion(self) -> Allowed:
-        """Ten times what a sound recursion through the recorded matrices loses, where it may count.
-
-        The mean errs by that share of each correction, and the errors of N updates add up as a
-        random walk, of which three sigma are allowed.
-        """
+        """Ten times what a sound recursion through the recorded matrices loses, where it counts."""
         if not self._lost > ROUNDING:
             return self.rounding
-        from comparisons.audit.own_filter import rounded_covariance
+        from comparisons.audit.own_filter import sound_recursion
 
-        found = rounded_covariance(self.run)
+        found = sound_recursion(self.run)
         if found is None:
             return self.rounding
-        other, updates = found
+        other, errors = found
         exact = self._f1.covariance
-        lost = covariance_gap(other, exact, units(other, exact)).largest
-        walk = max(_LOST, 3.0 * math.sqrt(updates)) * lost
-        return self.rounding.at_least_of(Allowed(walk, _LOST * lost))
+        unit = units(other, exact)
+        lost = covariance_gap(other, exact, unit).largest
+        mean = float(np.max(np.abs(errors) / unit))
+        return self.rounding.at_least_of(Allowed(_LOST * mean, _LOST * lost))
 
     def solved(self, trace: TraceArrays) -> Gaussian:
         """F1 of other records of the same run."""
