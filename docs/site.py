@@ -31,21 +31,12 @@ from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured, config_class
 from comparisons.experiments.montecarlo.folder import MonteCarloResult
 from comparisons.experiments.reproduction.interface import ReproductionResult
-from comparisons.extensions.dense_maps.check import DenseAgreement
 from comparisons.extensions.dense_maps.report import MapResult
-from comparisons.extensions.fastslam.extension import FastSlamResult
-from comparisons.extensions.high_level.source import HighLevelRun
-from comparisons.extensions.own_association.extension import OwnAssociationCheck
-from comparisons.extensions.own_matching.check import OwnMatchingCheck
-from comparisons.extensions.posterior.extension import PosteriorCheck
-from comparisons.extensions.scan_landmarks.result import ScanSlamResult
-from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.report import FrontEndResult
-from comparisons.extensions.scan_motion.result import ScanOdometryResult
-from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.figures import kept_fields, meanings
 from comparisons.options.table import FLAGS
 from comparisons.report.check import CheckResult
+from comparisons.report.explain import every_check
 from comparisons.report.models import Result, SolutionResult
 
 ROOT = Path(__file__).parents[1]
@@ -56,17 +47,8 @@ _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTAL
 
 RESULTS: dict[str, tuple[type, ...]] = {
     "result.json": (Result,),
-    "result.json: entries of extensions": (
-        OwnAssociationCheck,
-        OwnMatchingCheck,
-        PosteriorCheck,
-        FastSlamResult,
-        ScanSlamResult,
-        ScanOdometryResult,
-        IncrementCheck,
-        ThreeWay,
-        DenseAgreement,
-        HighLevelRun,
+    "result.json: entries of checks": tuple(
+        kind for check in every_check() for kind in check.figures
     ),
     "check.json": (CheckResult,),
     "solution.json": (SolutionResult,),

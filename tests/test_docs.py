@@ -132,7 +132,7 @@ def test_dead_anchors_and_foreign_scripts_are_found(tmp_path: Path) -> None:
 
 def test_every_field_of_a_result_has_a_type_and_a_meaning(site: Path) -> None:
     page = (site / "result-schema.html").read_text()
-    for model in ("Result", "CheckResult", "SolutionResult", "MapResult", "Claim"):
+    for model in ("Result", "CheckResult", "SolutionResult", "MapResult", "Claim", "StatedNoise"):
         assert f'id="{model.lower()}"' in page
     assert page.count("<tr>") > 400
 

@@ -134,7 +134,7 @@ class CheckAccuracy(Check):
     name = "accuracy"
     needs = "true poses or landmarks, or absolute positions that the filter has not used"
     errs = "not at all: errors are reported and change no verdict"
-    figures = Accuracies
+    figures = (Accuracies,)
 
     def find(self, known: Known) -> AccuracyFinding | Absent:
         """Return the errors of each estimate."""

@@ -97,7 +97,7 @@ class CheckAssociation(Check):
     name = "association"
     needs = "labels in the log, and a filter that associates without them"
     errs = "not at all: the scores are reported and change no verdict"
-    figures = AssociationScore
+    figures = (AssociationScore,)
 
     def find(self, known: Known) -> AssociationFinding | Absent:
         """Return the score of the filter's association."""

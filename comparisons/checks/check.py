@@ -22,8 +22,8 @@ class Check:
     """What a job must have for an answer."""
     errs = ""
     """How often it says something wrong of what is sound, as far as that is measured."""
-    figures: type | None = None
-    """What it adds to the result, if it does: a class that describes every field."""
+    figures: tuple[type, ...] = ()
+    """What it adds to the result: classes that describe every field."""
 
     def find(self, known: Known) -> Finding | Absent | None:
         """Return the answer, or why there is none; None where nothing was asked."""

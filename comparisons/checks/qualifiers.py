@@ -126,7 +126,7 @@ class CheckTruthGap(Check):
     name = "truth_gap"
     needs = "truth, or labels that the run has not used"
     errs = "1 of 1,000 sound runs is farther from the truth than the limit of its NEES"
-    figures = TruthGap
+    figures = (TruthGap,)
 
     def find(self, known: Known) -> TruthGapFinding | Absent:
         """Return S against truth, or else against labels, where S has not used them."""

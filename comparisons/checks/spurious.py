@@ -77,7 +77,7 @@ class CheckSpurious(Check):
     name = "spurious_heading"
     needs = "landmarks whose places the filter finds itself"
     errs = "not at all: it explains a linearisation gap and makes none"
-    figures = SpuriousHeadingResult
+    figures = (SpuriousHeadingResult,)
 
     def find(self, known: Known) -> SpuriousFinding | Absent:
         """Return what it learnt, with or without positions and prior."""

@@ -82,7 +82,7 @@ class CheckStatedNoise(Check):
     name = "stated_noise"
     needs = "the batch smoother, without a robust kernel"
     errs = "a note on 1 of 1,000 sound runs"
-    figures = StatedNoise
+    figures = (StatedNoise,)
 
     def find(self, known: Known) -> StatedNoiseFinding | Absent:
         """Return the factor of each sensor's sigma, with its interval."""

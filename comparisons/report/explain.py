@@ -5,50 +5,65 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Iterator
+from pkgutil import resolve_name
 
 from comparisons.checks.causes import EXPLANATIONS
 from comparisons.checks.check import Check
 from comparisons.checks.registry import CHECKS
+from comparisons.config import config_class
 from comparisons.errors import InputError
+from comparisons.extension_names import EXTENSIONS
 from comparisons.figures import kept_fields, meanings
 from comparisons.words import cause_name
 
 _WIDTH = 80
 
 
+def every_check() -> list[type[Check]]:
+    """Return the checks that every run is asked, and those of extensions."""
+    places = [config_class(name).extension for name in EXTENSIONS]
+    return [*map(type, CHECKS), *(resolve_name(place) for place in places)]
+
+
 def overview() -> str:
     """Return every check with its question, and every cause with its title."""
-    checks = [(one.name, _question(one)) for one in CHECKS]
+    asked = [(one.name, _question(one)) for one in every_check()]
+    checks, more = asked[: len(CHECKS)], asked[len(CHECKS) :]
     causes = [(name, one.title) for name, one in EXPLANATIONS.items()]
-    longest = max(len(name) for name, _ in (*checks, *causes)) + 2
-    lines = ["Checks of a run:"]
-    lines += [_wrapped(f"  {name:<{longest}}{words}", longest + 2) for name, words in checks]
-    lines += ["", "Causes of a verdict:"]
-    lines += [_wrapped(f"  {name:<{longest}}{words}", longest + 2) for name, words in causes]
-    return "\n".join(lines)
+    longest = max(len(name) for name, _ in (*asked, *causes)) + 2
+    lines = []
+    for title, rows in (
+        ("Checks of a run:", checks),
+        ("Checks on request, and sources of landmarks and motion:", more),
+        ("Causes of a verdict:", causes),
+    ):
+        named = [_wrapped(f"  {name:<{longest}}{words}", longest + 2) for name, words in rows]
+        lines += ["", title, *named]
+    return "\n".join(lines[1:])
 
 
 def explanation(name: str) -> str:
     """Return what a check asks, needs and finds, and what a cause means. Raises InputError."""
     asked = _spoken(name)
-    parts = ["\n".join(_of_check(one)) for one in CHECKS if _spoken(one.name) == asked]
+    checks = every_check()
+    parts = ["\n".join(_of_check(one)) for one in checks if _spoken(one.name) == asked]
     asked = asked.removesuffix(" gap")
     parts += ["\n".join(_of_cause(one)) for one in EXPLANATIONS if one == asked]
     if not parts:
-        known = ", ".join(dict.fromkeys((*(one.name for one in CHECKS), *EXPLANATIONS)))
+        known = ", ".join(dict.fromkeys((*(one.name for one in checks), *EXPLANATIONS)))
         raise InputError(f"{name[:80]}: no check or cause is called so, expected one of {known}")
     return "\n\n".join(parts)
 
 
-def _of_check(one: Check) -> Iterator[str]:
+def _of_check(one: type[Check]) -> Iterator[str]:
     yield f"{_spoken(one.name)} (a check)"
     yield _wrapped(f"  asks:   {_question(one)}", 10)
     yield _wrapped(f"  needs:  {one.needs}", 10)
     yield _wrapped(f"  errs:   {one.errs}", 10)
-    if one.figures is not None:
-        text = meanings(one.figures)
+    for kind in one.figures:
+        text = meanings(kind)
         yield "  finds:"
-        for field in kept_fields(one.figures):
+        for field in kept_fields(kind):
             yield _wrapped(f"    {field}: {text[field]}", 6)
 
 
@@ -63,8 +78,8 @@ def _spoken(key: str) -> str:
     return key.replace("_", " ").replace("-", " ")
 
 
-def _question(one: Check) -> str:
-    return inspect.cleandoc(type(one).__doc__ or "").splitlines()[0]
+def _question(one: type[Check]) -> str:
+    return inspect.cleandoc(one.__doc__ or "").splitlines()[0]
 
 
 def _wrapped(text: str, indent: int) -> str:

@@ -113,7 +113,7 @@ class CheckConsistency(Check):
     name = "consistency"
     needs = "innovations; truth for the NEES; the batch smoother, without a kernel, for the rest"
     errs = "1 of 1,000 sound runs by NIS, 5 of 520 by filter against smoother"
-    figures = ConsistencyResult
+    figures = (ConsistencyResult,)
 
     def find(self, known: Known) -> ConsistencyFinding:
         """Return the statistics that the log allows; they have no say in the verdict."""

@@ -157,9 +157,15 @@ def _reckoned(log: Log) -> tuple[Array, Array]:
 
 
 class DenseMaps(Extension):
-    """Puts a watcher beside the filter, which others may use."""
+    """Do both estimates put what the scanner saw at the same places?
+
+    Puts a watcher beside the filter, which others may use.
+    """
 
     name = "dense_maps"
+    needs = "scans"
+    errs = "not measured"
+    figures = (DenseAgreement,)
     settings: DenseMapsConfig
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:

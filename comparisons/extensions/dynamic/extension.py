@@ -15,9 +15,14 @@ from ekf_reference.dense.dynamic import Differencing, places
 
 
 class Dynamic(Extension):
-    """Makes the dense map the filter's guard."""
+    """Where does something move?
+
+    Makes the dense map the filter's guard.
+    """
 
     name = "dynamic"
+    needs = "a dense map"
+    errs = "not at all: what it finds changes no verdict"
     settings: DynamicConfig
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:

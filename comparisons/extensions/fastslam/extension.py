@@ -42,10 +42,50 @@ MOST_OF_A_CLOUD = 0.5
 """Landmarks are those that particles of so much weight have."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class FastSlamResult(CloudCheck):
+    """Entry `fastslam`: clouds of particles compared with the smoother.
+
+    See comparisons.extensions.fastslam.check.
+
+    Attributes:
+        particles: particles of each cloud.
+        length_s: mean length of the stretches.
+        level: largest p of a disagreement.
+        verdict: whether the clouds agree, in words.
+        path_m: whole log: distance of one cloud's mean positions from the smoother's (root mean
+            square over the epochs).
+        difference_m: whole log, last pose: distance of one cloud's mean from the smoother's.
+        difference_rad: the same of the heading.
+        effective: mean effective sample size of the whole log's cloud.
+        first: particles of its first epoch that have descendants.
+        middle: particles of its middle epoch that have descendants.
+        accuracy: errors of its estimate.
+    """
+
+    particles: int
+    length_s: float
+    level: float
+    verdict: str
+    path_m: float
+    difference_m: float
+    difference_rad: float
+    effective: float
+    first: int
+    middle: int
+    accuracy: Accuracy | None
+
+
 class FastSlamExtension(Extension):
-    """Runs FastSLAM on what the estimators were given, once whole and often in stretches."""
+    """What does FastSLAM make of the same log?
+
+    Runs FastSLAM on what the estimators were given, once whole and often in stretches.
+    """
 
     name = "fastslam"
+    needs = "measurements of landmarks, none surveyed"
+    errs = "not at all: what it finds changes no verdict"
+    figures = (FastSlamResult,)
     settings: FastSlamConfig
 
     def __init__(self, settings: FastSlamConfig, config: Configured) -> None:
@@ -79,40 +119,6 @@ class FastSlamExtension(Extension):
 
 
 _AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class FastSlamResult(CloudCheck):
-    """Entry `fastslam`: clouds of particles compared with the smoother.
-
-    See comparisons.extensions.fastslam.check.
-
-    Attributes:
-        particles: particles of each cloud.
-        length_s: mean length of the stretches.
-        level: largest p of a disagreement.
-        verdict: whether the clouds agree, in words.
-        path_m: whole log: distance of one cloud's mean positions from the smoother's (root mean
-            square over the epochs).
-        difference_m: whole log, last pose: distance of one cloud's mean from the smoother's.
-        difference_rad: the same of the heading.
-        effective: mean effective sample size of the whole log's cloud.
-        first: particles of its first epoch that have descendants.
-        middle: particles of its middle epoch that have descendants.
-        accuracy: errors of its estimate.
-    """
-
-    particles: int
-    length_s: float
-    level: float
-    verdict: str
-    path_m: float
-    difference_m: float
-    difference_rad: float
-    effective: float
-    first: int
-    middle: int
-    accuracy: Accuracy | None
 
 
 def fastslam_result(

@@ -27,9 +27,15 @@ from comparisons.words import Row
 
 
 class HighLevel(Extension):
-    """Puts a source beside the filter; a dense map of the same cells serves both."""
+    """Which corners of the dense map are landmarks?
+
+    Puts a source beside the filter; a dense map of the same cells serves both.
+    """
 
     name = "high_level"
+    needs = "scans"
+    errs = "not at all: it gives the estimators landmarks"
+    figures = (HighLevelRun,)
 
     def __init__(self, settings: HighLevelConfig, config: Configured) -> None:
         """Of a dense map the options are those of the preset."""

@@ -175,9 +175,15 @@ def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
 
 
 class OwnAssociation(Extension):
-    """Sees how much the verdict owes to the filter's association, which S shares."""
+    """Does the verdict hold with an association that the smoother makes?
+
+    Sees how much the verdict owes to the filter's association, which S shares.
+    """
 
     name = "own_association"
+    needs = "measurements of landmarks"
+    errs = "not measured"
+    figures = (OwnAssociationCheck,)
 
     def __init__(self, settings: OwnAssociationConfig, config: Configured) -> None:
         """Of `when` never, it does nothing."""

@@ -43,9 +43,15 @@ from graphslam.smoother import smooth
 
 
 class OwnMatching(Extension):
-    """Sees how much the verdict owes to the filter's matcher, whose alignments S shares."""
+    """Does the verdict hold with another matcher of scans?
+
+    Sees how much the verdict owes to the filter's matcher, whose alignments S shares.
+    """
 
     name = "own_matching"
+    needs = "scan landmarks"
+    errs = "not measured"
+    figures = (OwnMatchingCheck,)
 
     def find(self, known: Known) -> OwnMatchingFinding | None:
         """See the scan landmarks anew, solve, assess, and compare the alignments."""

@@ -196,9 +196,15 @@ def failures(judgement: Judged, ids: NDArray[np.int64]) -> list[str]:
 
 
 class Posterior(Extension):
-    """Asks what neither Gaussian can say: how good they are."""
+    """How good are the two Gaussians beside draws of the posterior?
+
+    Asks what neither Gaussian can say: how good they are.
+    """
 
     name = "posterior"
+    needs = "a short log"
+    errs = "not at all: what it finds changes no verdict"
+    figures = (PosteriorCheck,)
 
     def __init__(self, settings: PosteriorConfig, config: Configured) -> None:
         """settings: how many draws, and the seed."""

@@ -16,6 +16,7 @@ from comparisons.errors import InputError
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
     ScanLandmark,
+    ScanSlamResult,
     published_rule,
     scan_slam_result,
     scan_slam_rows,
@@ -35,9 +36,15 @@ from ekf_reference.scan_landmarks.merging import FusingOptions
 
 
 class ScanLandmarksExtension(Extension):
-    """options: of scan landmarks, which may be replaced before the first run."""
+    """Where are landmarks that are pieces of scans?
+
+    options: of scan landmarks, which may be replaced before the first run.
+    """
 
     name = "scan_landmarks"
+    needs = "scans"
+    errs = "not at all: it gives the estimators landmarks"
+    figures = (ScanSlamResult,)
 
     def __init__(self, settings: ScanLandmarksConfig, config: Configured) -> None:
         """Settings also say whether a dense map is anchored to the landmarks."""

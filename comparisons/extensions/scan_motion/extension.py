@@ -20,13 +20,14 @@ from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.config import ScanMotionConfig
-from comparisons.extensions.scan_motion.increments import check_increments
+from comparisons.extensions.scan_motion.increments import IncrementCheck, check_increments
 from comparisons.extensions.scan_motion.log_by_scans import (
     BEYOND,
     measurements_kept,
     with_scan_motion,
 )
 from comparisons.extensions.scan_motion.result import (
+    ScanOdometryResult,
     increment_remarks,
     scan_odometry_result,
     scan_odometry_rows,
@@ -49,9 +50,19 @@ from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 
 class ScanMotionExtension(Extension):
-    """Runs scan odometry first, for whatever is moved by it."""
+    """Do the wheels and the scans tell the same motion?
+
+    Runs scan odometry first, for whatever is moved by it.
+    """
 
     name = "scan_motion"
+    needs = "scans"
+    errs = "not measured"
+    figures = (
+        ScanOdometryResult,
+        IncrementCheck,
+        ThreeWay,
+    )
 
     def __init__(self, settings: ScanMotionConfig, config: Configured) -> None:
         """Of motion `scan` the wheels' is not used."""
