@@ -53,6 +53,8 @@ _FILES: dict[str, tuple[str, dict[str, str]]] = {
 }
 """The file of each job, and what its parts are called where a run has the same."""
 _ASIDE = ("config", "settings", "log", "seconds", "cpu_s", "versions", "level")
+_IN_METRICS = ("agreement", "ekf", "smoother", "accuracy", "consistency")
+"""Entries of a run whose figures are chosen; of all other checks every figure counts."""
 _NOT_COMPARED = ("iterations", "rank", "distance_sigma", "schema")
 
 
@@ -154,13 +156,15 @@ def _read(folder: Path) -> Found:
             run = Result.model_validate_json(text)
         except ValidationError as error:
             raise InputError(f"{path}: not a run's result: {first_fault(error)}") from None
-        return Found({**_words(run.model_dump(), job), "verdict": run.headline}, metrics(run))
+        own = {key: value for key, value in found.items() if key not in (*_ASIDE, *_IN_METRICS)}
+        figures = {**metrics(run), **dict(_flat(own))}
+        return Found({**_words(run.model_dump(), job), "verdict": run.headline}, figures)
     if not isinstance(found, dict):
         raise InputError(f"{path}: not a result of slamcheck {job}")
-    figures: dict[str, Any] = {
+    whole: dict[str, Any] = {
         str(names.get(key, key)): value for key, value in found.items() if key not in _ASIDE
     }
-    return Found(_words(found, job), dict(_flat(figures)))
+    return Found(_words(found, job), dict(_flat(whole)))
 
 
 def _words(found: Mapping[str, Any], job: str) -> dict[str, str]:

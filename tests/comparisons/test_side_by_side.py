@@ -69,6 +69,19 @@ def test_only_what_differs_is_shown(tmp_path: Path, result: Result) -> None:
         side_by_side(read_results(places), ["nope"])
 
 
+def test_the_figures_of_every_check_and_extension_are_compared(
+    tmp_path: Path, result: Result
+) -> None:
+    whole = json.loads(result.model_dump_json(by_alias=True))
+    learnt = {**whole["spurious_heading"], "sigma_deg": 9.0}
+    other = {**whole, "spurious_heading": learnt, "toy": {"drift_m": 2.0, "parts": [1.0]}}
+    places = [folder(tmp_path / n, "result", one) for n, one in (("a", whole), ("b", other))]
+    rows = dict(side_by_side(read_results(places)))
+    assert rows["spurious_heading.sigma_deg"] == [whole["spurious_heading"]["sigma_deg"], 9.0]
+    assert rows["toy.drift_m"] == [None, 2.0]
+    assert not any(name.startswith(("config", "settings", "seconds", "toy.parts")) for name in rows)
+
+
 def test_other_jobs_stand_beside_a_run(tmp_path: Path, result: Result) -> None:
     """Under the names that a run has for the same."""
     run = folder(tmp_path / "run", "result", result.model_dump_json(by_alias=True))
