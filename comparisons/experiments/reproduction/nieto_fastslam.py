@@ -1,19 +1,24 @@
-"""Nieto 2005, section 2.10: FastSLAM on Victoria Park, Fig. 2.13; depletion, section 2.2.1.
+"""Nieto 2005, sections 2.8.2 and 2.10: EKF-SLAM and FastSLAM on Victoria Park; 2.2.1: depletion.
 
 Every particle associates the raw detections for itself. GPS judges the trajectory and is not used.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_factory import settle
+from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess_trajectory, rigid_motion
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.drawing import chart, plan
 from comparisons.experiments.reproduction.interface import (
@@ -22,11 +27,12 @@ from comparisons.experiments.reproduction.interface import (
     Experiment,
     Figure,
     Sources,
+    at_least,
     at_most,
     within,
 )
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Positions
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 
@@ -60,6 +66,21 @@ class CloudRun:
         return int(self.distinct[len(self.distinct) // 10])
 
 
+@dataclass(frozen=True, kw_only=True)
+class FinalMap:
+    """EKF-SLAM without GPS, moved onto it as CloudRun.
+
+    used: (M,) which detections found a landmark or made one. gps: (G, 2).
+    """
+
+    log: str
+    median_m: float
+    path: Array
+    landmark: Array
+    used: NDArray[np.bool_]
+    gps: Array
+
+
 @dataclass(frozen=True)
 class Clouds:
     """All numbers of particles, ascending. gps: (G, 2)."""
@@ -69,6 +90,26 @@ class Clouds:
     gps: Array
 
 
+def final_map(log: Log) -> FinalMap:
+    """Run the compressed filter, the full one to rounding, on a log with positions."""
+    timeline, positions = build_timeline(log), _positions(log)
+    run = run_ekf(log, timeline, settle(EkfConfig(filter="compressed"), log))
+    move, median_m = _onto_gps(log, run.estimate.time_s, run.estimate.pose)
+    return FinalMap(
+        log=f"{log.name}, --filter compressed",
+        median_m=median_m,
+        path=move(run.estimate.pose[:, :2]),
+        landmark=move(run.estimate.landmark),
+        used=run.landmark_index >= 0,
+        gps=positions.position_m,
+    )
+
+
+def final_park(sources: Sources) -> FinalMap:
+    """The same of Victoria Park."""
+    return final_map(sources.log("victoria_park"))
+
+
 def clouds(sources: Sources) -> Clouds:
     """Run FastSLAM 2.0 on the detections."""
     return clouds_of(sources.log("victoria_park"), PARTICLES)
@@ -76,34 +117,50 @@ def clouds(sources: Sources) -> Clouds:
 
 def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
     """Run it on a log with positions, which judge it."""
-    positions = log.positions
-    if positions is None:
-        raise InputError(f"{log.name}: holds no positions, which are to judge the trajectory")
+    gps = _positions(log).position_m
     runs = tuple(_run(log, number) for number in particles)
-    reported = f"{log.name}, FastSLAM 2.0, seed 0"
-    return Clouds(reported, runs, positions.position_m)
+    return Clouds(f"{log.name}, FastSLAM 2.0, seed 0", runs, gps)
+
+
+def _positions(log: Log) -> Positions:
+    if log.positions is None:
+        raise InputError(f"{log.name}: holds no positions, which are to judge the trajectory")
+    return log.positions
+
+
+def _onto_gps(log: Log, time_s: Array, pose: Array) -> tuple[Callable[[Array], Array], float]:
+    """The rigid motion of a trajectory onto GPS that fits best, and the median distance then."""
+    positions, found = _positions(log), assess_trajectory(time_s, pose, log)
+    inside = (positions.time_s >= time_s[0]) & (positions.time_s <= time_s[-1])
+    at = np.column_stack([np.interp(positions.time_s[inside], time_s, x) for x in pose[:, :2].T])
+    median = None if found is None else found.gps_median_aligned_m
+    move = rigid_motion(at, positions.position_m[inside])
+    return move, np.nan if median is None else median
 
 
 def _run(log: Log, particles: int) -> CloudRun:
-    timeline, positions = build_timeline(log), log.positions
-    if positions is None:
-        raise TypeError("no positions")
+    timeline = build_timeline(log)
     slam = build_fastslam(log, Sampling(particles), known=log.measurements.labelled)
     cloud = run_fastslam(slam, log, timeline)
-    found = assess_trajectory(timeline.epoch_time_s, cloud.mean, log)
-    path, time_s = cloud.mean[:, :2], timeline.epoch_time_s
-    inside = (positions.time_s >= time_s[0]) & (positions.time_s <= time_s[-1])
-    at = np.column_stack([np.interp(positions.time_s[inside], time_s, x) for x in path.T])
-    move = rigid_motion(at, positions.position_m[inside])
+    move, median_m = _onto_gps(log, timeline.epoch_time_s, cloud.mean)
     mixture = slam.mixture_map()
-    median = None if found is None else found.gps_median_aligned_m
     return CloudRun(
         particles=particles,
-        median_m=np.nan if median is None else median,
+        median_m=median_m,
         distinct=slam.history.distinct(),
-        path=move(path),
+        path=move(cloud.mean[:, :2]),
         landmark=move(mixture.mean[mixture.share > _KNOWN]),
     )
+
+
+def claims_2_6(found: FinalMap) -> Claims:
+    """The trajectory is right, and a sparse map of trees explains what was detected."""
+    text = "the estimated trajectory follows the vehicle's (median distance from GPS, aligned)"
+    yield at_most(text, found.median_m, 2.0, "m", own=True)
+    text = "the map is of the trees that are detected (share of the detections that it explains)"
+    yield at_least(text, np.mean(found.used), 0.9, own=True)
+    text = "it is a sparse representation (landmarks per detection)"
+    yield at_most(text, len(found.landmark) / len(found.used), 0.01, own=True)
 
 
 def claims(found: Clouds) -> Claims:
@@ -133,6 +190,15 @@ def claims(found: Clouds) -> Claims:
     )
 
 
+def draw_2_6(canvas: Canvas, found: FinalMap) -> None:
+    """Path and trees."""
+    axis = canvas.add_subplot()
+    draw_reference(axis, found.gps, ".", "GPS")
+    draw_trajectory(axis, found.path, EKF_COLOUR, "estimated path")
+    axis.plot(*found.landmark.T, "*", color=_STARS, markersize=5, label="landmarks")
+    plan(axis, f"EKF-SLAM, {len(found.landmark)} landmarks", legend="best")
+
+
 def draw(canvas: Canvas, found: Clouds) -> None:
     """Left the map of Fig. 2.13; right the particles that are left of each instant."""
     grid = canvas.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
@@ -158,6 +224,13 @@ def _draw_depletion(axis: Axes, found: Clouds) -> None:
 
 
 FIGURES: tuple[AnyFigure, ...] = (
+    Figure(
+        name="N2.6", title="Feature SLAM on Victoria Park",
+        says="Feature-based SLAM gives the final map and the trajectory; the features are trees, "
+        "and the map is sparse.",
+        experiment=Experiment("section 2.8.2, Victoria Park", final_park, "victoria_park"),
+        draw=draw_2_6, claims=claims_2_6, size=(8.0, 6.5), place="Fig. 2.6 (b)",
+    ),
     Figure(
         name="N2.13", title="FastSLAM on Victoria Park",
         says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
@@ -32,7 +33,11 @@ from comparisons.experiments.reproduction.interface import (
 )
 from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.watched_run import truth_in_order
-from comparisons.extensions.dense_maps.accuracy import distance_to_segments
+from comparisons.extensions.dense_maps.accuracy import (
+    distance_to_segments,
+    error_of_points,
+    near_share,
+)
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces
 from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR, draw_high_level
@@ -50,7 +55,10 @@ from comparisons.logs.simulate.scan_worlds import with_landmarks
 from comparisons.pipeline.dense_map import map_log
 from comparisons.report.figures.style import draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR, ellipses
+from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world
+from ekf_reference.scan_landmarks.high_level import within as inside_of
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 EVERY_S, LOOPS, MOST_DRIVES = 60.0, 2, 3
 FIRST, LATER = 1, 4
@@ -70,13 +78,14 @@ _PART = 0.45
 class Searched:
     """A search and what it read. time_s: of it. pose: (3,) the vehicle's. landmark: (L, 2).
 
-    point: (N, 2) Gaussians of the map then.
+    point: (N, 2) Gaussians of the map then. cells: its occupancy layer.
     """
 
     time_s: float
     pose: Array
     landmark: Array
     point: Array
+    cells: Samples
     search: Search
 
     @classmethod
@@ -85,13 +94,28 @@ class Searched:
         point = around.gaussians.ellipses(
             around.placed, np.arange(len(around.placed.triangle))
         ).mean
-        return cls(time_s, around.pose.copy(), around.landmark.copy(), point, found)
+        cells = around.occupancy.samples(around.placed)
+        return cls(time_s, around.pose.copy(), around.landmark.copy(), point, cells, found)
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
         """(n,) of the candidates."""
         enough: NDArray[np.bool_] = self.search.gaussians >= LEAST
         return enough
+
+    @property
+    def template(self) -> SumOfGaussians:
+        """Of the landmark that was accepted first, in the world."""
+        one = self.search.found[0]
+        return one.template.shape.transformed(one.place)
+
+    @property
+    def cells_of_it(self) -> Samples:
+        """Cells within its rectangle, as the template without those at point landmarks."""
+        c, area = self.cells, self.search.candidate[self.accepted][0]
+        clear = cKDTree(self.landmark).query(c.point)[0] >= SearchOptions().clear_m
+        kept = inside_of(area, c.point) & clear
+        return Samples(c.point[kept], c.occupancy[kept], c.region[kept])
 
 
 @dataclass(frozen=True)
@@ -214,6 +238,23 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
     )
 
 
+_UNKNOWN, _CELLS_M = 0.5, 0.4
+
+
+def claims_6_2(found: Pairs) -> Claims:
+    """Either layer shows the object."""
+    some = [one for one in found.each if one.search.found]
+    gaussians = [one.template.mean for one in some]
+    cells = [c.point[c.occupancy > _UNKNOWN] for c in (one.cells_of_it for one in some)]
+    shares = [near_share(c, mean, _CELLS_M) for c, mean in zip(cells, gaussians, strict=True)]
+    text = "the Gaussians have what the grid has (share of its cells above 0.5 within two, least)"
+    yield at_least(text, min(shares, default=np.nan), 0.9, own=True)
+    for name, points in (("grid", cells), ("sum of Gaussians", gaussians)):
+        off = [error_of_points(point, found.segment).median_m for point in points]
+        text = f"the {name} shows the object (median distance from a surface, largest of drives)"
+        yield at_most(text, max(off, default=np.nan), _CELLS_M, "m", own=True)
+
+
 def claims_6_4(found: Pairs) -> Claims:
     """Two pairs of corners, of which one has enough Gaussians."""
     corners = [len(one.search.corner) for one in found.each]
@@ -322,7 +363,27 @@ CORNER_PAIRS = Experiment("section 6.1.3, two pairs of corners", corner_pairs)
 HIGH_LEVEL = Experiment("section 6.1.3", high_level_drives)
 
 
-_BESIDE_M = 3.0
+_BESIDE_M, _AXIS_M = 3.0, 3.0
+
+
+def draw_6_2(canvas: Canvas, found: Pairs) -> None:
+    """The landmark of the first drive, with its axes."""
+    axes, one = canvas.subplots(1, 2, sharex=True, sharey=True), found.each[0]
+    cells, template = one.cells_of_it, one.template
+    east, north = cells.point.T
+    drawn = axes[0].scatter(
+        east, north, s=11.0, marker="s", linewidths=0, c=cells.occupancy, vmin=0.0, vmax=1.0
+    )
+    canvas.colorbar(drawn, ax=list(axes), label="occupancy", shrink=0.8)
+    outline = ellipses(template.mean, template.covariance, 1.0, 16)
+    draw_lines(axes[1], outline, DENSE_COLOUR, "Gaussians of the template, 1 sigma", 0.6)
+    place = one.search.found[0].place
+    ends = to_world(place, _AXIS_M * np.array([(1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]))
+    for axis, title in zip(axes, ("(a) occupancy grid", "(b) sum of Gaussians"), strict=True):
+        draw_surfaces(axis, found.segment)
+        axis.plot(*ends.T, "-", color=HIGH_LEVEL_COLOUR, linewidth=2.0, label="local axes")
+        plan(axis, title, legend="lower right")
+    frame(axes[0], one.search.candidate[one.accepted][0], 0.5)
 
 
 def draw_6_4(canvas: Canvas, found: Pairs) -> None:
@@ -400,6 +461,12 @@ def _closed(area: Array) -> Array:
 
 
 FIGURES: tuple[AnyFigure, ...] = (
+    Figure(
+        name="N6.2", title="A high level landmark in two layers",
+        says="A landmark extracted from the dense map may be represented by the occupancy grid or "
+        "by the sum of Gaussians, relative to local axes whose pose is in the state.",
+        experiment=CORNER_PAIRS, draw=draw_6_2, claims=claims_6_2, size=(13.0, 5.6),
+    ),
     Figure(
         name="N6.4", title="Two pairs of corners, one with too few Gaussians",
         says="Four corners make two candidates; the first has enough Gaussians under its "
