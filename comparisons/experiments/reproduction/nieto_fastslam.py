@@ -5,7 +5,6 @@ Every particle associates the raw detections for itself. GPS judges the trajecto
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +31,7 @@ from comparisons.experiments.reproduction.interface import (
     within,
 )
 from comparisons.extensions.fastslam.drive import Sampling, build_fastslam, run_fastslam
-from comparisons.logs.log import Log, Positions
+from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 
@@ -43,6 +42,7 @@ TREES = 300
 _KNOWN = 0.5
 """Share of the cloud's weight that has a landmark, of those that are drawn."""
 _STARS = "#2a9d3a"
+_PARK = "victoria_park"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,19 +66,15 @@ class CloudRun:
         return int(self.distinct[len(self.distinct) // 10])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FinalMap:
-    """EKF-SLAM without GPS, moved onto it as CloudRun.
-
-    used: (M,) which detections found a landmark or made one. gps: (G, 2).
-    """
+    """EKF-SLAM. median_m: as of CloudRun. path: (K, 2). landmark: (L, 2). used: (M,) detections."""
 
     log: str
     median_m: float
     path: Array
     landmark: Array
     used: NDArray[np.bool_]
-    gps: Array
 
 
 @dataclass(frozen=True)
@@ -91,64 +87,51 @@ class Clouds:
 
 
 def final_map(log: Log) -> FinalMap:
-    """Run the compressed filter, the full one to rounding, on a log with positions."""
-    timeline, positions = build_timeline(log), _positions(log)
-    run = run_ekf(log, timeline, settle(EkfConfig(filter="compressed"), log))
-    move, median_m = _onto_gps(log, run.estimate.time_s, run.estimate.pose)
-    return FinalMap(
-        log=f"{log.name}, --filter compressed",
-        median_m=median_m,
-        path=move(run.estimate.pose[:, :2]),
-        landmark=move(run.estimate.landmark),
-        used=run.landmark_index >= 0,
-        gps=positions.position_m,
-    )
+    """Run the compressed filter, the full one to rounding, on a log with positions to judge it."""
+    choices = settle(EkfConfig(filter="compressed"), log)
+    run = run_ekf(log, build_timeline(log), choices)
+    path, landmark = run.estimate.pose[:, :2], run.estimate.landmark
+    median_m = _off_gps_m(log, run.estimate.time_s, run.estimate.pose)
+    return FinalMap(f"{log.name}, no GPS", median_m, path, landmark, run.landmark_index >= 0)
 
 
-def final_park(sources: Sources) -> FinalMap:
-    """The same of Victoria Park."""
-    return final_map(sources.log("victoria_park"))
+def _off_gps_m(log: Log, time_s: Array, pose: Array) -> float:
+    found = assess_trajectory(time_s, pose, log)
+    median = None if found is None else found.gps_median_aligned_m
+    return np.nan if median is None else median
 
 
 def clouds(sources: Sources) -> Clouds:
     """Run FastSLAM 2.0 on the detections."""
-    return clouds_of(sources.log("victoria_park"), PARTICLES)
+    return clouds_of(sources.log(_PARK), PARTICLES)
 
 
 def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
     """Run it on a log with positions, which judge it."""
-    gps = _positions(log).position_m
-    runs = tuple(_run(log, number) for number in particles)
-    return Clouds(f"{log.name}, FastSLAM 2.0, seed 0", runs, gps)
-
-
-def _positions(log: Log) -> Positions:
-    if log.positions is None:
+    positions = log.positions
+    if positions is None:
         raise InputError(f"{log.name}: holds no positions, which are to judge the trajectory")
-    return log.positions
-
-
-def _onto_gps(log: Log, time_s: Array, pose: Array) -> tuple[Callable[[Array], Array], float]:
-    """The rigid motion of a trajectory onto GPS that fits best, and the median distance then."""
-    positions, found = _positions(log), assess_trajectory(time_s, pose, log)
-    inside = (positions.time_s >= time_s[0]) & (positions.time_s <= time_s[-1])
-    at = np.column_stack([np.interp(positions.time_s[inside], time_s, x) for x in pose[:, :2].T])
-    median = None if found is None else found.gps_median_aligned_m
-    move = rigid_motion(at, positions.position_m[inside])
-    return move, np.nan if median is None else median
+    runs = tuple(_run(log, number) for number in particles)
+    reported = f"{log.name}, FastSLAM 2.0, seed 0"
+    return Clouds(reported, runs, positions.position_m)
 
 
 def _run(log: Log, particles: int) -> CloudRun:
-    timeline = build_timeline(log)
+    timeline, positions = build_timeline(log), log.positions
+    if positions is None:
+        raise TypeError("no positions")
     slam = build_fastslam(log, Sampling(particles), known=log.measurements.labelled)
     cloud = run_fastslam(slam, log, timeline)
-    move, median_m = _onto_gps(log, timeline.epoch_time_s, cloud.mean)
+    path, time_s = cloud.mean[:, :2], timeline.epoch_time_s
+    inside = (positions.time_s >= time_s[0]) & (positions.time_s <= time_s[-1])
+    at = np.column_stack([np.interp(positions.time_s[inside], time_s, x) for x in path.T])
+    move = rigid_motion(at, positions.position_m[inside])
     mixture = slam.mixture_map()
     return CloudRun(
         particles=particles,
-        median_m=median_m,
+        median_m=_off_gps_m(log, time_s, cloud.mean),
         distinct=slam.history.distinct(),
-        path=move(cloud.mean[:, :2]),
+        path=move(path),
         landmark=move(mixture.mean[mixture.share > _KNOWN]),
     )
 
@@ -193,7 +176,6 @@ def claims(found: Clouds) -> Claims:
 def draw_2_6(canvas: Canvas, found: FinalMap) -> None:
     """Path and trees."""
     axis = canvas.add_subplot()
-    draw_reference(axis, found.gps, ".", "GPS")
     draw_trajectory(axis, found.path, EKF_COLOUR, "estimated path")
     axis.plot(*found.landmark.T, "*", color=_STARS, markersize=5, label="landmarks")
     plan(axis, f"EKF-SLAM, {len(found.landmark)} landmarks", legend="best")
@@ -226,9 +208,10 @@ def _draw_depletion(axis: Axes, found: Clouds) -> None:
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
         name="N2.6", title="Feature SLAM on Victoria Park",
-        says="Feature-based SLAM gives the final map and the trajectory; the features are trees, "
-        "and the map is sparse.",
-        experiment=Experiment("section 2.8.2, Victoria Park", final_park, "victoria_park"),
+        says="Feature-based SLAM gives trajectory and map; the map is sparse, and is of trees.",
+        experiment=Experiment(
+            "section 2.8.2, Victoria Park", lambda given: final_map(given.log(_PARK)), _PARK
+        ),
         draw=draw_2_6, claims=claims_2_6, size=(8.0, 6.5), place="Fig. 2.6 (b)",
     ),
     Figure(
@@ -236,7 +219,7 @@ FIGURES: tuple[AnyFigure, ...] = (
         says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "
         "landmark the average of the Gaussian means. Resampling loses particles, and with them "
         "part of the map's history.",
-        experiment=Experiment("section 2.10, FastSLAM", clouds, "victoria_park"), draw=draw,
+        experiment=Experiment("section 2.10, FastSLAM", clouds, _PARK), draw=draw,
         claims=claims, size=(12.0, 5.5), place="Fig. 2.13 and section 2.2.1",
     ),
 )  # fmt: skip

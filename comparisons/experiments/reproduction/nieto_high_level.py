@@ -33,11 +33,7 @@ from comparisons.experiments.reproduction.interface import (
 )
 from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.watched_run import truth_in_order
-from comparisons.extensions.dense_maps.accuracy import (
-    distance_to_segments,
-    error_of_points,
-    near_share,
-)
+from comparisons.extensions.dense_maps.accuracy import distance_to_segments, near_share
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces
 from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR, draw_high_level
@@ -250,7 +246,7 @@ def claims_6_2(found: Pairs) -> Claims:
     text = "the Gaussians have what the grid has (share of its cells above 0.5 within two, least)"
     yield at_least(text, min(shares, default=np.nan), 0.9, own=True)
     for name, points in (("grid", cells), ("sum of Gaussians", gaussians)):
-        off = [error_of_points(point, found.segment).median_m for point in points]
+        off = [np.median(distance_to_segments(point, found.segment)) for point in points]
         text = f"the {name} shows the object (median distance from a surface, largest of drives)"
         yield at_most(text, max(off, default=np.nan), _CELLS_M, "m", own=True)
 
@@ -363,22 +359,17 @@ CORNER_PAIRS = Experiment("section 6.1.3, two pairs of corners", corner_pairs)
 HIGH_LEVEL = Experiment("section 6.1.3", high_level_drives)
 
 
-_BESIDE_M, _AXIS_M = 3.0, 3.0
+_BESIDE_M = 3.0
 
 
 def draw_6_2(canvas: Canvas, found: Pairs) -> None:
     """The landmark of the first drive, with its axes."""
     axes, one = canvas.subplots(1, 2, sharex=True, sharey=True), found.each[0]
-    cells, template = one.cells_of_it, one.template
-    east, north = cells.point.T
-    drawn = axes[0].scatter(
-        east, north, s=11.0, marker="s", linewidths=0, c=cells.occupancy, vmin=0.0, vmax=1.0
-    )
+    (east, north), height, g = one.cells_of_it.point.T, one.cells_of_it.occupancy, one.template
+    drawn = axes[0].scatter(east, north, s=11.0, marker="s", linewidths=0, c=height, vmin=0, vmax=1)
     canvas.colorbar(drawn, ax=list(axes), label="occupancy", shrink=0.8)
-    outline = ellipses(template.mean, template.covariance, 1.0, 16)
-    draw_lines(axes[1], outline, DENSE_COLOUR, "Gaussians of the template, 1 sigma", 0.6)
-    place = one.search.found[0].place
-    ends = to_world(place, _AXIS_M * np.array([(1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]))
+    draw_lines(axes[1], ellipses(g.mean, g.covariance, 1.0, 16), DENSE_COLOUR, "1 sigma", 0.6)
+    ends = to_world(one.search.found[0].place, 3.0 * np.array([(1, 0), (0, 0), (0, 1)]))
     for axis, title in zip(axes, ("(a) occupancy grid", "(b) sum of Gaussians"), strict=True):
         draw_surfaces(axis, found.segment)
         axis.plot(*ends.T, "-", color=HIGH_LEVEL_COLOUR, linewidth=2.0, label="local axes")
@@ -463,8 +454,7 @@ def _closed(area: Array) -> Array:
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
         name="N6.2", title="A high level landmark in two layers",
-        says="A landmark extracted from the dense map may be represented by the occupancy grid or "
-        "by the sum of Gaussians, relative to local axes whose pose is in the state.",
+        says="A landmark of the dense map, with local axes, may be a grid or a sum of Gaussians.",
         experiment=CORNER_PAIRS, draw=draw_6_2, claims=claims_6_2, size=(13.0, 5.6),
     ),
     Figure(
