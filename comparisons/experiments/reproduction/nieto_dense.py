@@ -28,7 +28,7 @@ from comparisons.config import MapConfig
 from comparisons.documented.row import Preset
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
-from comparisons.experiments.reproduction.drawing import draw_lines, draw_slam, plan
+from comparisons.experiments.reproduction.drawing import draw_lines, draw_slam, frame, plan
 from comparisons.experiments.reproduction.interface import (
     AnyFigure,
     Claims,
@@ -72,6 +72,7 @@ from ekf_reference.dense.layers.gaussians import Ellipses
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
 from ekf_reference.dense.sensor_model import log_odds
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 SURFACES: tuple[Layer, ...] = ("points", "occupancy", "particles", "sog")
 """Layers of where surfaces are."""
@@ -349,6 +350,9 @@ _CELLS = 2.0
 _LEAST = 0.5
 _THIRD = 3
 _COARSE_M = 0.25
+THIN_M = 0.5
+"""Cells in which Gaussians of Fig. 4.13 are merged."""
+_OBJECT, _BESIDE_M, _STEP_M = 0, 1.0, 0.1
 
 
 class _Twice(Protocol):
@@ -679,6 +683,34 @@ def claims_4_12(maps: Maps) -> Claims:
     yield at_most("with fewer of them than of points kept (ratio)", float(np.median(count)), 1.0)
 
 
+def of_one_object(mapping: DenseMapping) -> SumOfGaussians:
+    """The Gaussians of one object of the world."""
+    corner = occupancy().world.outline[_OBJECT]
+    held, side = ellipses_of(mapping), np.hstack((corner, np.roll(corner, -1, axis=0)))
+    near = distance_to_segments(held.mean, side) < _BESIDE_M
+    return SumOfGaussians.of_equal_height(held.mean[near], held.covariance[near])
+
+
+@_also_literally({})
+def claims_4_13(maps: Maps) -> Claims:
+    """Fewer Gaussians are nearly the same surface."""
+    corner, fewer, alike = occupancy().world.outline[_OBJECT], [], []
+    box = zip(corner.min(axis=0) - _BESIDE_M, corner.max(axis=0) + _BESIDE_M, strict=True)
+    place = np.stack(np.meshgrid(*(np.arange(a, b, _STEP_M) for a, b in box)), -1).reshape(-1, 2)
+    for m in maps.all_drives:
+        every = of_one_object(m)
+        some, half = every.thinned(THIN_M), every.take(np.arange(0, len(every), 2))
+        a, b, c = (g.value(place) for g in (every, some, half))
+        fewer.append(len(some) / max(len(every), 1))
+        alike.append([a @ x / np.sqrt((a @ a) * (x @ x)) for x in (b, c)])
+    text = f"the sum can be subsampled (number in cells of {THIN_M:g} m, over all, median)"
+    yield at_most(text, np.median(fewer), 0.5, own=True)
+    text = "it is of similar quality (correlation of both surfaces, least of the drives)"
+    yield at_least(text, np.min(alike, axis=0)[0], 0.9, own=True)
+    text = "so it is where every second Gaussian is left out (the same)"
+    yield at_least(text, np.min(alike, axis=0)[1], 0.9, own=True)
+
+
 @_also_literally({})
 def claims_4_16(maps: Maps) -> Claims:
     """Three layers of one run tell of the same surfaces."""
@@ -809,6 +841,18 @@ def draw_4_12(canvas: Canvas, maps: Maps) -> None:
     plan(axis, "Gaussians, 1 sigma")
 
 
+def draw_4_13(canvas: Canvas, maps: Maps) -> None:
+    """All of one object, and fewer."""
+    m, axes = maps.closed[0], canvas.subplots(1, 2, sharex=True, sharey=True)
+    every = of_one_object(m.mapping)
+    some = every.thinned(THIN_M)
+    for axis, g, text in ((axes[0], every, "all"), (axes[1], some, f"in cells of {THIN_M:g} m")):
+        draw_lines(axis, ellipses(g.mean, g.covariance, 1.0, 24), SMOOTHER_COLOUR, width=0.7)
+        draw_surfaces(axis, m.segment)
+        plan(axis, f"{len(g)} Gaussians, {text}, 1 sigma")
+    frame(axes[0], every.mean, 1.0)
+
+
 def draw_4_16(canvas: Canvas, maps: Maps) -> None:
     """The layers side by side."""
     m, axes = maps.closed[0], canvas.subplots(1, 3, sharex=True, sharey=True)
@@ -869,6 +913,11 @@ FIGURES: tuple[AnyFigure, ...] = (
         name="N4.12", title="A sum of Gaussians",
         says="Gaussians, fused with the nearest return, represent the objects' surfaces.",
         experiment=LAYERED, draw=draw_4_12, claims=claims_4_12, size=(8.0, 7.0),
+    ),
+    Figure(
+        name="N4.13", title="Gaussians of one object",
+        says="The sum could be subsampled and still be a representation of similar quality.",
+        experiment=LAYERED, draw=draw_4_13, claims=claims_4_13, size=(12.0, 5.6),
     ),
     Figure(
         name="N4.16", title="Three layers of one run",

@@ -1,4 +1,4 @@
-"""Nieto 2005, section 2.10: FastSLAM on Victoria Park, Fig. 2.13; depletion, section 2.2.1.
+"""Nieto 2005, sections 2.8.2 and 2.10: EKF-SLAM and FastSLAM on Victoria Park; 2.2.1: depletion.
 
 Every particle associates the raw detections for itself. GPS judges the trajectory and is not used.
 """
@@ -10,10 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_factory import settle
+from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess_trajectory, rigid_motion
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.drawing import chart, plan
 from comparisons.experiments.reproduction.interface import (
@@ -22,6 +26,7 @@ from comparisons.experiments.reproduction.interface import (
     Experiment,
     Figure,
     Sources,
+    at_least,
     at_most,
     within,
 )
@@ -37,6 +42,7 @@ TREES = 300
 _KNOWN = 0.5
 """Share of the cloud's weight that has a landmark, of those that are drawn."""
 _STARS = "#2a9d3a"
+_PARK = "victoria_park"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +67,17 @@ class CloudRun:
 
 
 @dataclass(frozen=True)
+class FinalMap:
+    """EKF-SLAM. median_m: as of CloudRun. path: (K, 2). landmark: (L, 2). used: (M,) detections."""
+
+    log: str
+    median_m: float
+    path: Array
+    landmark: Array
+    used: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class Clouds:
     """All numbers of particles, ascending. gps: (G, 2)."""
 
@@ -69,9 +86,24 @@ class Clouds:
     gps: Array
 
 
+def final_map(log: Log) -> FinalMap:
+    """Run the compressed filter, the full one to rounding, on a log with positions to judge it."""
+    choices = settle(EkfConfig(filter="compressed"), log)
+    run = run_ekf(log, build_timeline(log), choices)
+    path, landmark = run.estimate.pose[:, :2], run.estimate.landmark
+    median_m = _off_gps_m(log, run.estimate.time_s, run.estimate.pose)
+    return FinalMap(f"{log.name}, no GPS", median_m, path, landmark, run.landmark_index >= 0)
+
+
+def _off_gps_m(log: Log, time_s: Array, pose: Array) -> float:
+    found = assess_trajectory(time_s, pose, log)
+    median = None if found is None else found.gps_median_aligned_m
+    return np.nan if median is None else median
+
+
 def clouds(sources: Sources) -> Clouds:
     """Run FastSLAM 2.0 on the detections."""
-    return clouds_of(sources.log("victoria_park"), PARTICLES)
+    return clouds_of(sources.log(_PARK), PARTICLES)
 
 
 def clouds_of(log: Log, particles: tuple[int, ...]) -> Clouds:
@@ -90,20 +122,28 @@ def _run(log: Log, particles: int) -> CloudRun:
         raise TypeError("no positions")
     slam = build_fastslam(log, Sampling(particles), known=log.measurements.labelled)
     cloud = run_fastslam(slam, log, timeline)
-    found = assess_trajectory(timeline.epoch_time_s, cloud.mean, log)
     path, time_s = cloud.mean[:, :2], timeline.epoch_time_s
     inside = (positions.time_s >= time_s[0]) & (positions.time_s <= time_s[-1])
     at = np.column_stack([np.interp(positions.time_s[inside], time_s, x) for x in path.T])
     move = rigid_motion(at, positions.position_m[inside])
     mixture = slam.mixture_map()
-    median = None if found is None else found.gps_median_aligned_m
     return CloudRun(
         particles=particles,
-        median_m=np.nan if median is None else median,
+        median_m=_off_gps_m(log, time_s, cloud.mean),
         distinct=slam.history.distinct(),
         path=move(path),
         landmark=move(mixture.mean[mixture.share > _KNOWN]),
     )
+
+
+def claims_2_6(found: FinalMap) -> Claims:
+    """The trajectory is right, and a sparse map of trees explains what was detected."""
+    text = "the estimated trajectory follows the vehicle's (median distance from GPS, aligned)"
+    yield at_most(text, found.median_m, 2.0, "m", own=True)
+    text = "the map is of the trees that are detected (share of the detections that it explains)"
+    yield at_least(text, np.mean(found.used), 0.9, own=True)
+    text = "it is a sparse representation (landmarks per detection)"
+    yield at_most(text, len(found.landmark) / len(found.used), 0.01, own=True)
 
 
 def claims(found: Clouds) -> Claims:
@@ -133,6 +173,14 @@ def claims(found: Clouds) -> Claims:
     )
 
 
+def draw_2_6(canvas: Canvas, found: FinalMap) -> None:
+    """Path and trees."""
+    axis = canvas.add_subplot()
+    draw_trajectory(axis, found.path, EKF_COLOUR, "estimated path")
+    axis.plot(*found.landmark.T, "*", color=_STARS, markersize=5, label="landmarks")
+    plan(axis, f"EKF-SLAM, {len(found.landmark)} landmarks", legend="best")
+
+
 def draw(canvas: Canvas, found: Clouds) -> None:
     """Left the map of Fig. 2.13; right the particles that are left of each instant."""
     grid = canvas.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
@@ -159,11 +207,19 @@ def _draw_depletion(axis: Axes, found: Clouds) -> None:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
+        name="N2.6", title="Feature SLAM on Victoria Park",
+        says="Feature-based SLAM gives trajectory and map; the map is sparse, and is of trees.",
+        experiment=Experiment(
+            "section 2.8.2, Victoria Park", lambda given: final_map(given.log(_PARK)), _PARK
+        ),
+        draw=draw_2_6, claims=claims_2_6, size=(8.0, 6.5), place="Fig. 2.6 (b)",
+    ),
+    Figure(
         name="N2.13", title="FastSLAM on Victoria Park",
         says="FastSLAM maps the trees of Victoria Park; the trajectory is the particles' mean, a "
         "landmark the average of the Gaussian means. Resampling loses particles, and with them "
         "part of the map's history.",
-        experiment=Experiment("section 2.10, FastSLAM", clouds, "victoria_park"), draw=draw,
+        experiment=Experiment("section 2.10, FastSLAM", clouds, _PARK), draw=draw,
         claims=claims, size=(12.0, 5.5), place="Fig. 2.13 and section 2.2.1",
     ),
 )  # fmt: skip

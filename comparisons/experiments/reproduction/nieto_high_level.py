@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
@@ -32,7 +33,7 @@ from comparisons.experiments.reproduction.interface import (
 )
 from comparisons.experiments.reproduction.measures import searched_at_end
 from comparisons.experiments.reproduction.watched_run import truth_in_order
-from comparisons.extensions.dense_maps.accuracy import distance_to_segments
+from comparisons.extensions.dense_maps.accuracy import distance_to_segments, near_share
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces
 from comparisons.extensions.dense_maps.job import map_log
@@ -50,7 +51,10 @@ from comparisons.logs.simulate.scan_drive import ScanExperiment, occupancy, simu
 from comparisons.logs.simulate.scan_worlds import with_landmarks
 from comparisons.report.figures.style import draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR, ellipses
+from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world
+from ekf_reference.scan_landmarks.high_level import within as inside_of
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 EVERY_S, LOOPS, MOST_DRIVES = 60.0, 2, 3
 FIRST, LATER = 1, 4
@@ -66,17 +70,18 @@ _PART = 0.45
 """Of the loop that is driven: two sides of the building have been seen."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Searched:
     """A search and what it read. time_s: of it. pose: (3,) the vehicle's. landmark: (L, 2).
 
-    point: (N, 2) Gaussians of the map then.
+    point: (N, 2) Gaussians of the map then. cells: its occupancy layer.
     """
 
     time_s: float
     pose: Array
     landmark: Array
     point: Array
+    cells: Samples
     search: Search
 
     @classmethod
@@ -85,7 +90,14 @@ class Searched:
         point = around.gaussians.ellipses(
             around.placed, np.arange(len(around.placed.triangle))
         ).mean
-        return cls(time_s, around.pose.copy(), around.landmark.copy(), point, found)
+        return cls(
+            time_s=time_s,
+            pose=around.pose.copy(),
+            landmark=around.landmark.copy(),
+            point=point,
+            cells=around.occupancy.samples(around.placed),
+            search=found,
+        )
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
@@ -93,13 +105,31 @@ class Searched:
         enough: NDArray[np.bool_] = self.search.gaussians >= LEAST
         return enough
 
+    @property
+    def template(self) -> SumOfGaussians:
+        """Of the landmark that was accepted first, in the world."""
+        one = self.search.found[0]
+        return one.template.shape.transformed(one.place)
+
+    @property
+    def cells_of_it(self) -> Samples:
+        """Cells within its rectangle, as the template without those at point landmarks."""
+        c, area = self.cells, self.search.candidate[self.accepted][0]
+        clear = cKDTree(self.landmark).query(c.point)[0] >= SearchOptions().clear_m
+        kept = inside_of(area, c.point) & clear
+        return Samples(c.point[kept], c.occupancy[kept], c.region[kept])
+
 
 @dataclass(frozen=True)
 class Pairs:
-    """One search per drive by a building and something small. segment: (S, 4) true surfaces."""
+    """One search per drive by a building and something small.
+
+    true: (L, 2) landmarks of every drive in its filter's order. segment: (S, 4) true surfaces.
+    """
 
     log: str
     each: tuple[Searched, ...]
+    true: tuple[Array, ...]
     segment: Array
 
 
@@ -161,14 +191,15 @@ def _by_a_building() -> ScanExperiment:
 
 def corner_pairs(sources: Sources) -> Pairs:
     """A search at the end of each drive, seeds from 0."""
-    each = []
+    each, true = list[Searched](), list[Array]()
     for seed in range(sources.drives):
         log = simulate(np.random.default_rng(seed), _by_a_building())
+        true.append(truth_in_order(log)[1])
         mapping = map_log(log, MapConfig(extensions={"dense_maps": _SEARCHED}))
         around = searched_at_end(mapping)
         each.append(Searched.of(log.duration_s, around, search(around, np.empty((0, 4, 2)))))
     reported = f"{len(each)} simulated drives past a building and something small, from seed 0"
-    return Pairs(reported, tuple(each), _by_a_building().world.segment)
+    return Pairs(reported, tuple(each), tuple(true), _by_a_building().world.segment)
 
 
 def high_level_drives(sources: Sources) -> HighLevelDrives:
@@ -212,6 +243,28 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
         error_m=error_m(run),
         without_m=error_m(without),
     )
+
+
+_UNKNOWN, _CELLS_M = 0.5, 0.4
+
+
+def claims_6_2(found: Pairs) -> Claims:
+    """Either layer shows the object."""
+    shares, off = list[float](), list[float]()
+    for one, true in zip(found.each, found.true, strict=True):
+        if one.search.found:
+            cells, mean = one.cells_of_it, one.template.mean
+            held = cells.point[cells.occupancy > _UNKNOWN]
+            moved = rigid_motion(one.landmark, true[: len(one.landmark)])(mean)
+            shares.append(near_share(held, mean, _CELLS_M))
+            off.append(float(np.median(distance_to_segments(moved, found.segment))))
+    text = "the Gaussians have what the grid has (share of its cells above 0.5 within two, least)"
+    yield at_least(text, min(shares, default=np.nan), 0.9, own=True)
+    text = (
+        "they show the object (median distance from a surface, once point landmarks are moved onto "
+        "the true ones, largest of the drives)"
+    )
+    yield at_most(text, max(off, default=np.nan), _CELLS_M, "m", own=True)
 
 
 def claims_6_4(found: Pairs) -> Claims:
@@ -325,6 +378,21 @@ HIGH_LEVEL = Experiment("section 6.1.3", high_level_drives)
 _BESIDE_M = 3.0
 
 
+def draw_6_2(canvas: Canvas, found: Pairs) -> None:
+    """The landmark of the first drive, with its axes."""
+    axes, one = canvas.subplots(1, 2, sharex=True, sharey=True), found.each[0]
+    (east, north), height, g = one.cells_of_it.point.T, one.cells_of_it.occupancy, one.template
+    drawn = axes[0].scatter(east, north, s=11.0, marker="s", linewidths=0, c=height, vmin=0, vmax=1)
+    canvas.colorbar(drawn, ax=list(axes), label="occupancy", shrink=0.8)
+    draw_lines(axes[1], ellipses(g.mean, g.covariance, 1.0, 16), DENSE_COLOUR, "1 sigma", 0.6)
+    ends = to_world(one.search.found[0].place, 3.0 * np.array([(1, 0), (0, 0), (0, 1)]))
+    for axis, title in zip(axes, ("(a) occupancy grid", "(b) sum of Gaussians"), strict=True):
+        draw_surfaces(axis, found.segment)
+        axis.plot(*ends.T, "-", color=HIGH_LEVEL_COLOUR, linewidth=2.0, label="local axes")
+        plan(axis, title, legend="lower right")
+    frame(axes[0], one.search.candidate[one.accepted][0], 0.5)
+
+
 def draw_6_4(canvas: Canvas, found: Pairs) -> None:
     """Both pairs of the first drive."""
     axis, one = canvas.add_subplot(), found.each[0]
@@ -400,6 +468,11 @@ def _closed(area: Array) -> Array:
 
 
 FIGURES: tuple[AnyFigure, ...] = (
+    Figure(
+        name="N6.2", title="A high level landmark in two layers",
+        says="A landmark of the dense map, with local axes, may be a grid or a sum of Gaussians.",
+        experiment=CORNER_PAIRS, draw=draw_6_2, claims=claims_6_2, size=(13.0, 5.6),
+    ),
     Figure(
         name="N6.4", title="Two pairs of corners, one with too few Gaussians",
         says="Four corners make two candidates; the first has enough Gaussians under its "

@@ -20,6 +20,7 @@ from comparisons.experiments.reproduction import (
     nieto_dense,
     nieto_fastslam,
     nieto_high_level,
+    nieto_known_poses,
     nieto_motion,
     nieto_next_path,
     nieto_regions,
@@ -78,6 +79,15 @@ def splits() -> update_split.Split:
     }
     each = tuple(update_split.SplitLog(name, runs) for name in ("a loop", "another"))
     return update_split.Split("made up", each)
+
+
+def final_map() -> nieto_fastslam.FinalMap:
+    """The same of EKF-SLAM."""
+    found = nieto_fastslam.final_map(
+        simulate_waypoints(np.random.default_rng(2), WaypointRun(most_s=30.0))
+    )
+    used = np.resize(found.used, 100 * len(found.landmark))
+    return replace(found, median_m=1.5, used=used)
 
 
 def clouds() -> nieto_fastslam.Clouds:
@@ -213,6 +223,8 @@ def car_park_scans() -> nieto_car_park_scans.CarParkScans:
 
 SMALL: dict[str, Callable[[], Any]] = {
     "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
+    "section 2.8.2, Victoria Park": final_map,
+    "sections 2.8.1, 4.2 and 4.3.1, known poses": lambda: nieto_known_poses.known_poses(Sources()),
     "section 2.10, FastSLAM": clouds,
     "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
     "Examples 3.1 and 3.2": lambda: nieto_regions.examples(Sources(drives=2)),
