@@ -11,8 +11,12 @@ import pytest
 
 from comparisons.trace.recorder import Recorder
 
-MOST = 42
-"""Modules of this project."""
+PLANAR = (
+    *("ekf_reference", "comparisons.adapters", "comparisons.checks", "comparisons.config"),
+    *("comparisons.estimates", "comparisons.extensions", "comparisons.jobs", "comparisons.logs"),
+    *("comparisons.pipeline", "graphslam.problem", "graphslam.smoother"),
+)
+"""Beginnings of what knows a planar log, a filter or a smoother of it."""
 _LIST = """
 import sys
 HOUSE = ("comparisons", "ekf_reference", "graphslam", "slamcheck")
@@ -39,6 +43,11 @@ def _loaded(code: str) -> list[str]:
     return found.stdout.split()
 
 
+def planar(found: list[str]) -> list[str]:
+    """Those of modules that the ground floor and an audit do without."""
+    return [name for name in found if name.startswith(PLANAR)]
+
+
 def _faulty(path: Path) -> None:
     """Record a filter that forgets its noise, so that the audit seeks the fault, too."""
     f, q, h, r, p = np.eye(2), 0.1 * np.eye(2), np.eye(1, 2), np.eye(1), np.eye(2)
@@ -54,7 +63,7 @@ def _faulty(path: Path) -> None:
 def test_recorder_loads_the_ground_floor_alone() -> None:
     found = _loaded("import slamcheck\nslamcheck.Recorder")
     assert not [name for name in found if name.split(".")[0] in ("ekf_reference", "graphslam")]
-    assert len(found) <= MOST
+    assert planar(found) == []
 
 
 @pytest.mark.slow
@@ -63,14 +72,13 @@ def test_audit_loads_no_planar_harness(tmp_path: Path) -> None:
     _faulty(trace)
     found = _loaded(_AUDIT.format(trace=str(trace), out=str(tmp_path / "out")))
     assert "comparisons.audit.faults" in found
-    assert "comparisons.config" not in found
-    assert len(found) <= MOST
+    assert planar(found) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("module", ["comparisons.config", "comparisons.jobs.run"])
-def test_planar_harness_would_be_counted(module: str, tmp_path: Path) -> None:
+def test_planar_harness_would_be_seen(module: str, tmp_path: Path) -> None:
     trace = tmp_path / "run.trace"
     _faulty(trace)
     audit = _AUDIT.format(trace=str(trace), out=str(tmp_path / "out"))
-    assert len(_loaded(f"import {module}\n{audit}")) > MOST
+    assert module in planar(_loaded(f"import {module}\n{audit}"))
