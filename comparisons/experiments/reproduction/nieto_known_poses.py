@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure as Canvas
 from matplotlib.image import AxesImage
 from scipy.interpolate import LinearNDInterpolator
@@ -39,6 +40,7 @@ from ekf_reference.dense.layers.association import Associated, associate
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Hits, Samples
 from ekf_reference.dense.layers.particles import Particles
+from ekf_reference.dense.layers.quadtree import Quadtree, quadtree
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.sensor_model import InverseSensorModel, probability
@@ -54,23 +56,29 @@ _BEFORE, _SHOWN = 10, 40
 _BEAM = np.array((0.0, 0.0, 7.0, 2.0))
 _FINE_M, _CELL_M, _NEAR_M = 0.02, 0.2, 0.4
 _UNKNOWN = 0.5
+_ALIKE = 0.1
+"""Difference of occupancies up to which four squares of a quadtree are one."""
+_TREE_M = 15.0
 _GREEN = "#2a9d3a"
+_SQUARE = np.array(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPoses:
     """From true poses: one drive, with some of its scans, and single returns before a scanner.
 
-    grid: of all scans. old, new, pair: a map of particles, samples of the next scan, and how they
-    meet. point: (N, 2) of a scan in its own frame, peak: (N,) heights of its Gaussians, height: (I,
-    J) of their sum [1/m^2] in cells of `box`, west, south, east, north.
-    line, curves: samples of a range sensor; (3, R) ranges, with occupancy and the sensor's density
-    over its peak. plane, level, surface: samples of range and bearing; (I, J) occupancy, NaN where
-    the return says nothing, and what is interpolated from the samples, NaN beyond them.
+    grid: of all scans, tree: the same as a quadtree. old, new, pair: a map of particles, samples
+    of the next scan, and how they meet. point: (N, 2) of a scan in its own frame, peak: (N,)
+    heights of its Gaussians, height: (I, J) of their sum [1/m^2] in cells of `box`, west, south,
+    east, north. line, curves: samples of a range sensor; (3, R) ranges, with occupancy and the
+    sensor's density over its peak. plane, level, surface: samples of range and bearing; (I, J)
+    occupancy, NaN where the return says nothing, and what is interpolated from the samples, NaN
+    beyond them.
     """
 
     log: str
     grid: Samples
+    tree: Quadtree
     old: Samples
     new: Samples
     pair: Associated
@@ -94,6 +102,7 @@ def known_poses(sources: Sources) -> KnownPoses:
     grid, placed = ClassicGrid(settings.resolution_m, model), _around()
     for scan in scans:
         grid.fuse(scan)
+    whole = grid.samples()
     layer = Particles(np.random.default_rng(0), d_min_m=D_MIN_M, model=model)
     for scan in scans[:_BEFORE]:
         layer.fuse(_hits(scan, placed), placed, scan, np.arange(1))
@@ -111,7 +120,8 @@ def known_poses(sources: Sources) -> KnownPoses:
     line = _seen(RANGE_M, 0.0, Sensor(SIGMA_M, 1e-6, 1e-6))
     return KnownPoses(
         log=f"occupancy-loop, seed 0, by true poses; one return, {SAMPLES} samples",
-        grid=grid.samples(),
+        grid=whole,
+        tree=quadtree(whole.point, whole.occupancy, settings.resolution_m, _ALIKE),
         old=old,
         new=new,
         pair=associate(old.point, new.point, D_MIN_M),
@@ -169,6 +179,20 @@ def claims_2_5(found: KnownPoses) -> Claims:
     text = "black is what stands there (share of cells above 0.8 within two cells of a surface)"
     off_m = distance_to_segments(occupied(found.grid), world.surfaces().segment)
     yield at_least(text, np.mean(off_m <= _NEAR_M), 0.9, own=True)
+
+
+def claims_4_1_3(found: KnownPoses) -> Claims:
+    """Large squares where all is alike, small ones where something stands."""
+    cells, tree = found.grid.occupancy, found.tree
+    fine = tree.side_m < 1.5 * tree.side_m.min()
+    share = fine.sum() / len(cells)
+    text = "as a quadtree the grid has other resolutions in other areas (leaves over cells)"
+    yield at_most(text, len(tree.side_m) / len(cells), 0.5, own=True)
+    kept = np.sum(tree.occupancy[fine] > _UNKNOWN) / np.sum(cells > _UNKNOWN)
+    text = (
+        "the finest where something stands (share of cells above 0.5 that stay, over that of all)"
+    )
+    yield at_least(text, kept / share, 2.0, own=True)
 
 
 def claims_4_7(found: KnownPoses) -> Claims:
@@ -232,6 +256,19 @@ def draw_2_5(canvas: Canvas, found: KnownPoses) -> None:
     plan(axis, "occupancy grid (black 1, white 0) and true objects (red)", legend="lower right")
     axis.grid(visible=False)
     frame(axis, world.segment.reshape(-1, 2), 3.0)
+
+
+def draw_4_1_3(canvas: Canvas, found: KnownPoses) -> None:
+    """Leaves around the middle of the first object."""
+    axis, tree = canvas.add_subplot(), found.tree
+    square = tree.corner[:, None] + tree.side_m[:, None, None] * _SQUARE
+    leaves = PolyCollection(square, edgecolors="#999999", linewidths=0.2, cmap="gray_r")
+    leaves.set(array=tree.occupancy, clim=(0.0, 1.0), rasterized=True)
+    axis.add_collection(leaves)
+    draw_surfaces(axis, occupancy().world.segment)
+    plan(axis, f"leaves of a quadtree, alike within {_ALIKE:g}; true objects (red)", legend=None)
+    axis.grid(visible=False)
+    frame(axis, occupancy().world.outline[0].mean(axis=0)[None], _TREE_M)
 
 
 def draw_4_7(canvas: Canvas, found: KnownPoses) -> None:
@@ -299,6 +336,11 @@ FIGURES: tuple[AnyFigure, ...] = (
         name="N2.5", title="An occupancy grid by known poses",
         says="Every object is represented in the grid, whatever its geometry.",
         experiment=KNOWN, draw=draw_2_5, claims=claims_2_5, size=(8.5, 7.0),
+    ),
+    Figure(
+        name="N4.1.3", title="An occupancy grid as a quadtree", place="section 4.1.3",
+        says="A classic grid has one resolution everywhere, unless it is a quadtree.",
+        experiment=KNOWN, draw=draw_4_1_3, claims=claims_4_1_3, size=(8.0, 7.0),
     ),
     Figure(
         name="N4.7", title="Samples of a range sensor's occupancy distribution",
