@@ -15,6 +15,7 @@ from comparisons.logs.simulate.dynamic_worlds import (
     leaving_cars,
     parked_world,
 )
+from ekf_reference.core.geometry import Index
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import RangeBearing
 
@@ -24,7 +25,7 @@ SENSOR = RangeBearing()
 class CutGain(FullFilter):
     """One joint covariance; what is seen of a person changes that person alone (Joseph's form)."""
 
-    def see_people(self, which: Array, z: Array) -> None:
+    def see_people(self, which: Index, z: Array) -> None:
         state = self.state
         for k, seen in zip(which, z, strict=True):
             at = SENSOR.predict(state.pose[:3], state.mean[None, 3 + 4 * k : 5 + 4 * k])
@@ -81,7 +82,7 @@ def test_without_the_covariance_with_the_robot_tracks_are_too_sure() -> None:
     """The broken variant, as trackers are that take the robot's pose for the truth."""
 
     class Independent(UnidirectionalFilter):
-        def see_people(self, which: Array, z: Array) -> None:
+        def see_people(self, which: Index, z: Array) -> None:
             super().see_people(which, z)
             self._cross[:] = 0.0
 
