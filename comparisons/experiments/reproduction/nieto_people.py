@@ -1,15 +1,18 @@
 """Nieto 2005, section 3.7.1: SLAM among walking people, whose tracks only receive information.
 
-The thesis has no numbers: world, noise and people are ours. The robot starts where it is known to
-be; all landmarks and people are in view of every scan, and are told apart.
+The thesis has no numbers: world, noise and people are ours. The robot starts at a known place and
+tells all landmarks and people apart. It sees all landmarks in every scan, and people until they
+leave its reach; from then on a track is only predicted.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure as Canvas
+from scipy.linalg import block_diag
 
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction.drawing import chart, plan
@@ -25,7 +28,7 @@ from comparisons.experiments.reproduction.interface import (
 from comparisons.report.figures.style import draw_reference, draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.statistics import mean_band, normalise
-from ekf_reference.core.blocks import block_diagonal, stack
+from ekf_reference.core.blocks import stack
 from ekf_reference.core.geometry import Index, wrap_angle
 from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.models.motion import MotionStep, UnicycleModel
@@ -35,7 +38,6 @@ _MODEL, _SENSOR = UnicycleModel(), RangeBearing()
 _SCAN_S, _SCANS, _LANDMARKS, _PEOPLE = 0.2, 100, 16, 10
 _CONTROL, _SIGMA_CONTROL = np.array((1.5, 0.15)), np.array((0.1, 0.03))
 _SIGMA_Z = np.array((0.1, np.deg2rad(1.0)))
-_START = 1e-10 * np.eye(3)
 _REACH_M = 25.0
 _WALK_MPS, _SPEED_MPS = 0.3, 0.7
 """Deviations of a person's speed: its change in a second, and at the start."""
@@ -47,32 +49,21 @@ _STEP_NOISE = _WALK_MPS**2 * np.kron(
 
 
 class FullFilter:
-    """Information flows both ways: people are states that move, as the pose is.
-
-    state: the robot (3,), people (4 q,), landmarks (2 L,).
-    """
+    """Information flows both ways. state: the robot (3,), landmarks (2 L,), people (4 q,)."""
 
     def __init__(self, landmark: Array, person: Array) -> None:
         """landmark: (L, 2) and person: (q, 2) as they are seen from the known start."""
-        seen = _SENSOR.invert(np.zeros(3), person)
-        self._moving = 3 + 4 * len(person)
-        spread = np.zeros((len(person), 4, 4))
-        spread[:, :2, :2] = seen.jacobian_z @ np.diag(_SIGMA_Z**2) @ seen.jacobian_z.mT
-        spread[:, 2:, 2:] = _SPEED_MPS**2 * np.eye(2)
-        start = np.hstack((seen.landmark, np.zeros_like(seen.landmark)))
-        covariance = np.zeros((self._moving, self._moving))
-        covariance[:3, :3], covariance[3:, 3:] = _START, block_diagonal(spread)
-        self.state = KalmanState(np.append(np.zeros(3), start), covariance)
-        new = _SENSOR.invert(np.zeros(3), landmark)
-        wide = np.zeros((len(landmark), 2, self._moving))
-        wide[:, :, :3] = new.jacobian_pose
-        noise = np.tile(np.diag(_SIGMA_Z**2), (len(landmark), 1, 1))
-        self.state.augment(new._replace(jacobian_pose=wide), noise)
+        (place, spread), (at, near) = _seen(landmark), _seen(person)
+        own = [block_diag(one, _SPEED_MPS**2 * np.eye(2)) for one in near]
+        mean = np.concatenate((np.zeros(3), place.ravel(), np.hstack((at, 0.0 * at)).ravel()))
+        self.state = KalmanState(mean, block_diag(np.zeros((3, 3)), *spread, *own))
+        self._rows = np.arange(3 + place.size, len(mean)).reshape(-1, 4)
+        self._still = np.arange(3, 3 + place.size)
 
     @property
     def people(self) -> tuple[Array, Array]:
         """(q, 4) and their own covariances (q, 4, 4)."""
-        rows = np.arange(3, self._moving).reshape(-1, 4)
+        rows = self._rows
         return self.state.mean[rows], self.state.covariance[rows[:, :, None], rows[:, None]]
 
     @property
@@ -82,21 +73,19 @@ class FullFilter:
 
     def predict(self, step: MotionStep) -> None:
         """The robot moves as the wheels tell, people at random."""
-        each = np.eye((self._moving - 3) // 4)
-        f, q = np.zeros((2, self._moving, self._moving))
+        each, landmarks = np.eye(len(self._rows)), np.eye(len(self._still))
         by_control = step.jacobian_control * _SIGMA_CONTROL
-        f[:3, :3], q[:3, :3] = step.jacobian_pose, by_control @ by_control.T
-        f[3:, 3:], q[3:, 3:] = np.kron(each, _STEP), np.kron(each, _STEP_NOISE)
-        mean = np.append(step.pose, f[3:, 3:] @ self.state.pose[3:])
-        self.state.predict(mean, f, q)
+        f = block_diag(step.jacobian_pose, landmarks, np.kron(each, _STEP))
+        q = (by_control @ by_control.T, 0.0 * landmarks, np.kron(each, _STEP_NOISE))
+        self.state.predict(np.append(step.pose, (f @ self.state.mean)[3:]), f, block_diag(*q))
 
     def see(self, z: Array) -> None:
         """All landmarks (L, 2)."""
-        self._fuse(z, np.arange(self._moving, len(self.state.mean)))
+        self._fuse(z, self._still)
 
     def see_people(self, which: Index, z: Array) -> None:
         """Some people (k,), as z (k, 2)."""
-        self._fuse(z, (3 + 4 * which[:, None] + np.arange(2)).ravel())
+        self._fuse(z, self._rows[which, :2].ravel())
 
     def _fuse(self, z: Array, entry: Index) -> tuple[Index, Array, Correction]:
         """Fuse what is seen of places at these state entries (2 m,)."""
@@ -142,7 +131,7 @@ class UnidirectionalFilter(FullFilter):
     def see(self, z: Array) -> None:
         """Landmarks correct people through their covariance with robot and landmarks."""
         before = self._cross
-        columns, jacobian, made = self._fuse(z, np.arange(3, len(self.state.mean)))
+        columns, jacobian, made = self._fuse(z, self._still)
         share = before[:, :, columns] @ (made.inverse_root @ jacobian).T  # C H^T L^-T
         self._mean = self._mean + share @ made.whitened
         self._own = self._own - share @ share.mT
@@ -151,7 +140,7 @@ class UnidirectionalFilter(FullFilter):
     def see_people(self, which: Index, z: Array) -> None:
         """Each corrects its own track alone; with its covariance to the rest that is exact."""
         cross, own = self._cross[which], self._own[which]
-        at = _SENSOR.predict(self.state.pose, self._mean[which, :2])
+        at = _SENSOR.predict(self.state.pose[:3], self._mean[which, :2])
         robot, place = at.jacobian_pose, at.jacobian_landmark
         to_rest = robot @ self.state.covariance[:3] + place @ cross[:, :2]
         to_own = robot @ cross[:, :, :3].mT + place @ own[:, :2]
@@ -163,18 +152,22 @@ class UnidirectionalFilter(FullFilter):
         self._cross[which] = cross - share @ root @ to_rest
 
 
+def _seen(z: Array) -> tuple[Array, Array]:
+    """Places (m, 2) seen as z (m, 2) from the start, which is known exactly, and (m, 2, 2)."""
+    new = _SENSOR.invert(np.zeros(3), z)
+    return new.landmark, new.jacobian_z @ np.diag(_SIGMA_Z**2) @ new.jacobian_z.mT
+
+
 def _innovation(z: Array, predicted: Array) -> Array:
     gap: Array = z - predicted
     gap[:, 1] = wrap_angle(gap[:, 1])
     return gap
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tracks:
-    """One filter, after each scan.
+class Tracks(NamedTuple):
+    """One filter, after each of T scans. kept: elements of its covariance.
 
-    pose: (T, 3), with covariance: (T, 3, 3). person: (T, q, 4), with own: (T, q, 4, 4). kept:
-    elements of the filter's covariance.
+    pose: (T, 3), with covariance: (T, 3, 3). person: (T, q, 4), with own: (T, q, 4, 4).
     """
 
     pose: Array
@@ -190,7 +183,7 @@ class Tracks:
         return sigma
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PeopleDrive:
     """Both filters over the same measurements. pose, person, landmark: true, as in Tracks."""
 
@@ -241,13 +234,12 @@ def _drive(rng: np.random.Generator) -> PeopleDrive:
             one.see_people(near, of_people)
             rows.append((one.state.pose[:3], one.state.pose_covariance[:3, :3], *one.people))
         true.append((pose, person))
-    names = ("pose", "covariance", "person", "own")
-    full, one_way = (
-        Tracks(**dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)), kept=f.kept)
-        for f, rows in zip(filters, kept, strict=True)
-    )
+    tracks = [
+        Tracks._make((*map(np.array, zip(*rows, strict=True)), one.kept))
+        for one, rows in zip(filters, kept, strict=True)
+    ]
     poses, people = (np.array(column) for column in zip(*true, strict=True))
-    return PeopleDrive(pose=poses, person=people, landmark=landmark, full=full, one_way=one_way)
+    return PeopleDrive(poses, people, landmark, *tracks)
 
 
 def claims_3_7_1(found: PeopleDrives) -> Claims:

@@ -179,19 +179,14 @@ def parked_world() -> ScanWorld:
     cars = tuple(("box", *place, *_CAR_M, 90.0) for place in _STAYING)
     movers = tuple(
         Displaced((x, y), None, CARS_LEAVE_S, _DISC_M)
-        for corner in _leaving(_DISC_M)
+        for corner in leaving_cars(_DISC_M)
         for x, y in _along(corner, 0.6 * _DISC_M).tolist()
     )
     return replace(with_poles(with_landmarks(corners, (*cars, *walls)), lamp), movers=movers)
 
 
-def leaving_cars() -> tuple[Array, ...]:
-    """Outlines (4, 2) [m], counter-clockwise, of the cars that leave."""
-    return _leaving(0.0)
-
-
-def _leaving(less_m: float) -> tuple[Array, ...]:
-    """Outlines so much shorter and narrower."""
+def leaving_cars(less_m: float = 0.0) -> tuple[Array, ...]:
+    """Outlines (4, 2) [m] of the cars that leave, counter-clockwise; so much shorter, narrower."""
     length, width = _CAR_M
     shapes = tuple(("box", x, y, length - less_m, width - less_m, t) for x, y, t in _LEAVING)
     return placed_shapes(shapes)[0]

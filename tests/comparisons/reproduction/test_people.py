@@ -28,12 +28,12 @@ class CutGain(FullFilter):
     def see_people(self, which: Index, z: Array) -> None:
         state = self.state
         for k, seen in zip(which, z, strict=True):
-            at = SENSOR.predict(state.pose[:3], state.mean[None, 3 + 4 * k : 5 + 4 * k])
+            own = self._rows[k]
+            at = SENSOR.predict(state.pose[:3], state.mean[None, own[:2]])
             h = np.zeros((2, len(state.mean)))
-            h[:, :3], h[:, 3 + 4 * k : 5 + 4 * k] = at.jacobian_pose[0], at.jacobian_landmark[0]
+            h[:, :3], h[:, own[:2]] = at.jacobian_pose[0], at.jacobian_landmark[0]
             r, p = np.diag(nieto_people._SIGMA_Z**2), state.covariance
             gain = np.zeros((len(state.mean), 2))
-            own = slice(3 + 4 * k, 7 + 4 * k)
             gain[own] = (p @ h.T @ np.linalg.inv(h @ p @ h.T + r))[own]
             left = np.eye(len(p)) - gain @ h
             state._mean[: len(p)] += gain @ (seen - at.z[0])
@@ -71,11 +71,11 @@ def started(kind: type[FullFilter]) -> FullFilter:
 
 def test_the_tracks_are_those_of_a_joint_filter_whose_gain_is_cut() -> None:
     expected, found = run(started(CutGain)), run(started(UnidirectionalFilter))
-    assert found.state.pose == pytest.approx(expected.state.pose[:3], rel=1e-9)
+    assert found.state.pose[:3] == pytest.approx(expected.state.pose[:3], rel=1e-9)
     for ours, theirs in zip(found.people, expected.people, strict=True):
         assert np.allclose(ours, theirs, rtol=1e-8, atol=1e-10)
     both = run(started(FullFilter))
-    assert not np.allclose(both.state.pose[:3], found.state.pose, rtol=1e-6)
+    assert not np.allclose(both.state.pose[:3], found.state.pose[:3], rtol=1e-6)
 
 
 def test_without_the_covariance_with_the_robot_tracks_are_too_sure() -> None:
