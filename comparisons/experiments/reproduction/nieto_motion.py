@@ -318,9 +318,10 @@ def _parked(seed: int) -> ParkedCars:
     )
 
 
-_HIDDEN = ours(
-    "a few cells of the wall behind the neighbours, which hid it but for a few rays (in seed 7 "
-    "of 0 to 9)"
+_RAGGED = ours(
+    "in one drive of ten (seed 7) fast motion, with its lower threshold, takes 7 cells before a "
+    "wall: the first returns that see the wall say 0.3 to 0.8 there, those a second later at most "
+    "0.3"
 )
 
 
@@ -338,7 +339,7 @@ def claims_6_19(found: ParkedCarsDrives) -> Claims:
         "two areas are found, one of two cars side by side and one of the third (share of drives)",
         np.mean(count == _AREAS),
         1.0,
-        why=_HIDDEN,
+        why=_RAGGED,
     )
     yield at_most(
         "and none elsewhere (largest distance of a dynamic cell from a car that left, in all "
@@ -346,7 +347,7 @@ def claims_6_19(found: ParkedCarsDrives) -> Claims:
         max(away.min(axis=0).max(initial=0.0) for away in off),
         _BESIDE_M,
         "m",
-        why=_HIDDEN,
+        why=_RAGGED,
         own=True,
     )
 
