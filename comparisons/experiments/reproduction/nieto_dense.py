@@ -59,7 +59,7 @@ from comparisons.extensions.dense_maps.figure import (
     draw_surfaces,
 )
 from comparisons.extensions.dense_maps.job import DenseMapping, map_log
-from comparisons.extensions.dense_maps.source import BeforeClosing, DenseWatcher, grid_model
+from comparisons.extensions.dense_maps.source import BeforeClosing, DenseWatcher, classic_grid
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, dense_slam, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
@@ -241,7 +241,7 @@ def _rounds(log: Log, preset: Preset) -> Rounds:
     config = settings.extensions["dense_maps"]
     if not isinstance(config, DenseMapsConfig):
         raise TypeError(f"{type(config).__name__} is no DenseMapsConfig")
-    classic = ClassicGrid(config.resolution_m, grid_model(config))
+    classic = classic_grid(config)
     watcher = DenseWatcher(log, config)
     watcher.feed(classic)
     ekf = build_ekf(log, settle(settings.ekf, log), Trace())

@@ -77,6 +77,15 @@ class DenseMapsConfig(ExtensionConfig):
     p_free: float = setting(
         0.45, "Probability that a grid cell is occupied, given one ray through it", gt=0.0, lt=0.5
     )
+    confidence: float = setting(
+        0.98,
+        "Greatest probability that a grid cell or particle is occupied; 1 - it is the least",
+        gt=0.5,
+        lt=1.0,
+    )
+    least_weight: float = setting(
+        0.3, "Weight below which a particle is dropped; 0: none is", ge=0.0, lt=0.5
+    )
     least_correlation: float = setting(
         0.9, "Least correlation of any two landmarks of a region", ge=-1.0, le=1.0
     )

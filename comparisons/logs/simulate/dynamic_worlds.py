@@ -1,4 +1,4 @@
-"""Worlds in which something moves (Nieto 2005, section 6.3.3, Figs. 6.9 and 6.10).
+"""Worlds in which something moves (Nieto 2005, sections 6.3.3 and 6.5, Figs. 6.9, 6.10 and 6.19).
 
 The thesis shows both in figures only: what they hold follows it, where each thing stands is ours.
 """
@@ -21,12 +21,16 @@ from comparisons.logs.simulate.scan_worlds import (
     ScanWorld,
     placed_shapes,
     with_landmarks,
+    with_poles,
 )
 
 LANES_M = (5.0, -5.0)
 """North of the two lanes; the first leads east (Nieto 2005, section 6.3.3)."""
 CHANGE_S = 40.0
 """When the three places of `places_world` change: between two passes."""
+
+CARS_LEAVE_S = 31.5
+"""When the three cars of `parked_world` leave: as its first lap ends."""
 
 _POLE_M = 0.3
 _LANE_M = 66.0
@@ -145,6 +149,56 @@ def places_world(*, carried: bool = False) -> ScanWorld:
         Displaced(None, (2.0, 8.0), CHANGE_S),
     )
     return replace(world, movers=movers, carrier=(0,) if carried else ())
+
+
+_CAR_M = (4.4, 1.8)
+_LEAVING = ((10.8, -8.5, 90.0), (13.0, -8.5, 90.0), (15.0, 24.5, 2.0))
+_STAYING = (
+    (0.0, -8.7), (2.4, -8.5), (21.6, -8.3), (24.0, -8.5), (2.0, 8.5), (4.4, 8.5), (15.0, 8.7),
+    (20.0, 8.4), (0.0, 26.0), (2.4, 26.2), (25.0, 26.0),
+)  # fmt: skip
+
+
+def parked_world() -> ScanWorld:
+    """A car park between walls, driven around its middle row; at CARS_LEAVE_S three cars leave.
+
+    Two of them are neighbours. Cars that leave are boxes made of discs (Fig. 6.19).
+    """
+    corners = ((-7, 8), (0, 0), (12, -1), (24, 0), (31, 8), (24, 17), (12, 18), (0, 17))
+    walls: tuple[PlacedShape, ...] = (
+        ("box", 38, 8, 3, 16, 3), ("box", -17, 8, 6, 12, 3), ("box", 10, -17, 44, 3, 0),
+        ("box", 9, 34, 34, 3, 0),
+    )  # fmt: skip
+    lamp = np.array(
+        [
+            (-6, -13), (6.5, -12.5), (18, -12.5), (28, -13), (-4, -6.5), (6.5, -7), (17.5, -7),
+            (28.5, -6.5), (-1.5, 8.5), (9.5, 7), (9.5, 10.5), (25, 8.5), (-4, 24), (7.5, 24.5),
+            (20, 24), (30, 24.5), (-4, 30), (8, 30.5), (20, 30.5), (31, 30),
+        ]
+    )  # fmt: skip
+    cars = tuple(("box", *place, *_CAR_M, 90.0) for place in _STAYING)
+    movers = tuple(
+        Displaced((x, y), None, CARS_LEAVE_S, _DISC_M)
+        for corner in leaving_cars(_DISC_M)
+        for x, y in _along(corner, 0.6 * _DISC_M).tolist()
+    )
+    return replace(with_poles(with_landmarks(corners, (*cars, *walls)), lamp), movers=movers)
+
+
+def leaving_cars(less_m: float = 0.0) -> tuple[Array, ...]:
+    """Outlines (4, 2) [m] of the cars that leave, counter-clockwise; so much shorter, narrower."""
+    length, width = _CAR_M
+    shapes = tuple(("box", x, y, length - less_m, width - less_m, t) for x, y, t in _LEAVING)
+    return placed_shapes(shapes)[0]
+
+
+def _along(corner: Array, step_m: float) -> Array:
+    """(N, 2) evenly along the sides of a closed polygon (K, 2), at most so far apart."""
+    parts = []
+    for start, end in zip(corner, np.roll(corner, -1, axis=0), strict=True):
+        count = int(np.ceil(np.linalg.norm(end - start) / step_m))
+        parts.append(start + np.arange(count)[:, None] / count * (end - start))
+    return np.vstack(parts)
 
 
 def moved_over(movers: tuple[Moving, ...], point: Array, time_s: Array) -> NDArray[np.bool_]:

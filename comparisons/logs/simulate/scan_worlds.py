@@ -295,7 +295,7 @@ def with_landmarks(
         clear = np.linalg.norm(path - candidate, axis=1).min() > _FROM_PATH_M
         if clear and world.is_free(candidate, solids):
             landmark.append(candidate)
-    return _with_poles(world, np.array(landmark))
+    return with_poles(world, np.array(landmark))
 
 
 def with_landmarks_among(world: ScanWorld, more: int = MORE_LANDMARKS) -> ScanWorld:
@@ -314,10 +314,10 @@ def with_landmarks_among(world: ScanWorld, more: int = MORE_LANDMARKS) -> ScanWo
         alone = not len(place) or np.linalg.norm(place - candidate, axis=1).min() > _APART_M
         if clear and alone and world.is_free(candidate, solids):
             place = np.vstack((place, candidate))
-    return _with_poles(world, place)
+    return with_poles(world, place)
 
 
-def _with_poles(world: ScanWorld, place: Array) -> ScanWorld:
+def with_poles(world: ScanWorld, place: Array) -> ScanWorld:
     """The world with a thin pole at each of these landmarks (L, 2), and no other poles."""
     return replace(
         world,

@@ -23,6 +23,7 @@ from comparisons.experiments.reproduction import (
     nieto_known_poses,
     nieto_motion,
     nieto_next_path,
+    nieto_people,
     nieto_regions,
     nieto_scan_maps,
     nieto_scan_slam,
@@ -34,6 +35,7 @@ from comparisons.experiments.reproduction.interface import Sources
 from comparisons.experiments.reproduction.nieto_motion import DynamicScore
 from comparisons.extensions.dense_maps.accuracy import surface_error
 from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.simulate.dynamic_worlds import leaving_cars
 from comparisons.logs.simulate.waypoints import WaypointRun
 from comparisons.logs.simulate.waypoints import simulate as simulate_waypoints
 from ekf_reference.dense.layers.layer import Samples
@@ -147,6 +149,27 @@ def motions(true: Array) -> nieto_motion.Motions:
     return nieto_motion.Motions("made up", (one,), true)
 
 
+def parked_cars() -> nieto_motion.ParkedCarsDrives:
+    """All three cars are found, and two landmarks stand on them; another is as good as before."""
+    first, second, third = leaving_cars()
+    between = np.linspace(first.mean(axis=0), second.mean(axis=0), 12)
+    found = np.vstack((between, third.mean(axis=0)))
+    one = nieto_motion.ParkedCars(
+        first=found,
+        last=CORNERS,
+        freed=found,
+        dynamic=found,
+        template=(between[:3], third, CORNERS),
+        rectangle=np.array([WALL.reshape(2, 2)[[0, 1, 1, 0]] + k for k in range(3)]),
+        in_state=np.array([True, False, True]),
+        removed=np.array([True, True, False]),
+        landmark=CORNERS,
+        points_removed=0,
+        segment=WALL,
+    )
+    return nieto_motion.ParkedCarsDrives("made up", (one,))
+
+
 def scan_drives() -> nieto_scan_slam.ScanDrives:
     """Landmarks on a wall at the left top, which a closing puts back where they are."""
     wall = np.array([(-60.0, 100.0, -40.0, 100.0)])
@@ -245,6 +268,8 @@ SMALL: dict[str, Callable[[], Any]] = {
     "the car park, dense maps": car_park,
     "the car park, Scan-SLAM": car_park_scans,
     "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
+    "section 6.5, cars that leave": parked_cars,
+    "section 3.7.1": lambda: nieto_people.people_drives(Sources()),
     "section 7.2.4": next_path,
     "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }

@@ -61,7 +61,7 @@ def test_names_are_unique_and_say_where_they_come_from() -> None:
     documents = {"G": "Guivant", "M": "Misono", "N": "Nieto"}
     for figure in FIGURES:
         assert figure.source.startswith(documents[figure.name[0]])
-        place = "section" if figure.name in ("G4.2", "N7.2.4") else "Fig."
+        place = "section" if figure.name in ("G4.2", "N3.7.1", "N7.2.4") else "Fig."
         assert f"{place} {figure.name[1:]}" in figure.source
         assert figure.says.endswith(".")
     experiments = {f.experiment.name: f.experiment for f in FIGURES}
@@ -619,6 +619,16 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N6.9", each(one_place_twice), {0}),
     ("N6.10", each(one_place_more), {1}),
     ("N6.10", each(one_place_twice), {0}),
+    ("N6.19", each(lambda d: replace(d, dynamic=np.vstack((d.dynamic, CORNERS[:1])))), {1, 2}),
+    ("N6.19", each(lambda d: replace(d, dynamic=d.dynamic[-1:])), {0, 1}),
+    ("N6.20", each(lambda d: replace(d, removed=np.zeros(3, dtype=bool))), {0, 1}),
+    ("N6.20", each(lambda d: replace(d, in_state=~d.in_state, removed=~d.removed)), {0, 1, 2}),
+    ("N6.20", each(lambda d: replace(d, points_removed=1)), {2}),
+    ("N3.7.1", each(lambda d: altered(d, "full.covariance", 0.5 * d.full.covariance)), {0}),
+    ("N3.7.1", each(lambda d: altered(d, "one_way.person", d.one_way.person + 1.0)), {1}),
+    ("N3.7.1", each(lambda d: altered(d, "one_way.covariance", d.one_way.covariance / 9)), {2}),
+    ("N3.7.1", each(lambda d: altered(d, "one_way.own", 9 * d.one_way.own)), {3}),
+    ("N3.7.1", each(lambda d: altered(d, "one_way.kept", d.full.kept)), {4, 5}),
     ("N7.2.4", other_choice, {0, 1, 2}),
     ("N7.2.4", through_the_wall, {3}),
     ("N7.2.4", lambda found: replace(found, way=(found.way[1],)), {4}),
@@ -646,9 +656,10 @@ def test_every_figure_has_a_broken_variant() -> None:
 CLAIMS_OF_SOUND_DATA = {
     1: "N2.12 N3.18 N4.15 N6.11 N6.12 N6.13 N6.14",
     2: "G7 N4.1.3 N4.5 N4.9 N6.2 N6.10 N6.16 N6.17",
-    3: "N2.5 N2.6 N2.11 N2.13 N4.6 N4.8 N4.11 N4.13",
+    3: "N2.5 N2.6 N2.11 N2.13 N4.6 N4.8 N4.11 N4.13 N6.19 N6.20",
     4: "G8 G9 N3.20 N5.5 N5.9 N6.4 N6.9",
     5: "N7.2.4",
+    6: "N3.7.1",
     10: "N5.8",
     12: "G4.2",
 }
