@@ -71,6 +71,7 @@ class DenseMapsConfig(ExtensionConfig):
         Option("--resolution", SCANS, "Cell size of the dense map in metres. [0.2]", metavar="M"),
     )
     d_min_m: _Cell = setting(0.2, "Least distance of two Gaussians or particles in metres")
+    thinned: bool = setting(True, "Drop particles and Gaussians that have come to lie on others")
     p_occupied: float = setting(
         0.65, "Probability that a grid cell is occupied, given one return", gt=0.5, lt=1.0
     )

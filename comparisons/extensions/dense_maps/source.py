@@ -76,9 +76,12 @@ def build_map(
         "points": Points(size),
         "occupancy": OccupancyGrid(size, grid_model(config), coarsening=config.coarsening),
         "particles": Particles(
-            np.random.default_rng(0), model=grid_model(config), d_min_m=config.d_min_m
+            np.random.default_rng(0),
+            model=grid_model(config),
+            d_min_m=config.d_min_m,
+            thinned=config.thinned,
         ),
-        "sog": Gaussians(config.d_min_m),
+        "sog": Gaussians(config.d_min_m, thinned=config.thinned),
     }
     waiting = DelayedInitialisation(capacity=bounds.capacity, patience=bounds.patience)
     return DenseMap(
