@@ -11,7 +11,7 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
-from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, grid_model
+from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, classic_grid
 from comparisons.logs.log import Log
 from comparisons.pipeline.prepare import (
     Prepared,
@@ -21,7 +21,6 @@ from comparisons.pipeline.prepare import (
     prepare,
 )
 from comparisons.shown import Shown
-from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 
@@ -80,7 +79,7 @@ def map_log(
     watcher = setup.find(DenseWatcher)
     if watcher is None:
         raise ValueError("no dense map among the extensions")
-    classic = ClassicGrid(watcher.options.resolution_m, grid_model(watcher.options))
+    classic = classic_grid(watcher.options)
     watcher.feed(classic)
     with prepared.clock.stage("filter and map"):
         run = run_ekf(

@@ -76,6 +76,7 @@ BESIDE: Mapping[str, Contexts] = {
         "": (_POINTS,),
         "resolution_m": (_POINTS, _OCCUPANCY),
         "d_min_m": (_PARTICLES, _SOG),
+        "confidence": (_OCCUPANCY, _PARTICLES),
         "thinned": (_PARTICLES, _SOG),
         "p_occupied": (_OCCUPANCY, _PARTICLES),
         "p_free": (_OCCUPANCY, _PARTICLES),

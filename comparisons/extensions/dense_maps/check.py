@@ -22,7 +22,7 @@ from comparisons.extensions.dense_maps.accuracy import (
     surface_error,
     surface_error_rows,
 )
-from comparisons.extensions.dense_maps.source import DenseRun, grid_model
+from comparisons.extensions.dense_maps.source import DenseRun, classic_grid
 from comparisons.figures import Aside
 from comparisons.logs.log import Log
 from comparisons.words import Row
@@ -160,7 +160,7 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
     regions = dense.dense.regions
     by_filter = regions.placed(dense.landmark)
     by_smoother = regions.placed(dense.landmarks_of(smoothed))
-    grid = ClassicGrid(dense.options.resolution_m, grid_model(dense.options))
+    grid = classic_grid(dense.options)
     other = _returns(log, dense, smoothed, by_smoother, grid)
     layers, rows, errors = {}, [], {}
     surfaces = log.truth.surfaces

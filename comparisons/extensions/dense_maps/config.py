@@ -78,6 +78,13 @@ class DenseMapsConfig(ExtensionConfig):
     p_free: float = setting(
         0.45, "Probability that a grid cell is occupied, given one ray through it", gt=0.0, lt=0.5
     )
+    confidence: float = setting(
+        0.98,
+        "Bound of the probability that a cell or a particle is occupied, and that it is free; "
+        "1: none",
+        gt=0.5,
+        le=1.0,
+    )
     least_correlation: float = setting(
         0.9, "Least correlation of any two landmarks of a region", ge=-1.0, le=1.0
     )

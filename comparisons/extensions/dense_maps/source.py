@@ -24,6 +24,7 @@ from ekf_reference.dense.conditions import Conditions, ellipse_margin, flip_marg
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import Counters, Differencing, DynamicLayer
+from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
@@ -56,6 +57,11 @@ def grid_model(config: DenseMapsConfig) -> InverseSensorModel:
     return InverseSensorModel(p_occupied=config.p_occupied, p_free=config.p_free)
 
 
+def classic_grid(config: DenseMapsConfig) -> ClassicGrid:
+    """Return one empty grid in the world, with the cells of the occupancy layer."""
+    return ClassicGrid(config.resolution_m, grid_model(config), config.confidence)
+
+
 def conditions(config: DenseMapsConfig) -> Conditions:
     """Return when three landmarks may define a region (Nieto 2005, section 3.5)."""
     bounds = config.bounds
@@ -74,11 +80,12 @@ def build_map(
     size, bounds = config.resolution_m, config.bounds
     made: Mapping[str, Layer] = {
         "points": Points(size),
-        "occupancy": OccupancyGrid(size, grid_model(config), coarsening=config.coarsening),
+        "occupancy": OccupancyGrid(size, grid_model(config), config.confidence, config.coarsening),
         "particles": Particles(
             np.random.default_rng(0),
             model=grid_model(config),
             d_min_m=config.d_min_m,
+            confidence=config.confidence,
             thinned=config.thinned,
         ),
         "sog": Gaussians(config.d_min_m, thinned=config.thinned),
