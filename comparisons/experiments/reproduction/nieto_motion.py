@@ -100,9 +100,8 @@ def lanes(sources: Sources) -> Motions:
     true = np.array([(np.nan, north) for north in dynamic_worlds.LANES_M])
     experiment = dynamic_lanes()
     w = experiment.world
-    poles = {"pole": w.pole[1:], "pole_height_m": w.pole_height_m[1:]}
-    unhidden = replace(experiment, world=replace(w, landmark=w.landmark[1:], **poles))
-    return _motions(unhidden, true, sources)
+    w = replace(w, landmark=w.landmark[1:], pole=w.pole[1:], pole_height_m=w.pole_height_m[1:])
+    return _motions(replace(experiment, world=w), true, sources)
 
 
 def changed_places(sources: Sources) -> Motions:
