@@ -143,7 +143,7 @@ class Round:
     dense_error: SurfaceError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rounds:
     """One long drive. segment: (S, 4) true surfaces. literal: by the thesis' settings.
 
@@ -254,7 +254,7 @@ def _rounds(log: Log, preset: Preset) -> Rounds:
     run = watcher.run()
     placed, layers = run.dense.regions.placed(run.landmark), run.dense.layers
     particles, points = (layers[name].samples(placed) for name in ("particles", "points"))
-    return Rounds(named, tuple(each), segment, particles, points)
+    return Rounds(log=named, each=tuple(each), segment=segment, particles=particles, points=points)
 
 
 def _round(
