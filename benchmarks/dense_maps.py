@@ -1,14 +1,15 @@
 """What each of the documents' settings of dense maps does to the occupancy layer.
 
-    python benchmarks/dense_maps.py [--seeds N] [--rules NAME ...]
+    python benchmarks/dense_maps.py [--among N] [--seeds N] [--rules NAME ...]
     python benchmarks/dense_maps.py --correlation [--among N] [--seeds N]
     python benchmarks/dense_maps.py --particles [--seeds N]
 
 The documents' settings beside those that runs use, and each of them alone, on simulated drives of
-one loop (Nieto 2005, sections 3.9 and 4.1.3). --correlation: what regions cover, and how far the
-closing of the loop deforms them (Fig. 3.9), by the least correlation of their landmarks alone, as
-section 3.5 has it, without and with N more landmarks among and behind the objects. --particles:
-weights of particles (Fig. 4.10) by the thesis' settings and by others that change them.
+one loop (Nieto 2005, sections 3.9 and 4.1.3) with N more landmarks among and behind the objects,
+80 if left out. --correlation: what regions cover, and how far the closing of the loop deforms them
+(Fig. 3.9), by the least correlation of their landmarks alone, as section 3.5 has it. --particles:
+weights of particles (Fig. 4.10), and how far they and Gaussians are from the surfaces over raw
+returns (Fig. 4.12), without and with those dropped that have come to lie on others.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from numpy.typing import NDArray
 
 from comparisons.checks.accuracy import match_by_distance, rigid_motion
 from comparisons.config import MapConfig
+from comparisons.documented.row import Preset
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
 from comparisons.extensions.dense_maps.job import DenseMapping, map_log
-from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, dense_slam, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
@@ -38,10 +39,11 @@ from ekf_reference.dense.layers.layer import Samples
 
 Array = NDArray[np.float64]
 
-FIRST_LOOPS = {"scan-loop": 6, "occupancy-loop": 8}
+FIRST_LOOPS = {dense_slam: 6, occupancy: 8}
 """Drives of one loop, from seed 0."""
-CORRELATIONS = (0.95, 0.9, 0.8, 0.5, -1.0)
+CORRELATIONS = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.2, -1.0)
 ALONE: Mapping[str, Mapping[str, Any]] = {
+    "least_correlation=0.5": {"least_correlation": 0.5},
     "known_apart_m=0": {"known_apart_m": 0.0},
     "longest_edge_m=inf": {"longest_edge_m": math.inf},
     "flip_test=ellipses": {"flip_test": "ellipses"},
@@ -49,23 +51,25 @@ ALONE: Mapping[str, Mapping[str, Any]] = {
     "virtual_landmarks=false": {"virtual_landmarks": False},
     "p_occupied=0.9, p_free=0.3": {"p_occupied": 0.9, "p_free": 0.3},
 }
-"""Settings of the documents, each alone."""
-PARTICLES: Mapping[str, Mapping[str, Any]] = {
-    "nieto-2005": {},
-    "d_min_m=0.5": {"d_min_m": 0.5},
-    "p_occupied=0.99": {"p_occupied": 0.99},
+"""Settings of the documents, and a lower correlation, each alone."""
+PARTICLES: Mapping[str, tuple[Preset, Mapping[str, Any]]] = {
+    "nieto-2005": ("nieto-2005", {}),
+    "nieto-2005, thinned": ("nieto-2005", {"thinned": True}),
+    "recommended": ("recommended", {}),
+    "recommended, all kept": ("recommended", {"thinned": False}),
 }
+_ROUNDS = (1, 10)
 
 
-def errors_by_rule(seeds: int | None, rules: Sequence[str] | None = None) -> None:
+def errors_by_rule(seeds: int | None, among: int, rules: Sequence[str] | None = None) -> None:
     """What each of the documents' settings does to the occupancy layer, after the first loop."""
     print("means over drives of one loop; distances of occupied cells to the surfaces [m], median")
     print("/ 95 %; aligned: after the landmarks' motion onto the true ones; regions: when made")
-    for name, table in FIRST_LOOPS.items():
-        drives = seeds or table
-        print(f"{name}, {drives} drives")
+    for experiment, table in FIRST_LOOPS.items():
+        drives, name = seeds or table, experiment().name
+        print(f"{name}, {among} landmarks more, {drives} drives")
         print(f"{'':30} {RULE_COLUMNS}")
-        logs = [open_log(name, None, 1, SimulationChoices(seed)) for seed in range(drives)]
+        logs = [log_among(experiment(), among, seed) for seed in range(drives)]
         for title, preset, fields in (
             ("recommended", "recommended", {}),
             ("nieto-2005", "nieto-2005", {}),
@@ -109,47 +113,57 @@ def rule_row(mapped: Sequence[DenseMapping]) -> str:
 
 def by_correlation(seeds: int, among: int) -> None:
     """Coverage against deformation over the least correlation of a region's landmarks."""
-    for more in (0, among):
-        logs = [log_among(dense_slam(), more, seed) for seed in range(seeds)]
-        print(
-            f"scan-loop, {more} landmarks more, {seeds} drives; deformed: change of an edge by the"
+    logs = [log_among(dense_slam(), among, seed) for seed in range(seeds)]
+    print(f"scan-loop, {among} landmarks more, {seeds} drives; deformed: change of an edge by the")
+    print("update that moved the regions the most [m], median / 95 %; surfaces: median [m]")
+    print("correlation  regions  covered  deformed       surfaces")
+    for least in CORRELATIONS:
+        config = MapConfig.of(
+            preset="nieto-2005",
+            log={"source": "scan-loop"},
+            extensions={"dense_maps": {"layers": ("points",), "least_correlation": least}},
         )
-        print("update that moved the regions the most [m], median / 95 %; surfaces: median [m]")
-        print("correlation  regions  covered  deformed       surfaces")
-        for least in CORRELATIONS:
-            config = MapConfig.of(
-                preset="nieto-2005",
-                log={"source": "scan-loop"},
-                extensions={"dense_maps": {"layers": ("points",), "least_correlation": least}},
-            )
-            each = [map_log(log, config) for log in logs]
-            tallies = [one.dense.dense.tally for one in each]
-            covered = sum(t.fused + t.late for t in tallies) / sum(t.returns for t in tallies)
-            regions = sum(len(one.placed.triangle) for one in each)
-            change = np.concatenate([deformation(one) for one in each])
-            median, most = np.percentile(change, (50.0, 95.0)) if len(change) else (math.nan,) * 2
-            off = np.concatenate([distances(one, "points")[0] for one in each])
-            near = float(np.median(off)) if len(off) else math.nan
-            row = f"{least:11g} {regions:8d} {covered:8.1%}  {median:5.3f} / {most:5.3f}"
-            print(f"{row}  {near:8.3f}", flush=True)
+        each = [map_log(log, config) for log in logs]
+        tallies = [one.dense.dense.tally for one in each]
+        covered = sum(t.fused + t.late for t in tallies) / sum(t.returns for t in tallies)
+        regions = sum(len(one.placed.triangle) for one in each)
+        change = np.concatenate([deformation(one) for one in each])
+        median, most = np.percentile(change, (50.0, 95.0)) if len(change) else (math.nan,) * 2
+        off = np.concatenate([distances(one, "points")[0] for one in each])
+        near = float(np.median(off)) if len(off) else math.nan
+        row = f"{least:11g} {regions:8d} {covered:8.1%}  {median:5.3f} / {most:5.3f}"
+        print(f"{row}  {near:8.3f}", flush=True)
 
 
 def by_particles(seeds: int) -> None:
-    """Shares of particles by weight, by the thesis' settings, each of PARTICLES alone."""
-    experiment = occupancy()
-    logs = [log_among(experiment, MORE_LANDMARKS, seed) for seed in range(seeds)]
-    print(f"{experiment.name}, {MORE_LANDMARKS} landmarks more, {seeds} drives")
-    print(f"{'':18} particles  > 0.8  < 0.5")
-    for title, fields in PARTICLES.items():
-        config = MapConfig.of(
-            preset="nieto-2005",
-            log={"source": experiment.name},
-            extensions={"dense_maps": {"layers": ("particles",), **fields}},
+    """Shares of particles by weight; of particles and Gaussians the distance over raw returns'."""
+    for rounds in _ROUNDS:
+        experiment = occupancy(rounds)
+        logs = [log_among(experiment, MORE_LANDMARKS, seed) for seed in range(seeds)]
+        print(
+            f"{experiment.name}, {rounds} rounds, {MORE_LANDMARKS} landmarks more, {seeds} drives"
         )
-        held = [map_log(log, config).layers["particles"].occupancy for log in logs]
-        weight = np.concatenate(held)
-        shares = f"{(weight > OCCUPIED).mean():6.1%} {(weight < 0.5).mean():6.1%}"
-        print(f"{title:18} {len(weight):9d} {shares}", flush=True)
+        print(f"{'':22} particles  > 0.8  < 0.5  off  Gaussians   off")
+        for title, (preset, fields) in PARTICLES.items():
+            config = MapConfig.of(
+                preset=preset,
+                log={"source": experiment.name},
+                extensions={"dense_maps": {"layers": ("points", "particles", "sog"), **fields}},
+            )
+            each = [map_log(log, config) for log in logs]
+            weight = np.concatenate([one.layers["particles"].occupancy for one in each])
+            shares = f"{(weight > OCCUPIED).mean():6.1%} {(weight < 0.5).mean():6.1%}"
+            off = {
+                name: np.median(
+                    [m.errors[name].median_m / m.errors["points"].median_m for m in each]
+                )
+                for name in ("particles", "sog")
+            }
+            count, gaussians = (
+                sum(len(one.layers[name].point) for one in each) // seeds for name in off
+            )
+            row = f"{title:22} {count:9d} {shares} {off['particles']:4.2f}"
+            print(f"{row}  {gaussians:9d}  {off['sog']:4.2f}", flush=True)
 
 
 def log_among(experiment: ScanExperiment, more: int, seed: int) -> Log:
@@ -209,7 +223,7 @@ def main() -> None:
     parser.add_argument("--rules", nargs="+", help="rows; all if left out")
     parser.add_argument("--correlation", action="store_true", help="coverage and deformation")
     parser.add_argument(
-        "--among", type=int, default=MORE_LANDMARKS, help="landmarks more for --correlation"
+        "--among", type=int, default=MORE_LANDMARKS, help="landmarks more, 80 if left out"
     )
     parser.add_argument("--particles", action="store_true", help="weights of particles")
     choices = parser.parse_args()
@@ -218,7 +232,7 @@ def main() -> None:
     elif choices.correlation:
         by_correlation(choices.seeds or 1, choices.among)
     else:
-        errors_by_rule(choices.seeds, choices.rules)
+        errors_by_rule(choices.seeds, choices.among, choices.rules)
 
 
 if __name__ == "__main__":

@@ -50,13 +50,15 @@ class InverseSensorModel:
 
 
 def log_odds(probability: Array | float) -> Array:
-    """Log-odds, log p / (1 - p), of probabilities of any shape (Nieto 2005, eq. 4.7)."""
+    """Log-odds, log p / (1 - p), of probabilities of any shape (Nieto 2005, eq. 4.7); of 1 inf."""
     p = np.asarray(probability, dtype=float)
-    odds: Array = np.log(p) - np.log1p(-p)
+    with np.errstate(divide="ignore"):
+        odds: Array = np.log(p) - np.log1p(-p)
     return odds
 
 
 def probability(odds: Array) -> Array:
     """The inverse of log_odds."""
-    p: Array = 1.0 / (1.0 + np.exp(-odds))
+    with np.errstate(over="ignore"):
+        p: Array = 1.0 / (1.0 + np.exp(-odds))
     return p

@@ -37,7 +37,7 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _COUNTED_AS = {BLANK: "no returns", APART: "no counterpart"}
 """Names of reasons in `counts`, where these are not the reasons themselves."""
-_SHARE = 0.3
+SHARE = 0.3
 """Of a template, in view: it holds what was seen from several sides, which no scan sees at once."""
 _MATCHED = ObservationOptions(overlap=0.4, ambiguous=0.8)
 _OBSERVATION = RelativePose()
@@ -200,7 +200,7 @@ class HighLevelLandmarks:
         there = _OBSERVATION.predict(scan.mount, expected.z[None])
         turn = there.jacobian_landmark[0]
         prior = turn @ expected.covariance @ turn.T
-        view = replace(scan.view, share=_SHARE)
+        view = replace(scan.view, share=SHARE)
         options = replace(_MATCHED, visible=self.only_in_view)
         matching = TemplateMatching(view, options, belief=one.belief)
         seen = observe(one.template, scan.shape, there.z[0], prior, matching)

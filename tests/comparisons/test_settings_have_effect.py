@@ -77,9 +77,10 @@ BESIDE: Mapping[str, Contexts] = {
         "": (_POINTS,),
         "resolution_m": (_POINTS, _OCCUPANCY),
         "d_min_m": (_PARTICLES, _SOG),
+        "confidence": (_OCCUPANCY, _PARTICLES),
+        "thinned": (_PARTICLES, _SOG),
         "p_occupied": (_OCCUPANCY, _PARTICLES),
         "p_free": (_OCCUPANCY, _PARTICLES),
-        "confidence": (_OCCUPANCY, _PARTICLES),
         "least_weight": (_PARTICLES,),
         "coarsening": (_OCCUPANCY,),
     },
@@ -371,10 +372,9 @@ def test_a_setting_that_nobody_uses_is_found() -> None:
 def test_a_layer_that_a_setting_does_not_reach_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """As particles were, which had the thesis' probabilities whatever config.toml said."""
 
-    def without_model(rng: np.random.Generator, d_min_m: float, **others: object) -> Particles:
-        return Particles(rng, d_min_m=d_min_m)
+    def without_model(rng: np.random.Generator, model: object, **others: Any) -> Particles:
+        return Particles(rng, **others)
 
     monkeypatch.setattr(dense_source, "Particles", without_model)
     found = silent(DenseMapsConfig, of_extension("dense_maps"), BESIDE["dense_maps"])
-    names = ("p_occupied", "p_free", "confidence", "least_weight")
-    assert found == [f"{name} {_PARTICLES}" for name in names]
+    assert found == [f"{name} {_PARTICLES}" for name in ("p_occupied", "p_free")]

@@ -7,7 +7,7 @@ simulated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -124,9 +124,15 @@ def _motions(experiment: ScanExperiment, true: Array, sources: Sources) -> Motio
 
 
 def lanes(sources: Sources) -> Motions:
-    """Two lanes of traffic before a scanner that stands."""
+    """Two lanes of traffic before a scanner that stands.
+
+    Without the first pole, which hides a piece of a lane: the thesis' lanes are whole.
+    """
     true = np.array([(np.nan, north) for north in dynamic_worlds.LANES_M])
-    return _motions(dynamic_lanes(), true, sources)
+    experiment = dynamic_lanes()
+    w = experiment.world
+    w = replace(w, landmark=w.landmark[1:], pole=w.pole[1:], pole_height_m=w.pole_height_m[1:])
+    return _motions(replace(experiment, world=w), true, sources)
 
 
 def changed_places(sources: Sources) -> Motions:
@@ -150,7 +156,6 @@ def claims_6_9(found: Motions) -> Claims:
         "and nowhere else: number of areas (most of the drives)",
         max(len(m.score.middle) for m in found.each),
         2,
-        why=ours("a few cells at a pole beside a lane, with nothing but shadow behind it"),
     )
     yield at_least(
         "cells found are driven on (least precision of the drives)",

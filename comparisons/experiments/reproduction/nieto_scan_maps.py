@@ -282,8 +282,9 @@ def claims_6_7(found: ScanMaps) -> Claims:
         min(more),
         2.0,
         why=ours(
-            "scan landmarks stand on the surfaces and 20 m apart, so that regions end at them: "
-            "a quarter of the returns lie where no region can be"
+            "no map can hold so much: all returns of a drive, placed by its true poses, lie beside "
+            "66 % of the surface, the templates beside 35 % of it (seed 0); and scan landmarks "
+            "stand 20 m apart and on the surfaces, where regions end: 38 % of the returns find none"
         ),
         own=True,
     )

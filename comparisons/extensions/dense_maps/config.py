@@ -71,6 +71,7 @@ class DenseMapsConfig(ExtensionConfig):
         Option("--resolution", SCANS, "Cell size of the dense map in metres. [0.2]", metavar="M"),
     )
     d_min_m: _Cell = setting(0.2, "Least distance of two Gaussians or particles in metres")
+    thinned: bool = setting(True, "Drop particles and Gaussians that have come to lie on others")
     p_occupied: float = setting(
         0.65, "Probability that a grid cell is occupied, given one return", gt=0.5, lt=1.0
     )
@@ -79,9 +80,10 @@ class DenseMapsConfig(ExtensionConfig):
     )
     confidence: float = setting(
         0.98,
-        "Greatest probability that a grid cell or particle is occupied; 1 - it is the least",
+        "Bound of the probability that a cell or a particle is occupied, and that it is free; "
+        "1: none",
         gt=0.5,
-        lt=1.0,
+        le=1.0,
     )
     least_weight: float = setting(
         0.3, "Weight below which a particle is dropped; 0: none is", ge=0.0, lt=0.5

@@ -58,7 +58,7 @@ def grid_model(config: DenseMapsConfig) -> InverseSensorModel:
 
 
 def classic_grid(config: DenseMapsConfig) -> ClassicGrid:
-    """Return an empty grid in the world's frame, with the options of the occupancy layer."""
+    """Return one empty grid in the world, with the cells of the occupancy layer."""
     return ClassicGrid(config.resolution_m, grid_model(config), config.confidence)
 
 
@@ -87,8 +87,9 @@ def build_map(
             d_min_m=config.d_min_m,
             confidence=config.confidence,
             least=config.least_weight,
+            thinned=config.thinned,
         ),
-        "sog": Gaussians(config.d_min_m),
+        "sog": Gaussians(config.d_min_m, thinned=config.thinned),
     }
     waiting = DelayedInitialisation(capacity=bounds.capacity, patience=bounds.patience)
     return DenseMap(

@@ -35,18 +35,19 @@ class Gaussians(PointLayer):
     """Means and covariances that are local, so they move, turn and shear with the landmarks.
 
     d_min_m: old Gaussians with an observed one closer than that are fused with the nearest; others
-    observed are added, and old ones on each other become one. widest: k of Nieto 2005, eq. 4.18:
+    observed are added. thinned: old ones on each other become one, else their number grows without
+    end, as in the thesis' maps, which are not subsampled. widest: k of Nieto 2005, eq. 4.18:
     sigmas add up until their sum passes k d_min. There "the Gaussian variance" is compared to a
     length; it is the largest standard deviation here. 4.17 to 4.20 are no Bayesian update, and free
     space takes no Gaussian away.
     """
 
-    def __init__(self, d_min_m: float = 0.2, widest: float = 0.8) -> None:
+    def __init__(self, d_min_m: float = 0.2, widest: float = 0.8, *, thinned: bool = True) -> None:
         """Raises ValueError for bounds that are not above zero."""
         if not widest > 0.0:
             raise ValueError(f"k is {widest}, it must be above zero")
         super().__init__(5, d_min_m)
-        self.widest = widest
+        self.widest, self.thinned = widest, thinned
 
     def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Widen and shift old Gaussians by the nearest returns, then add the other returns."""
@@ -63,9 +64,10 @@ class Gaussians(PointLayer):
         value[grow, 2:] += in_local_axes(placed, region[grow], observed[grow])  # 4.19, else 4.20
         old.value[pair.old] = value
         self._store.put(old)
-        kept = np.ones(len(where), dtype=bool)
-        kept[doubled(pair, self._reach_m, -pair.apart_m)] = False
-        self._store.keep(old, kept)
+        if self.thinned:
+            kept = np.ones(len(where), dtype=bool)
+            kept[doubled(pair, self._reach_m, -pair.apart_m)] = False
+            self._store.keep(old, kept)
         add = np.flatnonzero(~pair.met)
         spread = in_local_axes(placed, hits.region[add], hits.covariance[add])
         self._store.append(hits.region[add], np.hstack((hits.local[add], spread)))

@@ -25,9 +25,10 @@ _SLACK = 0.01
 class GridUpdate:
     """Log-odds per cell (Nieto 2005, eq. 4.7 for 2.61 and 4.6), the prior one half.
 
-    confidence: log-odds stay between those of 1 - confidence and confidence. Errata: 4.7 repeats
-    the map's term where the inverse sensor model belongs. A scan changes a cell once, by the return
-    nearest in bearing: adding up all beams that cross it would count one look many times.
+    confidence: log-odds stay between those of 1 - confidence and confidence; 1 for no bound, as
+    4.7 has it. Errata: 4.7 repeats the map's term where the inverse sensor model belongs. A scan
+    changes a cell once, by the return nearest in bearing: adding up all beams that cross it would
+    count one look many times.
     """
 
     resolution_m: float = 0.2
@@ -38,8 +39,8 @@ class GridUpdate:
         """Check the resolution and the confidence."""
         if not self.resolution_m > 0.0:
             raise ValueError(f"the resolution is {self.resolution_m} m, expected more than 0")
-        if not 0.5 < self.confidence < 1.0:
-            raise ValueError(f"the confidence is {self.confidence}, expected 0.5 to 1, exclusive")
+        if not 0.5 < self.confidence <= 1.0:
+            raise ValueError(f"the confidence is {self.confidence}, expected above 0.5, at most 1")
 
     def sigma_m(self, scan: Scan) -> float:
         """Standard deviation [m] of a return's range, the cells' size included."""

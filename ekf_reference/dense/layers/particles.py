@@ -20,9 +20,10 @@ class Particles(PointLayer):
     """Samples drawn around the returns; a weight is how likely its place is occupied.
 
     per_return: samples drawn of each return. d_min_m: samples closer than that are of the same
-    state (Nieto 2005, eq. 4.10); others are added, so their number levels off in a static scene.
-    confidence: weights stay between 1 - confidence and confidence. least: particles of a smaller
-    weight are dropped, 0 to keep them; so are those that have come to lie on a heavier one.
+    state (Nieto 2005, eq. 4.10); others are added. confidence: weights stay between 1 - confidence
+    and confidence. least: particles of a smaller weight are dropped, 0 to keep them. thinned: so
+    are those that have come to lie on a heavier one, so that their number levels off in a static
+    scene; the thesis' maps are not subsampled.
 
     Erratum: in the normaliser of 4.11 stand the prior and the likelihood of the new sample i; for
     its terms to add up to one they are the prior of the old particle j that is updated, and the
@@ -37,12 +38,14 @@ class Particles(PointLayer):
         model: InverseSensorModel | None = None,
         confidence: float = 0.98,
         least: float = 0.3,
+        *,
+        thinned: bool = True,
     ) -> None:
         """Raises ValueError for a number of samples or a distance that is not above zero."""
         if per_return < 1:
             raise ValueError(f"{per_return} samples per return, they must be above zero")
         super().__init__(3, d_min_m)
-        self.per_return = per_return
+        self.per_return, self.thinned = per_return, thinned
         self.model = model or InverseSensorModel()
         self._rng = rng
         self._most = float(log_odds(confidence))
@@ -65,7 +68,8 @@ class Particles(PointLayer):
         np.clip(old.value[:, 2], -self._most, self._most, out=old.value[:, 2])
         self._store.put(old)
         kept = old.value[:, 2] >= self._least
-        kept[doubled(pair, self._reach_m, old.value[pair.old, 2])] = False
+        if self.thinned:
+            kept[doubled(pair, self._reach_m, old.value[pair.old, 2])] = False
         self._store.keep(old, kept)
         row = np.flatnonzero(~pair.met)
         region = np.repeat(hits.region, self.per_return)[row]

@@ -106,7 +106,9 @@ def rounds() -> nieto_dense.Rounds:
     """A wall that one grid draws again beside the first, and a dense map does not."""
     good = samples(0.0, 0.2)
     each = [round_of(n, samples(0.0, *(0.7,) * (n > 1), 0.9), good) for n in nieto_dense.ROUNDS]
-    return nieto_dense.Rounds("made up", tuple(each), WALL)
+    return nieto_dense.Rounds(
+        log="made up", each=tuple(each), segment=WALL, particles=good, points=good
+    )
 
 
 def coarsened() -> nieto_dense.Coarsened:

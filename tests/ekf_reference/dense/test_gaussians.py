@@ -134,6 +134,10 @@ def test_numbers_and_widths_level_off_in_a_scene_that_stays() -> None:
         layer.fuse(*reported(placed, wall_scan(rng=rng)))
         size.append(len(layer))
     assert max(size[200:]) < 1.15 * max(size[:100])
+    growing = Gaussians(thinned=False)
+    for _ in range(150):
+        growing.fuse(*reported(placed, wall_scan(rng=rng)))
+    assert len(growing) > 1.5 * max(size)
     assert largest_sigma(layer.ellipses(placed).covariance).max() < 0.2
 
 

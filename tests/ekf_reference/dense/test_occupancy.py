@@ -93,6 +93,17 @@ def test_updates_are_bayes_within_bounds() -> None:
     assert probability(odds.astype(float))[0] == pytest.approx(0.05, abs=1e-6)
 
 
+def test_occupancy_has_no_bound_where_none_is_asked_for() -> None:
+    """As eq. 4.7: what was seen so often stays, however often it is then looked past."""
+    bounded, free = (np.zeros(1, dtype=np.float32) for _ in range(2))
+    for weight, times in ((0.9, 400), (0.3, 40)):
+        for _ in range(times):
+            for odds, update in ((bounded, GridUpdate()), (free, GridUpdate(confidence=1.0))):
+                update.add(odds, log_odds(np.array([weight])).astype(np.float32))
+    assert probability(free.astype(float))[0] == 1.0
+    assert probability(bounded.astype(float))[0] == pytest.approx(0.02, abs=1e-6)
+
+
 def test_every_grid_stays_within_its_confidence() -> None:
     landmark, regions = field()
     placed = regions.placed(landmark)

@@ -181,6 +181,22 @@ def test_numbers_level_off_in_a_scene_that_stays() -> None:
     assert min(np.diff(size)) < 0  # some are dropped
 
 
+def test_those_that_meet_are_kept_where_the_map_is_not_thinned() -> None:
+    """More of them weigh much: those that are dropped lie where samples are dense."""
+    placed, scans = place(), np.random.default_rng(0)
+    each = [wall_scan(rng=scans) for _ in range(150)]
+
+    def weight(*, thinned: bool) -> Array:
+        particles = Particles(np.random.default_rng(1), thinned=thinned)
+        for scan in each:
+            particles.fuse(*reported(placed, scan))
+        return particles.samples(placed).occupancy
+
+    kept, thinned = weight(thinned=False), weight(thinned=True)
+    assert len(kept) > 1.5 * len(thinned)
+    assert (kept > 0.8).mean() > (thinned > 0.8).mean()
+
+
 def test_shares_of_weights_on_the_simulation() -> None:
     """N 4.2.3: 87 % above 0.8, 11 % between, 2 % below 0.5; here 82, 14 and 4."""
     placed, scans = simulation()
