@@ -198,6 +198,13 @@ ROWS = (
         "way (benchmarks/dense_maps.py --particles)",
     ),
     Documented(
+        place="N 4.2.3",
+        what="weight below which a particle is dropped: not subsampled",
+        value=0.0,
+        at="dense_maps.least_weight",
+        reason="to bound their number: a tenth of all weigh less (slamcheck reproduce N4.10)",
+    ),
+    Documented(
         place="N 6.5, Fig. 6.14",
         what="d_min of the car park's Gaussians",
         value=0.5,
