@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
@@ -444,6 +445,13 @@ def test_an_import_for_type_checkers_is_one() -> None:
     typed = "if TYPE_CHECKING:\n    from comparisons.report import rows\n"
     assert list(reaches(parsed(typed).body)) == []
     assert "comparisons.report.rows" in states(parsed(typed).body)
+
+
+def test_the_picture_of_a_covariance_names_files_that_exist() -> None:
+    walk = (ROOT / "docs" / "walk.svg").read_text(encoding="utf-8")
+    named = re.findall(r">\d+  ([^<]+)<", walk)
+    assert len(named) > 10
+    assert [name for name in named if not (ROOT / name).is_file()] == []
 
 
 def test_an_import_upward_is_found() -> None:
