@@ -368,7 +368,7 @@ class ExtensionConfig(Section):
     """An extension's settings."""
 
     extension: ClassVar[str]
-    """Whose they are: `module:Class` (see extensions.interface), loaded where it takes part."""
+    """Whose they are: `module:Class` (see pipeline.extension), loaded where it takes part."""
     switch: ClassVar[Option | None] = None
     """Adds and removes them."""
 
