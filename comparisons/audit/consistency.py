@@ -433,22 +433,26 @@ class Departure(NamedTuple):
 def departures(one: SensorInnovations, level: float) -> list[Departure]:
     """Return what departs of a sensor, the rarest first.
 
+    Where all its innovations depart, they do so from the first stretch on that does.
+
     Args:
         one: Its figures.
         level: Of all departures together, of a sound filter.
     """
-    found = list[Departure]()
     windows = split_windows(len(one.event))
     windows = windows if len(windows) > 1 else []
     share = level / (1 + 3 * len(one.names) + len(windows))
-    for nis in one.nis:
+    stretches = _in_windows(one, windows, share)
+    since = stretches[0].event if stretches else None
+    found = [each._replace(event=since) for nis in one.nis[:1] for each in _mean(nis, one, share)]
+    for nis in one.nis[1:]:
         found += _mean(nis, one, share)
     if one.components is not None:
         for name, column in zip(one.names, one.components.T, strict=True):
             found += _bias(column, name, share)
     for series in one.whiteness:
         found += _white(series, share)
-    found += _in_windows(one, windows, share)
+    found += stretches
     found += _gating(one.gating, level)
     return sorted(found, key=lambda each: -each.weight)
 

@@ -106,8 +106,11 @@ def test_each_departure_is_found(spoil: object, text: str) -> None:
 def test_a_fault_has_a_time() -> None:
     z = white(3000, 3)
     z[1234:1600] *= 2.5
-    timed = [one for one in departed(z) if one.event is not None]
+    found = departed(z)
+    assert found[0].what.startswith("NIS is too high: ")
+    timed = [one for one in found if one.until is not None]
     assert len(timed) == 1
+    assert found[0].event == timed[0].event, "all of them depart from the first stretch on"
     assert abs((timed[0].event or 0) - 12340) <= 100
     assert abs((timed[0].until or 0) - 15990) <= 500
     mean = float(timed[0].what.split(": ")[1].split(",")[0])
