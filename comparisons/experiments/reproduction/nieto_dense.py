@@ -61,6 +61,7 @@ from comparisons.extensions.dense_maps.figure import (
 from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.extensions.dense_maps.source import BeforeClosing, DenseWatcher, classic_grid
 from comparisons.logs.log import Log
+from comparisons.logs.simulate.polygons import sides
 from comparisons.logs.simulate.scan_drive import ScanExperiment, dense_slam, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import MORE_LANDMARKS, with_landmarks_among
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
@@ -265,7 +266,7 @@ def _round(
     placed, layer = run.dense.regions.placed(run.landmark), _grid(run.dense)
     dense, usual = layer.samples(placed), classic.samples()
     inside = np.flatnonzero(placed.locate(usual.point).region >= 0)
-    there = Samples(usual.point[inside], usual.occupancy[inside], usual.region[inside])
+    there = usual.chosen(inside)
     return Round(
         number=number,
         classic=there,
@@ -415,7 +416,7 @@ def _p95_on_true_landmarks(m: DenseMapping, layer: str) -> float:
     """
     if layer == "classic":
         c, inside = m.classic, m.placed.locate(m.classic.point).region >= 0
-        held = Samples(c.point[inside], c.occupancy[inside], c.region[inside])
+        held = c.chosen(inside)
     else:
         held = m.layers[layer]
     move = rigid_motion(m.dense.landmark, truth_in_order(m.log)[1])
@@ -698,7 +699,7 @@ def claims_4_12(maps: Maps) -> Claims:
 def of_one_object(mapping: DenseMapping) -> SumOfGaussians:
     """The Gaussians of one object of the world."""
     corner = occupancy().world.outline[_OBJECT]
-    held, side = ellipses_of(mapping), np.hstack((corner, np.roll(corner, -1, axis=0)))
+    held, side = ellipses_of(mapping), sides(corner)
     near = distance_to_segments(held.mean, side) < _BESIDE_M
     return SumOfGaussians.of_equal_height(held.mean[near], held.covariance[near])
 

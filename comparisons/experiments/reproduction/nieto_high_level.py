@@ -120,7 +120,7 @@ class Searched:
         c, area = self.cells, self.search.candidate[self.accepted][0]
         clear = cKDTree(self.landmark).query(c.point)[0] >= SearchOptions().clear_m
         kept = inside_of(area, c.point) & clear
-        return Samples(c.point[kept], c.occupancy[kept], c.region[kept])
+        return c.chosen(kept)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from comparisons.extensions.dense_maps.accuracy import distance_to_segments, nea
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_surfaces
 from comparisons.extensions.dense_maps.source import grid_model
+from comparisons.logs.simulate.polygons import sides
 from comparisons.logs.simulate.scan_drive import occupancy, simulate
 from comparisons.report.figures.style import draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
@@ -170,9 +171,8 @@ KNOWN = Experiment("sections 2.8.1, 4.2 and 4.3.1, known poses", known_poses)
 def claims_2_5(found: KnownPoses) -> Claims:
     """All that stands there is in the grid, whatever its geometry."""
     held, world = found.grid.point[found.grid.occupancy > _UNKNOWN], occupancy().world
-    sides = [np.hstack((corner, np.roll(corner, -1, axis=0))) for corner in world.outline]
-    shown = [distance_to_segments(held, side).min() <= _NEAR_M for side in sides]
-    text = f"every one of {len(sides)} objects is represented (share with cells above 0.5 at it)"
+    shown = [distance_to_segments(held, sides(o)).min() <= _NEAR_M for o in world.outline]
+    text = f"every one of {len(shown)} objects is represented (share with cells above 0.5 at it)"
     yield at_least(text, np.mean(shown), 1.0)
     text = f"and every one of {len(world.landmark)} landmarks (share)"
     yield at_least(text, near_share(world.landmark, held, _NEAR_M), 1.0)

@@ -48,6 +48,7 @@ from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR
 from comparisons.extensions.high_level.source import HighLevelOptions, HighLevelSource
 from comparisons.logs.simulate import dynamic_worlds
 from comparisons.logs.simulate.dynamic_worlds import CARS_LEAVE_S, leaving_cars, moved_over
+from comparisons.logs.simulate.polygons import sides
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dynamic_lanes,
@@ -271,8 +272,8 @@ def off_cars(point: Array) -> Array:
     """(C, N) distances [m] of points (N, 2) from each car that leaves, zero on it."""
     away = []
     for corner in leaving_cars():
-        side = np.hstack((corner, np.roll(corner, -1, axis=0)))
-        away.append(np.where(within(corner, point), 0.0, distance_to_segments(point, side)))
+        off = distance_to_segments(point, sides(corner))
+        away.append(np.where(within(corner, point), 0.0, off))
     return np.array(away)
 
 

@@ -93,7 +93,7 @@ class FullFilter:
         columns = np.append(np.arange(3), entry)
         jacobian = stack(at.jacobian_pose, at.jacobian_landmark)
         noise = np.diag(np.tile(_SIGMA_Z**2, len(z)))
-        gap = _innovation(z, at.z).ravel()
+        gap = _SENSOR.innovation(z, at.z).ravel()
         return columns, jacobian, self.state.update(columns, jacobian, gap, noise)
 
 
@@ -147,7 +147,7 @@ class UnidirectionalFilter(FullFilter):
         spread = to_rest[:, :, :3] @ robot.mT + to_own[:, :, :2] @ place.mT + np.diag(_SIGMA_Z**2)
         root = np.linalg.inv(np.linalg.cholesky(spread))
         share = (root @ to_own).mT
-        self._mean[which] += (share @ root @ _innovation(z, at.z)[:, :, None])[:, :, 0]
+        self._mean[which] += (share @ root @ _SENSOR.innovation(z, at.z)[:, :, None])[:, :, 0]
         self._own[which] = own - share @ share.mT
         self._cross[which] = cross - share @ root @ to_rest
 
@@ -156,12 +156,6 @@ def _seen(z: Array) -> tuple[Array, Array]:
     """Places (m, 2) seen as z (m, 2) from the start, which is known exactly, and (m, 2, 2)."""
     new = _SENSOR.invert(np.zeros(3), z)
     return new.landmark, new.jacobian_z @ np.diag(_SIGMA_Z**2) @ new.jacobian_z.mT
-
-
-def _innovation(z: Array, predicted: Array) -> Array:
-    gap: Array = z - predicted
-    gap[:, 1] = wrap_angle(gap[:, 1])
-    return gap
 
 
 class Tracks(NamedTuple):

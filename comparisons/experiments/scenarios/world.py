@@ -31,6 +31,7 @@ from comparisons.experiments.variants.batch_models import (
 )
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
+from comparisons.logs.simulate.polygons import along_sides
 from comparisons.logs.simulate.worlds import nieto_loop
 from ekf_reference.core.geometry import wrap_angle
 
@@ -219,7 +220,7 @@ def _pursue(
             f"course: {length_m:g} m long with a lookahead_m of {lookahead_m:g}, "
             f"expected up to {_MOST_LOOKAHEADS:,} times that"
         )
-    path = _dense(corner, 0.1 * lookahead_m)
+    path = along_sides(corner, 0.1 * lookahead_m)
     first = path[1] - path[0]
     pose, control = np.empty((steps + 1, 3)), np.empty((steps, 2))
     pose[0] = *path[0], math.atan2(first[1], first[0])
@@ -236,12 +237,3 @@ def _pursue(
         control[k] = speed_mps, 2.0 * speed_mps * math.sin(ahead) / distance
         pose[k + 1] = unicycle(pose[k], control[k], step_s)
     return control, pose
-
-
-def _dense(corner: Array, spacing_m: float) -> Array:
-    """Points of a closed polygon, at most a spacing apart."""
-    pieces = []
-    for begin, end in zip(corner, np.roll(corner, -1, axis=0), strict=True):
-        count = max(1, math.ceil(float(np.linalg.norm(end - begin)) / spacing_m))
-        pieces.append(begin + np.arange(count)[:, None] / count * (end - begin))
-    return np.concatenate(pieces)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from comparisons.arrays import Array
 from comparisons.logs.readers.victoria_park import UTE
+from comparisons.logs.simulate.polygons import along_sides
 from comparisons.logs.simulate.scan_worlds import (
     Mover,
     Moving,
@@ -180,7 +181,7 @@ def parked_world() -> ScanWorld:
     movers = tuple(
         Displaced((x, y), None, CARS_LEAVE_S, _DISC_M)
         for corner in leaving_cars(_DISC_M)
-        for x, y in _along(corner, 0.6 * _DISC_M).tolist()
+        for x, y in along_sides(corner, 0.6 * _DISC_M).tolist()
     )
     return replace(with_poles(with_landmarks(corners, (*cars, *walls)), lamp), movers=movers)
 
@@ -190,15 +191,6 @@ def leaving_cars(less_m: float = 0.0) -> tuple[Array, ...]:
     length, width = _CAR_M
     shapes = tuple(("box", x, y, length - less_m, width - less_m, t) for x, y, t in _LEAVING)
     return placed_shapes(shapes)[0]
-
-
-def _along(corner: Array, step_m: float) -> Array:
-    """(N, 2) evenly along the sides of a closed polygon (K, 2), at most so far apart."""
-    parts = []
-    for start, end in zip(corner, np.roll(corner, -1, axis=0), strict=True):
-        count = int(np.ceil(np.linalg.norm(end - start) / step_m))
-        parts.append(start + np.arange(count)[:, None] / count * (end - start))
-    return np.vstack(parts)
 
 
 def moved_over(movers: tuple[Moving, ...], point: Array, time_s: Array) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from comparisons.arrays import Array
 from comparisons.logs.log import Surfaces
+from comparisons.logs.simulate.polygons import sides
 from comparisons.logs.simulate.ray_casting import Solids
 from comparisons.logs.simulate.worlds import World
 
@@ -100,7 +101,7 @@ class ScanWorld(World):
     @property
     def segment(self) -> Array:
         """(S, 4) the sides of all outlines."""
-        return np.vstack([np.zeros((0, 4)), *(_sides(corner) for corner in self.outline)])
+        return np.vstack([np.zeros((0, 4)), *(sides(corner) for corner in self.outline)])
 
     def solids(self) -> Solids:
         """All that stands still."""
@@ -122,7 +123,7 @@ class ScanWorld(World):
         """The outlines exactly, the poles as polygons of equal area: within 0.5 % of the radius."""
         turn = 2.0 * np.pi / _POLE_SIDES * np.arange(_POLE_SIDES)
         corner = np.sqrt(turn[1] / np.sin(turn[1])) * np.column_stack((np.cos(turn), np.sin(turn)))
-        poles = [_sides(pole[:2] + 0.5 * pole[2] * corner) for pole in self.pole]
+        poles = [sides(pole[:2] + 0.5 * pole[2] * corner) for pole in self.pole]
         return Surfaces(np.vstack((self.segment, *poles)))
 
 
@@ -327,14 +328,9 @@ def with_poles(world: ScanWorld, place: Array) -> ScanWorld:
     )
 
 
-def _sides(corner: Array) -> Array:
-    """(K, 4) of a closed polygon (K, 2)."""
-    return np.hstack((corner, np.roll(corner, -1, axis=0)))
-
-
 def _encloses(corner: Array, point: Array) -> bool:
     """The point is inside the polygon: a ray to the right crosses an odd number of sides."""
-    x1, y1, x2, y2 = (_sides(corner) - np.tile(point, 2)).T
+    x1, y1, x2, y2 = (sides(corner) - np.tile(point, 2)).T
     crossed = (y1 < 0.0) != (y2 < 0.0)
     way = x1[crossed] - y1[crossed] * (x2 - x1)[crossed] / (y2 - y1)[crossed]
     return bool(np.count_nonzero(way > 0.0) % 2)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
@@ -42,6 +45,10 @@ class Samples(NamedTuple):
     point: Array
     occupancy: Array
     region: Index
+
+    def chosen(self, rows: Index | NDArray[np.bool_]) -> Samples:
+        """Some of them. rows: numbers, or a mask (N,)."""
+        return Samples(self.point[rows], self.occupancy[rows], self.region[rows])
 
 
 class Layer(Protocol):
