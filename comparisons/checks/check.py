@@ -5,9 +5,12 @@ A check reads what the job knows. It returns a `Finding`, or says why there is n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
-from comparisons.checks.finding import Absent, Finding
+from comparisons.checks.finding import Absent, Finding, LackingError
 
 if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
@@ -26,7 +29,10 @@ class Check:
     """What it adds to the result: classes that describe every field."""
 
     def find(self, known: Known) -> Finding | Absent | None:
-        """Return the answer, or why there is none; None where nothing was asked."""
+        """Return the answer, or why there is none; None where nothing was asked.
+
+        Raises LackingError for what the job does not know.
+        """
         raise NotImplementedError
 
     def ask(self, known: Known) -> None:
@@ -34,8 +40,31 @@ class Check:
 
         Raises InputError.
         """
-        found = self.find(known)
+        try:
+            found = self.find(known)
+        except LackingError as reason:
+            found = Absent(str(reason))
         if isinstance(found, Absent):
             known.absent[self.name] = found.why
         elif found is not None:
             known.findings[self.name] = found
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What checks find, once somebody wants to know it.
+
+    before: what is known without them. checks: in the order in which one reads another's finding.
+    """
+
+    before: Known
+    checks: Sequence[Check]
+
+    @cached_property
+    def known(self) -> Known:
+        """The same with the findings."""
+        found = replace(self.before, findings={}, absent={})
+        with found.prepared.clock.stage("checks"):
+            for check in self.checks:
+                check.ask(found)
+        return found

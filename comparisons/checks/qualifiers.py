@@ -130,15 +130,16 @@ class CheckTruthGap(Check):
 
     def find(self, known: Known) -> TruthGapFinding | Absent:
         """Return S against truth, or else against labels, where S has not used them."""
-        run, prepared = known.ekf, known.prepared
+        prepared, smoothed = known.prepared, known.smoothed
+        places = known.result.problem.pose_landmarks.covariance[:, :2, :2]
         accuracy, consistency = known.value(AccuracyFinding), known.value(ConsistencyFinding)
         association = known.value(AssociationFinding)
         gap = truth_gap(
-            None if accuracy is None else accuracy.smoother,
+            None if accuracy is None else accuracy["smoother"],
             None if consistency is None else consistency.smoother,
             association,
-            measurement_scale(prepared.log.measurements, run.pose_landmarks.covariance[:, :2, :2]),
-            len(known.gaps.smoothed.landmark),
+            measurement_scale(prepared.log.measurements, places),
+            len(smoothed.landmark),
         )
         labelled = prepared.log.measurements.labelled and not prepared.labelled
         if labelled and not (gap and gap.settled):
@@ -150,7 +151,7 @@ class CheckTruthGap(Check):
         if gap.stands:
             from comparisons.checks.diagnosis.first_pose import rows_by_truth
 
-            log, smoothed = prepared.log, known.gaps.smoothed
+            log = prepared.log
             rows = rows_by_truth(log.prior, log.truth.poses)
             labels = exchanged_labels(smoothed, log, labelled=prepared.labelled)
             gap = replace(gap, found=tuple(filter(None, (rows, labels))))

@@ -219,7 +219,7 @@ def _of_pair(pair: EstimateComparison) -> tuple[tuple[Panel, ...], Panel | None]
 
 def _by_truth(c: ExternalConsistency) -> tuple[tuple[Panel, ...], Panel | None]:
     """Errors of an external estimate, and NEES where it has covariances; none without truth."""
-    poses = None if c.truth is None else c.truth.poses
+    poses = None if c.ekf is None else c.ekf.poses
     if poses is None:
         return (), None
     curves = [("estimate", EKF_COLOUR, poses)]

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.checks.accuracy import accuracy_line, accuracy_rows
-from comparisons.checks.association import association_rows
 from comparisons.checks.verdict import misfit_remarks
 from comparisons.figures import rounded
 from comparisons.pipeline.clock import Clock
@@ -22,7 +20,7 @@ from comparisons.report.job import Report
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, job_page, smoother_result
+from comparisons.report.sections import about_job, found_entries, job_page, smoother_result
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -67,9 +65,6 @@ class SolutionReport(Report[Solution, SolutionResult]):
             measurements_used=int(np.count_nonzero(s.landmark_index >= 0)),
             gps=s.prepared.ekf.gps,
             smoother=smoother_result(s.result, s.estimate),
-            accuracy=s.accuracy,
-            dead_reckoning=s.accuracy_dead_reckoned,
-            association=s.association,
             association_check=s.association_check,
             pose_graph=_pose_graph(s),
             verdict="verified" if s.verified else "unverified",
@@ -79,7 +74,9 @@ class SolutionReport(Report[Solution, SolutionResult]):
                 *s.notes,
                 *s.open_loops,
                 *_misfit(s),
+                *s.known.remarks,
             ],
+            **found_entries(s.known, SolutionResult),
             **about_job(s.prepared, s.prepared.clock.after(read)),
         )
 
@@ -91,7 +88,6 @@ class SolutionReport(Report[Solution, SolutionResult]):
         if smoother.dof:
             low, high = smoother.chi2_band
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
-        accuracy = {"smoother": result.accuracy, "odometry": result.dead_reckoning}
         used = "measurements used for the map"
         test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
         return Summary(
@@ -106,7 +102,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
                     f"{measurements:,} measurements (association: {result.association_by})",
                 ),
                 ("optimum", f"{tested}, {smoother.poses:,} poses"),
-                *accuracy_line(accuracy),
+                *self.found.known.lines,
             ],
             rows=[
                 *log_rows(result.log),
@@ -116,9 +112,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
                 Row("Map", "association", result.association_by),
                 *_pose_graph_rows(result),
                 *smoother_rows(smoother),
-                *accuracy_rows("the smoother", result.accuracy),
-                *accuracy_rows("dead reckoning", result.dead_reckoning),
-                *association_rows(result.association, "the smoother"),
+                *self.found.known.rows,
                 *(result.association_check.rows() if result.association_check else ()),
                 *seconds_rows(result.seconds, result.cpu_s),
             ],

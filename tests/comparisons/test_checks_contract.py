@@ -19,7 +19,7 @@ from comparisons.logs.log import Log, Truth
 from comparisons.report.explain import every_check
 from comparisons.report.run import RunReport, run_rows
 from tests.commands import refused, works
-from tests.helpers import compared, simulated
+from tests.helpers import altered, compared, simulated
 
 
 def bare(log: Log) -> Log:
@@ -42,7 +42,7 @@ def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(check: ty
 
 def unaccounted(c: Comparison) -> list[str]:
     """Checks that neither found something nor said why not, or did both."""
-    return [one.name for one in CHECKS if (one.name in c.findings) == (one.name in c.absent)]
+    return [one.name for one in CHECKS if (one.name in c.findings) == (one.name in c.known.absent)]
 
 
 @pytest.mark.slow
@@ -58,9 +58,9 @@ def test_a_check_finds_or_says_what_the_log_lacks(
     change: Callable[[Log], Log], association: str, lacking: set[str]
 ) -> None:
     c = compared(change(simulated()), association=association)
-    assert c.absent.keys() == lacking
+    assert c.known.absent.keys() == lacking
     assert unaccounted(c) == []
-    silent = replace(c, absent={})
+    silent = altered(c, "known.absent", {})
     assert set(unaccounted(silent)) == lacking, "a check that is silent was not seen"
 
 
@@ -68,12 +68,13 @@ def test_what_is_found_and_what_is_not_stand_in_result_and_table() -> None:
     c = compared(bare(simulated()))
     result = RunReport.build(c)
     kept = json.loads(result.model_dump_json())
-    assert kept["not_checked"] == dict(c.absent)
+    assert kept["not_checked"] == dict(c.known.absent)
     entries = {key for found in c.findings.values() for key in found.entries}
     assert entries <= {key for key, value in kept.items() if value is not None}
     assert all(kept[name] is None for name in ("accuracy", "association", "truth_gap"))
     rows = [row for row in run_rows(c, result) if row.group == "Not checked"]
-    assert [(row.quantity.replace(" ", "_"), row.value) for row in rows] == list(c.absent.items())
+    lacking = list(c.known.absent.items())
+    assert [(row.quantity.replace(" ", "_"), row.value) for row in rows] == lacking
 
 
 def test_a_finding_of_nothing_adds_nothing() -> None:
