@@ -5,12 +5,13 @@ A check reads what the job knows. It returns a `Finding`, or says why there is n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from comparisons.checks.finding import Absent, Finding, LackingError
+from comparisons.words import Explanation
 
 if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
@@ -25,6 +26,8 @@ class Check:
     """What a job must have for an answer."""
     errs = ""
     """How often it says something wrong of what is sound, as far as that is measured."""
+    explains: ClassVar[Mapping[str, Explanation]] = {}
+    """The kinds of cause that it alone finds, by the name that each has in a result."""
     figures: tuple[type, ...] = ()
     """What it adds to the result: classes that describe every field."""
 

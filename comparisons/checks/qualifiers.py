@@ -110,6 +110,40 @@ class TruthGap:
         """Far by its covariance only: the stated sigmas are too small, the estimate is good."""
         return not self.stands and any(d.far for d in self.distances)
 
+    @property
+    def cause(self) -> Cause | None:
+        """Why it stands, None where it does not."""
+        if not self.stands:
+            return None
+        parts = [
+            f"the RMS error of its {d.what} is {d.error_m:.2g} m, {d.sigma:.1f} times what its "
+            "covariance states"
+            + (f" (with the log's labels {d.labels_m:.2g} m)" if d.labels_m is not None else "")
+            for d in self.distances
+            if d.off
+        ]
+        parts = [*self.found, *parts]
+        if self.lost:
+            parts.append("none of its landmarks lies near a true landmark")
+        hint = "check the stated noise, the models and the start pose, which EKF and smoother share"
+        if self.association is not None:
+            pairs = self.association.landmarks
+            parts.append(
+                f"of the pairs of measurements that the association assigns to one landmark, "
+                f"{100.0 * pairs.precision:.1f} % have the same label, and it finds "
+                f"{100.0 * pairs.recall:.1f} % of the pairs with the same label"
+            )
+            hint = (
+                "check the association, which EKF and smoother share: use the log's labels or a "
+                "stricter association, and compare with the smoother's own"
+            )
+        return Cause(
+            "truth",
+            f"the smoother is far from {self.reference}: {'; '.join(parts)}; the sigma of a single "
+            f"measurement is {self.measurement_m:.2g} m",
+            hint,
+        )
+
 
 class TruthGapFinding(Of[TruthGap]):
     """The smoother against truth, or against itself with the log's labels."""
@@ -212,9 +246,9 @@ def qualified(
     """
     found = []
     causes, remarks = verdict.causes, verdict.remarks
-    if gap is not None and gap.stands:
+    if gap is not None and (far := gap.cause) is not None:
         found.append(TRUTH_GAP)
-        causes = (*causes, _cause(gap))
+        causes = (*causes, far)
     elif gap is not None and gap.rough:
         remarks = (*remarks, _rough(gap))
     if unchecked:
@@ -236,38 +270,6 @@ def qualified(
         qualifiers=tuple(found),
         inconsistent=outside,
         failed_on=tuple(one for one in dict.fromkeys(fail_on) if of[one]),
-    )
-
-
-def _cause(gap: TruthGap) -> Cause:
-    parts = [
-        f"the RMS error of its {d.what} is {d.error_m:.2g} m, {d.sigma:.1f} times what its "
-        "covariance states"
-        + (f" (with the log's labels {d.labels_m:.2g} m)" if d.labels_m is not None else "")
-        for d in gap.distances
-        if d.off
-    ]
-    parts = [*gap.found, *parts]
-    if gap.lost:
-        parts.append("none of its landmarks lies near a true landmark")
-    hint = "check the stated noise, the models and the start pose, which EKF and smoother share"
-    if gap.association is not None:
-        pairs = gap.association.landmarks
-        parts.append(
-            f"of the pairs of measurements that the association assigns to one landmark, "
-            f"{100.0 * pairs.precision:.1f} % have the same label, and it finds "
-            f"{100.0 * pairs.recall:.1f} % of the pairs with the same label"
-        )
-        hint = (
-            "check the association, which EKF and smoother share: use the log's labels or a "
-            "stricter "
-            "association, and compare with --smoother-association own"
-        )
-    return Cause(
-        "truth",
-        f"the smoother is far from {gap.reference}: {'; '.join(parts)}; the sigma of a single "
-        f"measurement is {gap.measurement_m:.2g} m",
-        hint,
     )
 
 

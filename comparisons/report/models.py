@@ -66,11 +66,13 @@ class CheckedResult(JobResult):
     """What every job says whose checks are asked; each that found something adds its entries.
 
     Attributes:
+        qualifiers: reservations beside the verdict, such as `truth gap`.
         not_checked: checks without an answer, and what the job lacks for it.
     """
 
     model_config = ConfigDict(extra="allow")
 
+    qualifiers: list[str] = Field(default_factory=list)
     not_checked: dict[str, str] = Field(default_factory=dict)
 
 
@@ -79,14 +81,12 @@ class VerdictResult(CheckedResult):
 
     Attributes:
         verdict: the verdict.
-        qualifiers: reservations beside the verdict, such as `truth gap`.
         inconsistent: what of the filter's consistency is outside its band; None where nothing can
             tell.
         causes: reasons for the verdict, the first one first.
     """
 
     verdict: Literal["agree", "disagree", "unverified"]
-    qualifiers: list[str] = Field(default_factory=list)
     inconsistent: list[str] | None = None
     causes: list[Cause]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from comparisons.checks.qualifiers import TRUTH_GAP, TruthGapFinding
 from comparisons.checks.verdict import misfit_remarks
 from comparisons.figures import rounded
 from comparisons.pipeline.clock import Clock
@@ -58,7 +59,8 @@ class SolutionReport(Report[Solution, SolutionResult]):
     @staticmethod
     def build(solution: Solution, read: Clock | None = None) -> SolutionResult:
         """Return the findings, read being the time that reading the log took."""
-        s = solution
+        s, gap = solution, solution.known.value(TruthGapFinding)
+        far = None if gap is None else gap.cause
         return SolutionResult(
             association_by=s.association_by,
             landmarks=len(s.estimate.landmark),
@@ -69,7 +71,9 @@ class SolutionReport(Report[Solution, SolutionResult]):
             pose_graph=_pose_graph(s),
             verdict="verified" if s.verified else "unverified",
             reasons=s.lacks,
+            qualifiers=[TRUTH_GAP] if far else [],
             remarks=[
+                *([f"{far.gap} gap: {far.evidence}"] if far else []),
                 *([FRAME] if s.log.prior.open else []),
                 *s.notes,
                 *s.open_loops,
@@ -90,9 +94,10 @@ class SolutionReport(Report[Solution, SolutionResult]):
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
         used = "measurements used for the map"
         test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
+        overstated = ["sigmas too large"] if _overstated(test) else []
         return Summary(
-            headline=f"verdict: {result.verdict}{', sigmas too large' * _overstated(test)}",
-            style=STYLES[result.verdict],
+            headline=", ".join((f"verdict: {result.verdict}", *result.qualifiers, *overstated)),
+            style=STYLES["unverified" if result.qualifiers else result.verdict],
             reasons=result.reasons,
             remarks=result.remarks,
             lines=[

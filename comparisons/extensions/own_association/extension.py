@@ -152,7 +152,6 @@ def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
         + _costliest(own, run),
         "check the measurements whose association differs: for a wrong loop closure, and for "
         "landmarks too close to distinguish",
-        alone=True,
     )
 
 
