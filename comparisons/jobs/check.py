@@ -35,21 +35,14 @@ from comparisons.checks.external_agreement import (
     coverage,
     within_log,
 )
-from comparisons.checks.grade import (
-    GRADES,
-    LIKE_SIGMA,
-    LIKE_VARIANCE,
-    Grade,
-    Likeness,
-    Reference,
-    likeness,
-)
+from comparisons.checks.grade import GRADES, LIKE_SIGMA, LIKE_VARIANCE, Grade, Likeness, likeness
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spread import within_spread
 from comparisons.checks.verdict import Outcome, Verdict
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, Information, with_poses
+from comparisons.estimates.reference import Reference
 from comparisons.fingerprints.estimate_motion import (
     in_words,
     integrations_by_steps,

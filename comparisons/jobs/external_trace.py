@@ -39,12 +39,12 @@ from comparisons.checks.diagnosis.single_precision import (
     replay,
     restored_traces,
 )
-from comparisons.checks.grade import Reference
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
 from comparisons.innovations import InnovationFigures, SensorInnovations

@@ -16,9 +16,9 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
 from comparisons.checks.finding import Finding, LackingError, Of, V, value_of
-from comparisons.checks.grade import Reference
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, Information
+from comparisons.estimates.reference import Reference
 from comparisons.innovations import SensorInnovations
 from comparisons.logs.log import Positions
 from comparisons.pipeline.beside import Beside

@@ -37,7 +37,7 @@ from comparisons.statistics import mean_band
 
 if TYPE_CHECKING:
     from comparisons.checks.consistency.consistency import ExternalConsistency
-    from comparisons.checks.grade import Reference
+    from comparisons.estimates.reference import Reference
     from comparisons.jobs.check import ExternalCheck
 
 REFERENCE_COLOUR = "#5c6f2b"

@@ -24,8 +24,8 @@ from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 
 if TYPE_CHECKING:
-    from comparisons.checks.grade import Reference
     from comparisons.estimates.external import ExternalEstimate
+    from comparisons.estimates.reference import Reference
     from comparisons.pipeline.known import Given, Known
 
 _SURER = 0.05
