@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -149,6 +149,10 @@ class SlamProblem:
         """K."""
         return len(self.increment) + 1
 
+    def same_as(self, other: SlamProblem) -> bool:
+        """Return whether two problems are equal, number for number; NaN equals itself."""
+        return _same(self, other)
+
     @property
     def steps(self) -> Index:
         """(S,) the increments that were measured."""
@@ -221,3 +225,9 @@ def _of(columns: object, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """Some rows of all arrays of a dataclass, by name."""
     every = vars(columns).items()
     return {name: column[rows] for name, column in every if isinstance(column, np.ndarray)}
+
+
+def _same(one: Any, other: Any) -> bool:
+    if not is_dataclass(one):
+        return one is other or np.array_equal(one, other, equal_nan=isinstance(one, np.ndarray))
+    return all(_same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))

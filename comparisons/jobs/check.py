@@ -528,7 +528,8 @@ def check_external(
         causes = (cause.invalid(f"{given.trace.path.name}: {unsound}"), *causes)
     elif followed is not None:
         progress("trace", 0, 0)
-        traced = check_trace(given, followed, solution.prepared, solution.result.options)
+        solved = solution.result, solution.estimate
+        traced = check_trace(given, followed, solution.prepared, solved[0].options, solved)
         grade = by_trace(_by_equations(grade, traced, inside, labelled=labelled), traced)
         causes = _with_trace(causes, traced.verdict.causes)
     if short:

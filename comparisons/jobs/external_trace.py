@@ -51,7 +51,7 @@ from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.clock import Clock, no_progress
-from comparisons.pipeline.gaps import Gaps, compute_gaps
+from comparisons.pipeline.gaps import Gaps, Optimum, compute_gaps, optimum_of
 from comparisons.pipeline.prepared import Prepared
 from comparisons.trace.events import Snapshot
 from comparisons.trace.reader import Trace
@@ -59,6 +59,7 @@ from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.measurements import REJECTED
+from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions
 
 _RECORD = (
@@ -127,19 +128,31 @@ def check_trace(
     followed: tuple[EkfRun, Timeline],
     prepared: Prepared[SolveConfig],
     options: SmootherOptions,
+    solved: Optimum | None = None,
 ) -> TraceCheck:
     """Compute the gaps as for the reference EKF, and judge them.
 
-    followed: of `trace_run`. Raises InputError where an equation is singular.
+    followed: of `trace_run`. solved: S of the whole log, which is that of the trace where its
+    filter used the same measurements of the same landmarks. Raises InputError where an equation is
+    singular.
     """
     run, own = followed
     file, log, positions = given.trace, prepared.log, prepared.positions
     if file is None:
         raise ValueError("an estimate without a trace")
     known = given.joint_covariance is not None
+    clock = Clock()
+    again = optimum_of(run, options, clock, no_progress)
+
+    def optimum(problem: SlamProblem, time_s: Array) -> Optimum:
+        if solved is None or not solved[0].problem.same_as(problem):
+            return again(problem, time_s)
+        ids, names = run.estimate.landmark_id, run.estimate.labels
+        return solved[0], replace(solved[1], landmark_id=ids, labels=names)
+
     try:
         gaps = compute_gaps(
-            log, run, options, Clock(), no_progress, timeline=own, covariance_known=known
+            log, run, optimum, clock, no_progress, timeline=own, covariance_known=known
         )
         diagnosis = _diagnosis(log, run, gaps, file, same_steps=run.timeline is own)
     except np.linalg.LinAlgError:

@@ -31,7 +31,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.clock import Progress, no_progress
 from comparisons.pipeline.extension import Extension
-from comparisons.pipeline.gaps import Gaps, compute_gaps
+from comparisons.pipeline.gaps import Gaps, compute_gaps, optimum_of
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, check_memory, prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
@@ -206,7 +206,8 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     extensions = _extensions(prepared)
     asked = extensions if second is None else (*extensions, second)
     with _started(asked, prepared, run) as started:
-        gaps = compute_gaps(log, run, options, clock, progress)
+        optimum = optimum_of(run, options, clock, progress)
+        gaps = compute_gaps(log, run, optimum, clock, progress)
         own = Known(
             prepared=prepared,
             result=gaps.result,

@@ -53,6 +53,10 @@ if TYPE_CHECKING:
 V = TypeVar("V")
 Frozen = tuple[LinearProblem, LinearProblem, Marginal, Marginal]
 """The linear systems of F1 and F2, and the estimates that solve them."""
+Optimum = tuple[SmootherResult, Estimate]
+"""S with its evidence, and as an estimate."""
+Solver = Callable[[SlamProblem, Array], Optimum]
+"""Gives S of a problem whose poses are of times (K,)."""
 _LOST = 10.0
 """Times what a sound recursion loses to rounding, which a filter may lose."""
 PAYS_FROM = 120_000
@@ -236,10 +240,29 @@ class Gaps(Brief):
         )
 
 
+def optimum_of(
+    run: EkfRun,
+    options: SmootherOptions,
+    clock: Clock,
+    progress: Callable[[str, int, int], None],
+) -> Solver:
+    """Return what solves for S from where a filter was, among other starts."""
+
+    def solved(problem: SlamProblem, time_s: Array) -> Optimum:
+        with clock.stage("smoother"):
+            result = run_smoother(problem, run, options, lambda stage: progress(stage, 0, 0))
+        with clock.stage("marginals"):
+            progress("marginals", 0, 0)
+            ids, names = run.estimate.landmark_id, run.estimate.labels
+            return result, smoothed_estimate(result, time_s, ids, "the EKF's", names)
+
+    return solved
+
+
 def compute_gaps(
     log: Log,
     run: EkfRun,
-    options: SmootherOptions,
+    optimum: Solver,
     clock: Clock,
     progress: Callable[[str, int, int], None],
     timeline: Timeline | None = None,
@@ -248,27 +271,18 @@ def compute_gaps(
 ) -> Gaps:
     """Solve F1, F2 and S, and compare.
 
-    timeline: of the log's own steps, where the run's are others. covariance_known: without E's
-    joint covariance F1 takes E's place, and the algebra gap is no evidence. Raises
+    optimum: gives S. timeline: of the log's own steps, where the run's are others.
+    covariance_known: without E's joint covariance F1 takes E's place, and the algebra gap is no
+    evidence. Raises
     numpy.linalg.LinAlgError where a recorded covariance is singular, and SingularProblemError
     where there is no solution.
     """
     own = run.timeline if timeline is None else timeline
     problem = build_problem(log, replace(run, timeline=own))
-
-    def relinearised() -> tuple[SmootherResult, Estimate]:
-        with clock.stage("smoother"):
-            result = run_smoother(problem, run, options, lambda stage: progress(stage, 0, 0))
-        with clock.stage("marginals"):
-            progress("marginals", 0, 0)
-            ids, names = run.estimate.landmark_id, run.estimate.labels
-            found = smoothed_estimate(result, own.epoch_time_s, ids, "the EKF's", names)
-            return result, found
-
     with _start_frozen(problem, run, clock, progress) as work:
         frozen = None if work.elsewhere else _finished(work, clock)
         try:
-            result, smoothed = relinearised()
+            result, smoothed = optimum(problem, own.epoch_time_s)
         except Exception:
             if frozen is None:
                 work.result()  # its error comes first, wherever it is found

@@ -107,7 +107,10 @@ def test_gaps_are_those_from_within(
 ) -> None:
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
-    assert_as_from_within(checked(tmp_path, log, choices), comparison)
+    found = checked(tmp_path, log, choices)
+    assert_as_from_within(found, comparison)
+    assert found.trace is not None
+    assert found.trace.gaps.result is found.solution.result, "S is solved twice"
 
 
 @pytest.mark.slow

@@ -103,6 +103,23 @@ def test_a_problem_has_as_many_unknowns_as_its_graph() -> None:
     assert build_graph(world.problem).linearize(values).jacobian()[0].shape[1] == values.dim()
 
 
+def test_problems_are_the_same_number_for_number(problem: SlamProblem) -> None:
+    gap = problem.increment_covariance.copy()
+    gap[0] = np.nan
+    gapped = replace(problem, increment_covariance=gap)
+    again = replace(gapped, increment_covariance=gap.copy(), z=problem.z.copy())
+    assert gapped.same_as(again)
+    closures = replace(problem.loop_closures, kernel="cauchy")
+    for other in (
+        problem,
+        replace(gapped, sigma=gapped.sigma * (1.0 + 1e-15)),
+        replace(gapped, measurement_landmark=gapped.measurement_landmark[::-1]),
+        gapped.prefix(problem.pose_count - 1),
+        replace(gapped, loop_closures=closures),
+    ):
+        assert not gapped.same_as(other)
+
+
 def test_whole_turns_between_poses_are_counted(problem: SlamProblem) -> None:
     """A robot that spins once between two measurements keeps a continuous heading."""
     spun = problem.increment.copy()
