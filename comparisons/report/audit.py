@@ -210,7 +210,7 @@ class AuditReport(Report[Audit, AuditResult]):
             headline=summary.headline.removeprefix("verdict: "),
             colour=_STYLES[audit.verdict],
             reasons=summary.reasons,
-            facts=facts_of(summary),
+            facts=facts_of(summary.lines),
             remarks=summary.remarks,
             reported=_BY_EVENT if panels and not audit.timed else "",
             panels=panels,

@@ -37,7 +37,7 @@ from comparisons.report.html.map import (
     estimate_track,
     farthest,
 )
-from comparisons.report.html.page import PageContent, write_page
+from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.job import Report
 from comparisons.report.ladder import SMOOTHER, Step, gap_steps
@@ -498,6 +498,7 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
         map_content, marked = check_map(check, ours, theirs)
         rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
+        off = "; ".join(result.inconsistent or ())
         grade = "no grade" if result.grade is None else _grade_words(result)
         source = Path(str(result.config.get("estimate") or "arrays")).name
         return PageContent(
@@ -506,8 +507,12 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             headline=f"{result.headline}, {grade}",
             colour="unverified" if result.reserved else result.verdict,
             words=_verdict_words(result),
-            facts=_facts(result),
+            facts=[
+                *_facts(result),
+                *facts_of(check.known.lines, leave="consistency" if off else ""),
+            ],
             about=f"estimate: {source}; log: {about_log(result.log)}",
+            notes=[f"The estimate is inconsistent: {off}."] if off else (),
             causes=result.causes,
             remarks=result.remarks,
             steps=check_ladder(result),

@@ -17,9 +17,11 @@ from comparisons.audit.spurious import HEADING
 from comparisons.checks.consistency.filter_smoother import LEAST_RATIO, FilterAgainstSmoother
 from comparisons.checks.consistency.nees import PoseErrors
 from comparisons.checks.pair_of_estimates import EstimateComparison
+from comparisons.checks.spurious import SpuriousFinding
 from comparisons.estimates.estimate import Estimate
 from comparisons.innovations import SensorInnovations
 from comparisons.jobs.run import Comparison
+from comparisons.pipeline.known import Known
 from comparisons.report.marks import (
     DEPARTURE,
     DEPARTURE_COLOUR,
@@ -77,10 +79,6 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
     """The pose's error by truth, or else by the smoother, and the filter's innovations."""
     c = comparison.consistency
     reported, errors, squared = _poses(comparison)
-    nis = tuple(
-        nis_panel(sensor, colour, sensor.windows.time_s, "time [s]")
-        for sensor, colour in zip(c.sensors, _COLOURS, strict=False)
-    )
     apart = None
     if more := further_estimates(comparison):
         estimates = [("EKF", EKF_COLOUR, comparison.ekf.estimate), *more]
@@ -90,29 +88,36 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
         reported=reported,
         errors=errors,
         squared=squared,
-        nis=nis,
+        nis=_nis(c.sensors),
         whiteness=_whiteness(c.sensors),
         apart=apart,
-        learnt=_learnt(comparison),
+        learnt=_learnt(comparison.known, "EKF's own"),
     )
 
 
-def _learnt(comparison: Comparison) -> Panel | None:
+def _nis(sensors: tuple[SensorInnovations, ...]) -> tuple[Panel, ...]:
+    return tuple(
+        nis_panel(sensor, colour, sensor.windows.time_s, "time [s]")
+        for sensor, colour in zip(sensors, _COLOURS, strict=False)
+    )
+
+
+def _learnt(known: Known, name: str) -> Panel | None:
     """How well the heading seems to be known, from half a turn down, and the filter's own sigma."""
-    spurious, ekf = comparison.spurious, comparison.ekf.estimate
+    spurious = known.value(SpuriousFinding)
     if spurious is None or spurious.of(HEADING).sigma > 180.0:
         return None
-    unit = 180.0 / np.pi
+    unit, ekf = 180.0 / np.pi, known.ekf.estimate
     time_s, information = spurious.curve(HEADING)
-    known = unit / np.sqrt(np.where(information >= np.pi**-2, information, np.nan))
+    sigma = unit / np.sqrt(np.where(information >= np.pi**-2, information, np.nan))
     variance = ekf.pose_covariance[:, 2, 2]
     own = unit * np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     return Panel(
         title="spurious knowledge of the heading, sigma [deg]",
         x_label=TIME,
         curves=(
-            Curve("spurious", SCANS_COLOUR, time_s, known),
-            Curve("EKF's own", EKF_COLOUR, ekf.time_s, own),
+            Curve("spurious", SCANS_COLOUR, time_s, sigma),
+            Curve(name, EKF_COLOUR, ekf.time_s, own),
         ),
         bands=(),
         logarithmic=True,
@@ -186,10 +191,12 @@ def external_panels(check: ExternalCheck) -> tuple[str, tuple[Panel, ...]]:
     if paths:
         paths.append(("estimate", EKF_COLOUR, c.time_s, check.optimum.pose + c.difference))
         panels.append(distance_panel(paths, check.optimum.time_s, check.optimum.pose))
+    panels += filter(None, (_learnt(check.known, "filter's own"), *_nis(c.sensors)))
     left = check.departure
     if left is not None:
         mark = Moment(DEPARTURE, DEPARTURE_COLOUR, left.time_s)
         panels = [replace(panel, moments=(mark,)) for panel in panels]
+    panels += filter(None, (_whiteness(c.sensors),))
     return " ".join(reported), tuple(panels)
 
 

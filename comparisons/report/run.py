@@ -25,7 +25,7 @@ from comparisons.report.html.map import (
     estimate_track,
     farthest,
 )
-from comparisons.report.html.page import PageContent, write_page
+from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.job import Report
 from comparisons.report.ladder import ladder
@@ -149,11 +149,7 @@ class RunReport(Report[Comparison, Result]):
             words=_WORDS[result.verdict],
             facts=[
                 *_facts(result, [*a, *scan]),
-                *(
-                    (name[:1].upper() + name[1:], words)
-                    for name, words in c.known.lines
-                    if not (inconsistent and name == "consistency")  # a note says it
-                ),
+                *facts_of(c.known.lines, leave="consistency" if inconsistent else ""),
             ],
             about=about_log(result.log),
             notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),

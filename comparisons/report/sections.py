@@ -167,7 +167,7 @@ def job_page(
         colour="agree" if colour == "verified" else colour,
         about=about_log(result.log),
         reasons=summary.reasons,
-        facts=facts_of(summary),
+        facts=facts_of(summary.lines),
         remarks=summary.remarks,
         map=drawn,
         rows=summary.rows,

@@ -6,7 +6,7 @@ What a section needs is loaded where the page has it: an audit's page knows noth
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.shell import again, document, figures, picture, prose, script, table
 from comparisons.report.marks import EVENT, Panel
-from comparisons.report.terminal import Summary
 from comparisons.words import SETTINGS, SPENT, Row, cause_name
 
 if TYPE_CHECKING:
@@ -72,9 +71,9 @@ class PageContent:
     versions: Mapping[str, str] = field(default_factory=dict)
 
 
-def facts_of(summary: Summary) -> list[tuple[str, str]]:
-    """Return the lines of what is printed as facts of the page."""
-    return [(name[:1].upper() + name[1:], text) for name, text in summary.lines]
+def facts_of(lines: Iterable[tuple[str, str]], leave: str = "") -> list[tuple[str, str]]:
+    """Return lines of what is printed as facts of the page, but the one that a note says."""
+    return [(name[:1].upper() + name[1:], text) for name, text in lines if name != leave]
 
 
 def write_page(content: PageContent, path: Path) -> None:
