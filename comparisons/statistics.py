@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 
 from comparisons.arrays import Array, Index
+from comparisons.figures import Key, LeftOut, Mark, Nominal
 
 _OUTSIDE = 0.05
 """Of the figures that a band is for, as many lie outside, half of them on either side."""
@@ -45,6 +46,9 @@ _TENTH = 0.1
 """Of a series: what follows a stretch and is shorter tells nothing of its end."""
 _IMPROBABLE, _PROBABLE = 1e-6, 1e-2
 """Chance of a first error by a prior whose rows are in the wrong order, and by the right one."""
+T = TypeVar("T")
+OfDof = Annotated[T, Mark("nominal", "dof")]
+Share95 = Annotated[T, Mark("nominal", 0.95)]
 DENSE = 2000
 """States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 
@@ -113,12 +117,12 @@ class NormalisedFigures:
             definite`.
     """
 
-    dof: int
+    dof: LeftOut[int]
     count: int
-    mean: float | None
-    last: float | None
+    mean: OfDof[float | None]
+    last: LeftOut[float | None]
     single_band: Band
-    inside: float | None
+    inside: Share95[float | None]
     unusable: Mapping[str, int]
 
 
@@ -196,10 +200,10 @@ class Nis:
         reading: `plausible`, `too high`: the filter is too sure, or `too low`.
     """
 
-    name: str
-    dof: int
+    name: Key[str]
+    dof: LeftOut[int]
     count: int
-    mean: float
+    mean: OfDof[float]
     band: Band
 
     @computed_field
@@ -407,9 +411,9 @@ class BlockDeparture:
     """
 
     block: str
-    squared_per_dof: float
-    since_s: float
-    until_s: float
+    squared_per_dof: Nominal[float]
+    since_s: LeftOut[float]
+    until_s: LeftOut[float]
 
     @property
     def words(self) -> str:

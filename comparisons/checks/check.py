@@ -22,8 +22,9 @@ class Check:
     """What a job must have for an answer."""
     errs = ""
     """How often it says something wrong of what is sound, as far as that is measured."""
-    figures: tuple[type, ...] = ()
-    """What it adds to the result: classes that describe every field."""
+    figures: tuple[tuple[str, type], ...] = ()
+    """What it adds to the result: keys, and the class, of a list that of its rows, that describes
+    every field."""
 
     def find(self, known: Known) -> Finding | Absent | None:
         """Return the answer, or why there is none; None where nothing was asked."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pkgutil import resolve_name
 
 from comparisons.checks.causes import EXPLANATIONS
@@ -19,9 +19,9 @@ from comparisons.words import cause_name
 _WIDTH = 80
 
 
-def every_check() -> list[type[Check]]:
+def every_check(extensions: Iterable[str] = EXTENSIONS) -> list[type[Check]]:
     """Return the checks that every run is asked, and those of extensions."""
-    places = [config_class(name).extension for name in EXTENSIONS]
+    places = [config_class(name).extension for name in extensions]
     return [*map(type, CHECKS), *(resolve_name(place) for place in places)]
 
 
@@ -60,7 +60,7 @@ def _of_check(one: type[Check]) -> Iterator[str]:
     yield _wrapped(f"  asks:   {_question(one)}", 10)
     yield _wrapped(f"  needs:  {one.needs}", 10)
     yield _wrapped(f"  errs:   {one.errs}", 10)
-    for kind in one.figures:
+    for _, kind in one.figures:
         text = meanings(kind)
         yield "  finds:"
         for field in kept_fields(kind):

@@ -16,7 +16,7 @@ from comparisons.checks.consistency.consistency import (
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmootherFigures
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.finding import Of
-from comparisons.figures import Model, band
+from comparisons.figures import LeftOut, Model, band
 from comparisons.innovations import InnovationFigures
 from comparisons.statistics import BlockDeparture, Normalised, NormalisedFigures
 from comparisons.words import Row
@@ -55,7 +55,7 @@ class TruthConsistencyResult(Model):
     distance: NormalisedFigures | None
     distances: NormalisedFigures | None
     too_short: int
-    departure: BlockDeparture | None = None
+    departure: LeftOut[BlockDeparture | None] = None
 
 
 class ConsistencyResult(Model):
@@ -113,7 +113,7 @@ class CheckConsistency(Check):
     name = "consistency"
     needs = "innovations; truth for the NEES; the batch smoother, without a kernel, for the rest"
     errs = "1 of 1,000 sound runs by NIS, 5 of 520 by filter against smoother"
-    figures = (ConsistencyResult,)
+    figures = (("consistency", ConsistencyResult),)
 
     def find(self, known: Known) -> ConsistencyFinding:
         """Return the statistics that the log allows; they have no say in the verdict."""

@@ -165,7 +165,7 @@ class DenseMaps(Extension):
     name = "dense_maps"
     needs = "scans"
     errs = "not measured"
-    figures = (DenseAgreement,)
+    figures = (("dense", DenseAgreement),)
     settings: DenseMapsConfig
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:

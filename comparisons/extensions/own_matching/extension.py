@@ -51,7 +51,7 @@ class OwnMatching(Extension):
     name = "own_matching"
     needs = "scan landmarks"
     errs = "not measured"
-    figures = (OwnMatchingCheck,)
+    figures = (("own_matching", OwnMatchingCheck),)
 
     def find(self, known: Known) -> OwnMatchingFinding | None:
         """See the scan landmarks anew, solve, assess, and compare the alignments."""

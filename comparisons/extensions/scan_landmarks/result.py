@@ -9,7 +9,7 @@ from comparisons.config import setting_default
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_slam_options
-from comparisons.figures import Model
+from comparisons.figures import LeftOut, Model
 from comparisons.pipeline.gaps import Gaps
 from comparisons.words import Row
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
@@ -206,5 +206,5 @@ class ScanSlamResult(Model):
     deactivated: int = 0
     fused: int = 0
     pieces: str = "single"
-    rule: TemplateRule | None = None
+    rule: LeftOut[TemplateRule | None] = None
     measurements: dict[str, int]
