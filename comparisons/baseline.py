@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
@@ -97,6 +97,7 @@ class Change:
     now: float | str | None
     tolerance: float
     state: State
+    _: KW_ONLY
     side: Side | None = None
 
     @property
@@ -198,7 +199,7 @@ def changes_of(
     for name in dict.fromkeys((*baseline.metrics, *found)):
         kept, one = baseline.metrics.get(name, none), found.get(name, Number(None))
         state = _state(kept, one)
-        changes.append(Change(name, kept.value, one.value, kept.tolerance, state, one.side))
+        changes.append(Change(name, kept.value, one.value, kept.tolerance, state, side=one.side))
     return changes
 
 

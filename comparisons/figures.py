@@ -10,7 +10,7 @@ import platform
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from types import UnionType
@@ -104,6 +104,7 @@ class Mark:
 
     side: Side | None = None
     nominal: float | str = 1.0
+    _: KW_ONLY
     within: str = ""
     exact: bool = False
     key: bool = False

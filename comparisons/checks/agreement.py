@@ -295,7 +295,7 @@ class LandmarkAgreement(BlockAgreement):
     id: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LandmarksTogether:
     """Landmarks in a few figures, of those that have any."""
 

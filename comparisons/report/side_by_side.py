@@ -53,7 +53,17 @@ _FILES: dict[str, tuple[str, dict[str, str]]] = {
     "montecarlo": ("montecarlo", {}),
 }
 """The file of each job, and what its parts are called where a run has the same."""
-_ASIDE = ("config", "settings", "log", "seconds", "cpu_s", "versions", "level", "schema")
+_ASIDE = (
+    "config",
+    "settings",
+    "log",
+    "seconds",
+    "cpu_s",
+    "versions",
+    "level",
+    "schema",
+    "schema_version",
+)
 _SMOOTHER = kept_fields(SmootherResult).items()
 _LEFT_OUT = {f"smoother.{name}" for name, one in _SMOOTHER if one.mark.side == "left out"}
 """Figures of any job that say nothing of what it found."""
@@ -162,14 +172,13 @@ def _read(folder: Path) -> Found:
             raise InputError(f"{path}: not a run's result: {first_fault(error)}") from None
         words["verdict"], every = run.headline, found_numbers(run)
     else:
-        renamed = {names.get(key, key): one for key, one in found.items() if key not in _ASIDE}
-        every = dict(numbers(renamed, None))
+        every = dict(numbers({names.get(key, key): one for key, one in found.items()}, None))
     return Found(
         words,
         {
             name: one.value
             for name, one in every.items()
-            if one.side != "left out" and name not in _LEFT_OUT
+            if name not in _LEFT_OUT and name.partition(".")[0] not in _ASIDE
         },
     )
 
