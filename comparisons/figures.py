@@ -195,10 +195,12 @@ def numbers(
         found: A model, a dataclass, or what a file holds of it.
         hint: Its type; None where that is unknown.
         above: Its name.
-        side: Of numbers that do not declare any; else whole ones are `same`.
+        side: Of numbers that do not declare any, and of all below what is left out; else whole
+            ones are `same`.
     """
     for name, value, inner, mark in _parts(found, hint):
-        whole, judged = ".".join(filter(None, (above, name))), mark.side or side
+        whole = ".".join(filter(None, (above, name)))
+        judged = side if side == "left out" else mark.side or side
         if mark.together is not None and value is not None:
             together = mark.together(value)
             yield from numbers(together, type(together), whole, judged)

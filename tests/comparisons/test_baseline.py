@@ -32,7 +32,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import tum_text, write_estimate
-from comparisons.figures import Declared, LeftOut, Less, Number, kept_fields
+from comparisons.figures import Declared, LeftOut, Less, Number, kept_fields, stored
 from comparisons.jobs.check import check
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log_folder import write_log_folder
@@ -243,11 +243,19 @@ def test_nearer_to_the_nominal_value_is_better(
 
 
 @dataclass(frozen=True)
+class Start:
+    """Where something begins."""
+
+    size_m: Less[float]
+
+
+@dataclass(frozen=True)
 class Drift:
     """What the check of nobody's finds."""
 
     drift_m: Less[float]
     worst_s: LeftOut[float]
+    start: LeftOut[Start]
     steps: int
     curve: tuple[float, ...] = ()
 
@@ -298,8 +306,8 @@ def test_figures_of_a_new_check_are_kept_and_are_new_beside_an_older_baseline(
     """With nothing but the check itself."""
     monkeypatch.setattr(explain, "CHECKS", (*CHECKS, CheckDrift()))
     with_drift = [
-        Result.model_validate({**result.model_dump(by_alias=True), "drift": vars(drift)})
-        for drift in (Drift(1.0, 3.0, 7, (1.0,)), Drift(1.2, 9.0, 7))
+        Result.model_validate({**result.model_dump(by_alias=True), "drift": stored(drift)})
+        for drift in (Drift(1.0, 3.0, Start(1.0), 7), Drift(1.2, 9.0, Start(2.0), 7))
     ]
     assert figures(with_drift[0])["drift.drift_m"] == Number(1.0, "less")
     assert states(compare_with(kept, with_drift[0])) == {
