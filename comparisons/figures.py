@@ -34,8 +34,6 @@ from comparisons.errors import InputError
 T = TypeVar("T")
 _PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
 """Those that the results depend on."""
-_LARGEST = 1e300
-"""Numbers that are larger are as good as infinite."""
 _MEANING = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
@@ -118,6 +116,9 @@ More = Annotated[T, Mark("more")]
 Nominal = Annotated[T, Mark("nominal")]
 Same = Annotated[T, Mark("same")]
 Count = Annotated[T, Mark("count")]
+Exact = Annotated[T, Mark("count", exact=True)]
+OfDof = Annotated[T, Mark("nominal", "dof")]
+Share95 = Annotated[T, Mark("nominal", 0.95)]
 LeftOut = Annotated[T, Mark("left out")]
 Key = Annotated[T, Mark(key=True)]
 
@@ -157,23 +158,13 @@ def kept_fields(kind: Any) -> Mapping[str, Declared]:
             name: (one.annotation, (one, *one.metadata)) for name, one in kind.model_fields.items()
         }
     elif isinstance(kind, type) and dataclasses.is_dataclass(kind):
-        computed = {
-            name: value.wrapped.fget
+        hints = get_type_hints(kind, include_extras=True)
+        hints = {one.name: hints[one.name] for one in dataclasses.fields(kind)} | {
+            name: get_type_hints(value.wrapped.fget, include_extras=True)["return"]
             for name, value in vars(kind).items()
             if hasattr(value, "decorator_info")
         }
-        plain, marked = (
-            get_type_hints(kind, include_extras=extras)
-            | {
-                name: get_type_hints(get, include_extras=extras)["return"]
-                for name, get in computed.items()
-            }
-            for extras in (False, True)
-        )
-        found = {
-            name: (plain[name], getattr(marked[name], "__metadata__", ()))
-            for name in (*(one.name for one in dataclasses.fields(kind)), *computed)
-        }
+        found = {name: (hint, getattr(hint, "__metadata__", ())) for name, hint in hints.items()}
     return {
         name: Declared(
             float | None if any(isinstance(one, PlainSerializer) for one in extra) else hint,
@@ -201,39 +192,45 @@ def numbers(
     for name, value, inner, mark in _parts(found, hint):
         whole = ".".join(filter(None, (above, name)))
         judged = side if side == "left out" else mark.side or side
-        if mark.together is not None and value is not None:
+        if mark.together is not None and isinstance(value, list | tuple):
             together = mark.together(value)
             yield from numbers(together, type(together), whole, judged)
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            nominal = _at(found, mark.nominal) if isinstance(mark.nominal, str) else mark.nominal
-            rounding = _at(found, mark.within) if mark.within else None
+            nominal = at(found, mark.nominal) if isinstance(mark.nominal, str) else mark.nominal
+            rounding = at(found, mark.within) if mark.within else None
             judged = judged or ("same" if isinstance(value, int) else None)
-            kept = value if abs(value) < _LARGEST else None
-            yield whole, Number(kept, judged, nominal, rounding, mark.exact)
+            yield whole, Number(number(value), judged, nominal, rounding, mark.exact)
         else:
             yield from numbers(value, inner, whole, judged)
 
 
 def _parts(found: Any, hint: Any) -> Iterator[tuple[str, Any, Any, Mark]]:
     """Yield name, value, type and mark of each field, entry, or row with a name."""
-    while get_origin(hint) in (Union, UnionType):
+    while get_origin(hint) in (Annotated, Union, UnionType):
         hint = get_args(hint)[0]
     within = get_args(hint)
     if isinstance(found, list | tuple):
         row = within[0] if within else hint
         keys = [name for name, one in kept_fields(row).items() if one.mark.key]
         for one in found if keys else ():
-            yield ".".join(str(_at(one, key)) for key in keys), one, row, _UNMARKED
+            yield ".".join(str(at(one, key)) for key in keys), one, row, _UNMARKED
     elif fields := kept_fields(hint):
         for name, field in fields.items():
             instead = field.mark.name
-            yield name if instead is None else instead, _at(found, name), field.hint, field.mark
+            yield name if instead is None else instead, at(found, name), field.hint, field.mark
     elif isinstance(found, Mapping):
         for name, value in found.items():
             yield str(name), value, within[-1] if within else None, _UNMARKED
 
 
-def _at(found: Any, name: str) -> Any:
+def number(value: Any) -> float | None:
+    """Return what is a number, neither infinite nor as good as that; None for anything else."""
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    return value if plain and abs(value) < 1e300 else None
+
+
+def at(found: Any, name: str) -> Any:
+    """Return a part of a model or dataclass, or of what a file holds of it; None without."""
     return found.get(name) if isinstance(found, Mapping) else getattr(found, name, None)
 
 

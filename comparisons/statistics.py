@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 
 from comparisons.arrays import Array, Index
-from comparisons.figures import Key, LeftOut, Mark, Nominal
+from comparisons.figures import Key, LeftOut, Nominal, OfDof, Share95
 
 _OUTSIDE = 0.05
 """Of the figures that a band is for, as many lie outside, half of them on either side."""
@@ -46,9 +46,6 @@ _TENTH = 0.1
 """Of a series: what follows a stretch and is shorter tells nothing of its end."""
 _IMPROBABLE, _PROBABLE = 1e-6, 1e-2
 """Chance of a first error by a prior whose rows are in the wrong order, and by the right one."""
-T = TypeVar("T")
-OfDof = Annotated[T, Mark("nominal", "dof")]
-Share95 = Annotated[T, Mark("nominal", 0.95)]
 DENSE = 2000
 """States up to which all eigenvalues of a pair are computed; of more only the ends are sought."""
 

@@ -16,7 +16,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from latex2mathml.converter import convert
 from markdown.extensions.toc import slugify
@@ -115,6 +115,8 @@ def _type(kind: Any, names: dict[type, str]) -> str:
     origin, parts = get_origin(kind), get_args(kind)
     if kind in names:
         return f"[{names[kind]}](#{slugify(names[kind], '-')})"
+    if origin is Annotated:
+        return _type(parts[0], names)
     if origin is Literal:
         return ", ".join(f"`{one}`" for one in parts)
     if origin is list or (origin is tuple and parts[-1] is ...):

@@ -10,14 +10,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigvalsh
 
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import Aside, Figure, LeftOut, Less, Mark, Nominal, finite
+from comparisons.figures import Aside, Figure, LeftOut, Less, Mark, Nominal, at, number
 from comparisons.statistics import (
     ROUNDING,
     chi2_quantile,
@@ -307,21 +307,25 @@ class LandmarksTogether:
     variance_ratio_largest: Nominal[float | None]
 
     @classmethod
-    def of(cls, rows: Sequence[LandmarkAgreement]) -> LandmarksTogether:
-        """Return them of landmarks."""
-        least, largest = (
-            [value for row in rows if (value := finite(getattr(row, name))) is not None]
-            for name in ("variance_ratio_least", "variance_ratio_largest")
-        )
-        squares = [row.difference_m**2 for row in rows]
+    def of(cls, rows: Sequence[Any]) -> LandmarksTogether:
+        """Return them of `LandmarkAgreement`, or of what a file holds of it."""
+
+        def each(name: str) -> list[float]:
+            return [value for row in rows if (value := number(at(row, name))) is not None]
+
+        places, sigmas = each("difference_m"), each("distance_sigma")
         return cls(
             count=len(rows),
-            agreeing=sum(row.agrees for row in rows),
-            difference_rms_m=float(np.sqrt(np.mean(squares))) if rows else None,
-            distance_sigma=max((row.distance_sigma for row in rows), default=None),
-            variance_ratio_least=min(least, default=None),
-            variance_ratio_largest=max(largest, default=None),
+            agreeing=sum(at(row, "agrees") is True for row in rows),
+            difference_rms_m=float(np.sqrt(np.mean(np.square(places)))) if places else None,
+            distance_sigma=max(sigmas, default=None) if len(sigmas) == len(rows) else None,
+            variance_ratio_least=min(each("variance_ratio_least"), default=None),
+            variance_ratio_largest=max(each("variance_ratio_largest"), default=None),
         )
+
+
+T = TypeVar("T")
+Together = Annotated[T, Mark(together=LandmarksTogether.of)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -401,7 +405,7 @@ class Agreement(GapFigures):
     landmark_difference_rms_m: Less[float]
     pose: BlockAgreement
     map: BlockAgreement
-    landmarks: Annotated[tuple[PlacedAgreement, ...], Mark(together=LandmarksTogether.of)]
+    landmarks: Together[tuple[PlacedAgreement, ...]]
     pose_landmarks: Aside[tuple[PlacedAgreement, ...]] = ()
     algebra: Aside[Gap] = NO_GAP
     model: Aside[Gap] = NO_GAP

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
     BlockAgreement,
     LandmarkAgreement,
-    LandmarksTogether,
+    Together,
     largest_distance,
 )
 from comparisons.checks.consistency.finding import (
@@ -33,7 +33,6 @@ from comparisons.figures import (
     Count,
     LeftOut,
     Less,
-    Mark,
     Model,
     More,
     Nominal,
@@ -388,9 +387,7 @@ class CheckResult(JobResult):
     rms_heading_rad: Less[float]
     outside: Less[float | None]
     last_pose: BlockAgreement | None
-    landmarks: Annotated[
-        tuple[LandmarkAgreement, ...], Mark("count", together=LandmarksTogether.of)
-    ]
+    landmarks: Together[tuple[LandmarkAgreement, ...]]
     estimate_sha256: dict[str, str]
     consistency: ExternalConsistencyResult
     accuracy: Accuracy | None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -15,7 +15,7 @@ from comparisons.checks.consistency.finding import ConsistencyResult
 from comparisons.checks.qualifiers import TruthGap
 from comparisons.checks.spurious import SpuriousHeadingResult
 from comparisons.extension_names import EXTENSIONS
-from comparisons.figures import Count, LeftOut, Less, Mark, Model, Number, Same, numbers
+from comparisons.figures import Count, Exact, LeftOut, Less, Model, Number, Same, numbers
 from comparisons.report.explain import every_check
 from comparisons.report.settings import SettingsResult
 from comparisons.words import Cause
@@ -65,9 +65,6 @@ class JobResult(Model):
     files: tuple[str, ...] = ()
 
 
-_EXACT = Mark("count", exact=True)
-
-
 class EkfResult(Model):
     """The filter: its settings, and what it used and rejected.
 
@@ -97,7 +94,7 @@ class EkfResult(Model):
 
     filter: str
     association: str
-    landmarks: Annotated[int, _EXACT]
+    landmarks: Exact[int]
     rejected: int
     ambiguous: int
     candidate: int
@@ -190,7 +187,7 @@ class SmootherResult(Model):
     rejected_positions: int
     distance_sigma: LeftOut[float | None]
     rank: LeftOut[int]
-    poses: Annotated[int, _EXACT]
+    poses: Exact[int]
     error: Same[float]
     chi2: Same[float]
     dof: int

@@ -173,14 +173,12 @@ def _read(folder: Path) -> Found:
         words["verdict"], every = run.headline, found_numbers(run)
     else:
         every = dict(numbers({names.get(key, key): one for key, one in found.items()}, None))
-    return Found(
-        words,
-        {
-            name: one.value
-            for name, one in every.items()
-            if name not in _LEFT_OUT and name.partition(".")[0] not in _ASIDE
-        },
-    )
+    figures = {
+        name: one.value
+        for name, one in every.items()
+        if name not in _LEFT_OUT and name.partition(".")[0] not in _ASIDE
+    }
+    return Found(words, figures)
 
 
 def _words(found: Mapping[str, Any], job: str) -> dict[str, str]:

@@ -186,6 +186,30 @@ def test_names_of_figures_are_those_of_the_result(result: Result) -> None:
             assert place == one.value
 
 
+def test_figures_of_a_file_are_those_of_the_result(result: Result, checked: CheckResult) -> None:
+    for found in (result, checked):
+        again = type(found).model_validate_json(found.model_dump_json(by_alias=True))
+        assert figures(again) == figures(found)
+
+
+def test_an_entry_of_anything_has_the_figures_that_are_there(result: Result) -> None:
+    scans = {"scans": True, "rejected": 10**400, "fused": "many", "dynamic": 2, "rule": [1]}
+    rows = ["x", 5, {"difference_m": "far", "agrees": 1}, {"distance_sigma": None, "agrees": True}]
+    odd = {
+        **result.model_dump(by_alias=True),
+        "config": {"extensions": {"scan_landmarks": {}, "nothing": 1}},
+        "scan_slam": {**scans, "landmarks": rows},
+    }
+    found = figures(Result.model_validate(odd))
+    kept = {name: one.value for name, one in found.items() if name.startswith("scan_slam")}
+    assert kept.pop("scan_slam.rejected") is None
+    assert {name: value for name, value in kept.items() if value is not None} == {
+        "scan_slam.landmarks.count": 4,
+        "scan_slam.landmarks.agreeing": 1,
+        "scan_slam.dynamic": 2,
+    }
+
+
 def states(changes: list[Change]) -> dict[str, str]:
     """What does not just hold."""
     return {change.name: change.state for change in changes if change.state != "holds"}

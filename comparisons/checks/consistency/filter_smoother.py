@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.figures import LeftOut, Less, Nominal
+from comparisons.figures import LeftOut, Less, Nominal, Share95
 from comparisons.statistics import (
     Averaged,
     Band,
     BlockDeparture,
-    Share95,
     SquaredErrors,
     averaged,
     block_departure,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from comparisons.checks.agreement import PlacedAgreement
+from comparisons.checks.agreement import PlacedAgreement, Together
 from comparisons.config import setting_default
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
@@ -200,7 +200,7 @@ class ScanSlamResult(Model):
     """
 
     scans: int
-    landmarks: list[ScanLandmark]
+    landmarks: Together[list[ScanLandmark]]
     rejected: int
     dynamic: int = 0
     deactivated: int = 0
