@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
-
-from comparisons.figures import Aside
+from typing import Literal, NamedTuple
 
 GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
 """Causes that are gaps between the estimates; other causes explain one, or stand beside."""
@@ -36,16 +34,40 @@ class Cause:
     """One reason for the verdict.
 
     Attributes:
-        gap: gap or check that found it, a kind that checks.causes.EXPLANATIONS has.
+        gap: gap or check that found it, a kind that has an Explanation.
         evidence: what was found, with figures.
         hint: where to look, or what to do.
-        alone: it holds whether the smoother's optimum is verified or not; no part of a result file.
     """
 
     gap: str
     evidence: str
     hint: str
-    alone: Aside[bool] = False
+
+
+Decides = Literal["always", "open", "verified", "grade", "qualifies", "never"]
+"""What a kind of cause makes of an outcome; the first of these that a job has counts."""
+DECIDES: dict[Decides, str] = {
+    "always": "`disagree`, whether the optimum is verified or not",
+    "open": "`unverified`",
+    "verified": "`disagree`, if the optimum is verified",
+    "grade": "the grade of `slamcheck check` decides; the cause explains it",
+    "qualifies": "a qualifier beside the outcome",
+    "never": "nothing; it explains another cause",
+}
+"""The same in words, for docs/verdicts.md."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What a kind of cause is called, what it means, and what to check. Plain sentences.
+
+    decides: what it makes of an outcome.
+    """
+
+    title: str
+    meaning: str
+    check: str
+    decides: Decides = "verified"
 
 
 def cause_name(key: str) -> str:

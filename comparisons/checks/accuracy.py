@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,22 +110,21 @@ class Accuracies:
     dead_reckoning: Accuracy | None
 
 
-class AccuracyFinding(Of[Accuracies]):
-    """Errors of filter, smoother and odometry."""
+class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
+    """Errors of a job's estimates."""
 
-    def __init__(self, each: Accuracies) -> None:
-        """each: against the same reference."""
-        self.value = each
-        self.entries = {"accuracy": each}
-        names = {"EKF": each.ekf, "smoother": each.smoother, "odometry": each.dead_reckoning}
-        self.line = next(iter(accuracy_line(names)), None)
+    def __init__(self, each: Mapping[str, Accuracy | None], entries: Mapping[str, Any]) -> None:
+        """each: by the name of the estimate. entries: as the job's result has them."""
+        self.value, self.entries = each, entries
+        self.line = next(iter(accuracy_line(each)), None)
 
     def rows(self) -> Sequence[Row]:
         """Return the rows of each."""
+        words = {"odometry": "dead reckoning"}
         return [
-            *self.value.ekf.rows("the EKF"),
-            *self.value.smoother.rows("the smoother"),
-            *accuracy_rows("dead reckoning", self.value.dead_reckoning),
+            row
+            for name, one in self.value.items()
+            for row in accuracy_rows(words.get(name, f"the {name}"), one)
         ]
 
 
@@ -133,19 +132,27 @@ class CheckAccuracy(Check):
     """How far are the estimates from truth, or from the positions that were held back?"""
 
     name = "accuracy"
-    needs = "true poses or landmarks, or absolute positions that the filter has not used"
+    needs = "true poses or landmarks, or absolute positions that no estimator has used"
     errs = "not at all: errors are reported and change no verdict"
     figures = (("accuracy", Accuracies),)
 
     def find(self, known: Known) -> AccuracyFinding | Absent:
-        """Return the errors of each estimate."""
-        run, judged, labelled = known.ekf, known.prepared.judged, known.prepared.labelled
-        ekf = assess(run.estimate, judged, labelled=labelled)
-        smoother = assess(known.gaps.smoothed, judged, labelled=labelled)
-        if ekf is None or smoother is None:
-            return Absent("the log has neither truth nor positions that the filter has not used")
-        reckoned = assess_trajectory(run.timeline.epoch_time_s, known.dead_reckoned, judged)
-        return AccuracyFinding(Accuracies(ekf, smoother, reckoned))
+        """Return the errors of each estimate; of the odometry alone, too, beside our own."""
+        judged, labelled = known.prepared.judged, known.prepared.labelled
+        each = {
+            name: assess(one, judged, labelled=labelled) for name, one in known.estimates.items()
+        }
+        if None in each.values():
+            return Absent("the log has neither truth nor positions that no estimator has used")
+        if known.given is not None:
+            given = each["estimate"]
+            return AccuracyFinding(each, {"accuracy": given, "smoother_accuracy": each["smoother"]})
+        reckoned = assess_trajectory(known.timeline.epoch_time_s, known.dead_reckoned, judged)
+        entries: dict[str, object] = {"accuracy": each["smoother"], "dead_reckoning": reckoned}
+        if known.run is not None:
+            ekf, smoother = each.values()
+            entries = {"accuracy": Accuracies(ekf, smoother, reckoned)}  # type: ignore[arg-type]
+        return AccuracyFinding(each | {"odometry": reckoned}, entries)
 
 
 def accuracy_line(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:

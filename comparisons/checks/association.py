@@ -80,38 +80,39 @@ class AssociationScore:
 
 
 class AssociationFinding(Of[AssociationScore]):
-    """The filter's association against the log's labels, which it has not used."""
+    """An association against the log's labels, which it has not used."""
 
-    def __init__(self, score: AssociationScore) -> None:
-        """score: of the filter's."""
-        self.value = score
+    def __init__(self, score: AssociationScore, whose: str) -> None:
+        """whose: the filter's or the smoother's, in words."""
+        self.value, self.whose = score, whose
         self.entries = {"association": score}
 
     def rows(self) -> Sequence[Row]:
         """Return its figures."""
-        return self.value.rows("the filter")
+        return self.value.rows(self.whose)
 
 
 class CheckAssociation(Check):
-    """Does the filter put together the measurements that the log's labels put together?"""
+    """Does the association put together the measurements that the log's labels put together?"""
 
     name = "association"
-    needs = "labels in the log, and a filter that associates without them"
+    needs = "labels in the log, and an association made without them"
     errs = "not at all: the scores are reported and change no verdict"
     figures = (("association", AssociationScore),)
 
     def find(self, known: Known) -> AssociationFinding | Absent:
-        """Return the score of the filter's association."""
+        """Return the score of the filter's association, or of the smoother's without one."""
         if known.prepared.labelled:
-            return Absent("the filter associates by the log's labels")
-        run = known.ekf
-        score = score_association(run.landmark_index, run.estimate.landmark, known.prepared.log)
-        return Absent("the log has no labels") if score is None else AssociationFinding(score)
-
-
-def association_rows(score: AssociationScore | None, whose: str) -> list[Row]:
-    """Return how an association made without labels scores, where it can be. whose: as in rows."""
-    return [] if score is None else score.rows(whose)
+            return Absent("the association is by the log's labels")
+        if known.given is None and known.run is None:
+            index, places, whose = known.landmark_index, known.smoothed.landmark, "the smoother"
+        else:
+            run, whose = known.ekf, "the filter"
+            index, places = run.landmark_index, run.estimate.landmark
+        score = score_association(index, places, known.prepared.log)
+        return (
+            Absent("the log has no labels") if score is None else AssociationFinding(score, whose)
+        )
 
 
 def score_association(

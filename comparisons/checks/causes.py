@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,7 @@ from comparisons.checks.agreement import (
     Gap,
 )
 from comparisons.checks.consistency.consistency import Consistency
-from comparisons.words import Cause
+from comparisons.words import Cause, Decides, Explanation
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:
@@ -47,15 +46,6 @@ _MATTERS = 10.0
 """Times the heading's largest sigma: what is learnt less surely than that changes nothing."""
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """What a kind of cause is called, what it means, and what to check. Plain sentences."""
-
-    title: str
-    meaning: str
-    check: str
-
-
 EXPLANATIONS: dict[str, Explanation] = {
     "invalid": Explanation(
         "A recorded noise is no covariance",
@@ -63,6 +53,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "holds a number that is not finite. Nothing that follows from it can be judged, so the "
         "trace's equations are not solved.",
         "Check that every entry of the matrix is set, and that no variance becomes negative.",
+        decides="always",
     ),
     "data": Explanation(
         "Measurements used wrongly",
@@ -71,6 +62,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "consequence of this.",
         "Check the order of events and the queue of measurements. Check how a label becomes a "
         "landmark of the map, and the bound of the gate.",
+        decides="always",
     ),
     "algebra": Explanation(
         "The filter's linear algebra is wrong",
@@ -79,6 +71,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "models play no part in this comparison.",
         "Check the covariance equations of prediction, update and landmark initialisation. Look "
         "for a block that is dropped, outdated or not transposed.",
+        decides="always",
     ),
     "model": Explanation(
         "The filter's models are wrong",
@@ -87,12 +80,14 @@ EXPLANATIONS: dict[str, Explanation] = {
         "covariance of the filter differs from the model of the log.",
         "Check the quantity that the evidence names: its sign, its units and the wrapping of "
         "angles. If the hint names a known model error, check that formula first.",
+        decides="always",
     ),
     "breakdown": Explanation(
         "The filter stopped with an error",
         "The filter could not process the rest of the log, for example because an innovation "
         "covariance was not positive definite. All comparisons end at that time.",
         "Check the measurements and their sigmas at the time that the evidence names.",
+        decides="always",
     ),
     "oracle": Explanation(
         "The smoother's optimum is not verified",
@@ -101,6 +96,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "therefore unverified.",
         "Check the stated noise and the association. A longer lag or the batch smoother helps "
         "where the smoother ran incrementally.",
+        decides="open",
     ),
     "linearisation": Explanation(
         "The filter linearised at the wrong points",
@@ -115,6 +111,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "large. So these measurements scatter more than their stated sigmas allow, or some belong "
         "to other landmarks. This cause explains another one and never appears alone.",
         "Check the sigmas of the named measurements. Check the association.",
+        decides="never",
     ),
     "fault": Explanation(
         "A known fault reproduces the estimate",
@@ -123,6 +120,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "of a catalogue, with each way to integrate a step.",
         "Correct the named fault first. Other causes that stand behind it follow from it, or show "
         "where it lies.",
+        decides="grade",
     ),
     "dropout": Explanation(
         "A long time without measurements",
@@ -131,6 +129,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "and never appears alone.",
         "Check for a sensor that was silent or blocked, for lost messages, and for a gate that "
         "rejects every measurement.",
+        decides="never",
     ),
     "log": Explanation(
         "The log fits with another number, unit or sigma",
@@ -141,14 +140,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "explains it, the log is examined as by `slamcheck logs LOG`: units, signs, exchanged "
         "columns, and sigmas that are variances.",
         "Check the calibration, the units and the clock of the named sensor.",
-    ),
-    "positions": Explanation(
-        "Positions contradict the other measurements",
-        "Most absolute positions fit neither the filter nor the optimum, which rest on odometry "
-        "and landmarks alone, since the gate rejected these positions. One of the two is wrong. "
-        "Each known motion was fitted to the residuals, and one that explains 95 % of their "
-        "chi-square is named.",
-        "Check the antenna's place, the positions' frame and clock, and their sigma.",
+        decides="never",
     ),
     "association": Explanation(
         "Measurements are assigned to different landmarks",
@@ -156,13 +148,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "the check of an external estimate, landmarks lie where the reference has other landmarks.",
         "Check the measurements that the evidence names. Look for a wrong loop closure, for "
         "landmarks that lie close together, and for exchanged ids.",
-    ),
-    "matching": Explanation(
-        "Two scan matchers disagree",
-        "The smoother aligned the scans with a matcher of its own, and its optimum differs from "
-        "the filter's. At least one of the two matchers returns wrong alignments.",
-        "Check the alignments of the scan landmarks that the evidence names: the axes of the "
-        "template, the covariance R, and places that look alike.",
+        decides="always",
     ),
     "motion": Explanation(
         "Wheel odometry and scan odometry disagree",
@@ -170,13 +156,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "evidence compares the chi-square of both and, where the log has them, absolute positions "
         "or truth, to find the inconsistent source.",
         "Check the source that the hint names: its sigmas, its scale and its calibration.",
-    ),
-    "dense": Explanation(
-        "The dense maps differ",
-        "The dense map of the EKF differs from the map that the smoother's poses give for the same "
-        "scans. The sparse landmarks may agree all the same.",
-        "Check the landmarks at the corners of the named region. A region deforms if these were "
-        "uncertain relative to each other when its scans were added.",
+        decides="always",
     ),
     "truth": Explanation(
         "The smoother is far from the truth",
@@ -184,6 +164,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "allow. EKF and smoother share log, noise and association, so they can agree on a wrong "
         "result.",
         "Check the association first, then the stated noise, the model and the start pose.",
+        decides="qualifies",
     ),
     "coverage": Explanation(
         "The estimate covers too little of the log",
@@ -191,12 +172,14 @@ EXPLANATIONS: dict[str, Explanation] = {
         "poses say, the rest of the log is not judged.",
         "Check whether the filter stopped or lost poses, and whether its clock is the log's. "
         "Supply the whole trajectory, or lower --min-coverage.",
+        decides="always",
     ),
     "map": Explanation(
         "The map is incomplete or uses other ids",
         "Landmarks of the log are missing in the external estimate, or landmarks have ids that the "
         "log does not know. A filter's map must be complete to be like the reference EKF's.",
         "Check that the estimate contains every landmark, with the ids of the log's measurements.",
+        decides="grade",
     ),
     "time": Explanation(
         "The time stamps are shifted",
@@ -204,12 +187,14 @@ EXPLANATIONS: dict[str, Explanation] = {
         "from before the measurements of their time were used.",
         "Check the clocks of odometry and measurements, and the interval of a prediction. Check "
         "that a pose is written after the update.",
+        decides="grade",
     ),
     "information": Explanation(
         "Filtered and smoothed are confused",
         "estimate.toml says that the poses are filtered, but they equal the smoother's, which use "
         "later measurements; or the reverse.",
         'Check the entry "information" in estimate.toml.',
+        decides="grade",
     ),
     "frame": Explanation(
         "The trajectory is in another frame",
@@ -217,23 +202,27 @@ EXPLANATIONS: dict[str, Explanation] = {
         "a frame other than the log's.",
         "Check that the filter starts at the log's prior pose, in the log's frame. Check the first "
         "landmarks of the map.",
+        decides="grade",
     ),
     "scale": Explanation(
         "The trajectory has another scale",
         "The trajectory fits a reference after scaling.",
         "Check the units (metres), the calibration of the speed and the radius of the wheels.",
+        decides="grade",
     ),
     "mirrored": Explanation(
         "The trajectory is mirrored",
         "The trajectory fits the mirror image of a reference.",
         "Check the sign of the steering angle, the yaw rate and the bearing. Check the order of "
         "the axes.",
+        decides="grade",
     ),
     "lever": Explanation(
         "The poses are of another point of the vehicle",
         "The trajectory fits a reference if every pose is moved by one constant offset in the "
         "vehicle's frame.",
         "Check which point of the vehicle the poses describe: rear axle, sensor or antenna.",
+        decides="grade",
     ),
     "heading": Explanation(
         "The headings are wrong",
@@ -241,6 +230,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "positions fit.",
         "Check the zero, the sign and the unit of the heading. A heading h is counter-clockwise "
         "from east; its quaternion is (0, 0, sin(h/2), cos(h/2)).",
+        decides="grade",
     ),
     "estimate": Explanation(
         "The estimate differs from the reference EKF",
@@ -248,6 +238,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "no simple motion explains the difference.",
         "Check the association, the signs and the noise. Supply a trace: it separates errors of "
         "the algebra from errors of the models.",
+        decides="grade",
     ),
     "covariance": Explanation(
         "The covariances are wrong",
@@ -255,6 +246,7 @@ EXPLANATIONS: dict[str, Explanation] = {
         "names the known mistake that reproduces them, if there is one.",
         "Check the noise: a sigma used as a variance, a factor on R or Q, a dropped "
         "cross-covariance, a measurement used twice. Check the file: frame, units, order, time.",
+        decides="grade",
     ),
     "optimum": Explanation(
         "The estimate is far from the optimum",
@@ -262,15 +254,23 @@ EXPLANATIONS: dict[str, Explanation] = {
         "than its uncertainty allows, or their covariances differ by too much.",
         "Check the causes that come before this one. If there are none, check the association, the "
         "signs and the noise.",
+        decides="grade",
     ),
     "grade": Explanation(
         "The required grade is missed by rounding",
         "The estimate is close to a reference, no cause is known, and the difference still exceeds "
         "the limit of the required grade.",
         "Check the precision of the numbers in the files.",
+        decides="grade",
     ),
 }
-"""What every kind of cause means, by the name it has in result.json; docs/verdicts.md has them."""
+"""What kinds of cause mean, by the name that each has in result.json; a check may add its own."""
+
+
+def decides(kind: str) -> Decides:
+    """Return what a kind of cause makes of an outcome; a check's own counts like a gap."""
+    known = EXPLANATIONS.get(kind)
+    return "verified" if known is None else known.decides
 
 
 def _apart(gap: Gap, allowed: Allowed) -> str:

@@ -5,9 +5,13 @@ A check reads what the job knows. It returns a `Finding`, or says why there is n
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
 
-from comparisons.checks.finding import Absent, Finding
+from comparisons.checks.finding import Absent, Finding, LackingError
+from comparisons.words import Explanation
 
 if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
@@ -22,12 +26,17 @@ class Check:
     """What a job must have for an answer."""
     errs = ""
     """How often it says something wrong of what is sound, as far as that is measured."""
+    explains: ClassVar[Mapping[str, Explanation]] = {}
+    """The kinds of cause that it alone finds, by the name that each has in a result."""
     figures: tuple[tuple[str, type], ...] = ()
     """What it adds to the result: keys, and the class, of a list that of its rows, that describes
     every field."""
 
     def find(self, known: Known) -> Finding | Absent | None:
-        """Return the answer, or why there is none; None where nothing was asked."""
+        """Return the answer, or why there is none; None where nothing was asked.
+
+        Raises LackingError for what the job does not know.
+        """
         raise NotImplementedError
 
     def ask(self, known: Known) -> None:
@@ -35,8 +44,31 @@ class Check:
 
         Raises InputError.
         """
-        found = self.find(known)
+        try:
+            found = self.find(known)
+        except LackingError as reason:
+            found = Absent(str(reason))
         if isinstance(found, Absent):
             known.absent[self.name] = found.why
         elif found is not None:
             known.findings[self.name] = found
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What checks find, once somebody wants to know it.
+
+    before: what is known without them. checks: in the order in which one reads another's finding.
+    """
+
+    before: Known
+    checks: Sequence[Check]
+
+    @cached_property
+    def known(self) -> Known:
+        """The same with the findings."""
+        found = replace(self.before, findings={}, absent={})
+        with found.prepared.clock.stage("checks"):
+            for check in self.checks:
+                check.ask(found)
+        return found

@@ -20,7 +20,6 @@ from comparisons.checks.agreement import (
 from comparisons.checks.diagnosis.diagnosis import rms
 from comparisons.checks.grade import (
     MOST_LATE_S,
-    Reference,
     eigenvalues,
     joint_rows,
     match_map,
@@ -29,6 +28,7 @@ from comparisons.checks.grade import (
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.estimates.trajectory_files import UNITS, in_seconds, retimed
 from comparisons.shown import Brief
 from comparisons.statistics import chi2_quantile, eigenvalue_range

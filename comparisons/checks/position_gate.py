@@ -19,7 +19,7 @@ from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Poses
-from comparisons.words import Cause
+from comparisons.words import Cause, Explanation
 from ekf_reference.models.position import PositionFixes, PositionModel
 
 if TYPE_CHECKING:
@@ -110,6 +110,16 @@ class CheckPositions(Check):
     name = "positions"
     needs = "absolute positions that the filter was given"
     errs = "a disagreement needs more than half of all positions to contradict the optimum"
+    explains: ClassVar = {
+        "positions": Explanation(
+            "Positions contradict the other measurements",
+            "Most absolute positions fit neither the filter nor the optimum, which rest on "
+            "odometry and landmarks alone, since the gate rejected these positions. One of the "
+            "two is wrong. Each known motion was fitted to the residuals, and one that explains "
+            "95 % of their chi-square is named.",
+            "Check the antenna's place, the positions' frame and clock, and their sigma.",
+        )
+    }
 
     def find(self, known: Known) -> PositionsFinding | Absent:
         """Return what the gate rejected."""

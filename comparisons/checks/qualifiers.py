@@ -110,6 +110,40 @@ class TruthGap:
         """Far by its covariance only: the stated sigmas are too small, the estimate is good."""
         return not self.stands and any(d.far for d in self.distances)
 
+    @property
+    def cause(self) -> Cause | None:
+        """Why it stands, None where it does not."""
+        if not self.stands:
+            return None
+        parts = [
+            f"the RMS error of its {d.what} is {d.error_m:.2g} m, {d.sigma:.1f} times what its "
+            "covariance states"
+            + (f" (with the log's labels {d.labels_m:.2g} m)" if d.labels_m is not None else "")
+            for d in self.distances
+            if d.off
+        ]
+        parts = [*self.found, *parts]
+        if self.lost:
+            parts.append("none of its landmarks lies near a true landmark")
+        hint = "check the stated noise, the models and the start pose, which EKF and smoother share"
+        if self.association is not None:
+            pairs = self.association.landmarks
+            parts.append(
+                f"of the pairs of measurements that the association assigns to one landmark, "
+                f"{100.0 * pairs.precision:.1f} % have the same label, and it finds "
+                f"{100.0 * pairs.recall:.1f} % of the pairs with the same label"
+            )
+            hint = (
+                "check the association, which EKF and smoother share: use the log's labels or a "
+                "stricter association, and compare with the smoother's own"
+            )
+        return Cause(
+            "truth",
+            f"the smoother is far from {self.reference}: {'; '.join(parts)}; the sigma of a single "
+            f"measurement is {self.measurement_m:.2g} m",
+            hint,
+        )
+
 
 class TruthGapFinding(Of[TruthGap]):
     """The smoother against truth, or against itself with the log's labels."""
@@ -130,15 +164,16 @@ class CheckTruthGap(Check):
 
     def find(self, known: Known) -> TruthGapFinding | Absent:
         """Return S against truth, or else against labels, where S has not used them."""
-        run, prepared = known.ekf, known.prepared
+        prepared, smoothed = known.prepared, known.smoothed
+        places = known.result.problem.pose_landmarks.covariance[:, :2, :2]
         accuracy, consistency = known.value(AccuracyFinding), known.value(ConsistencyFinding)
         association = known.value(AssociationFinding)
         gap = truth_gap(
-            None if accuracy is None else accuracy.smoother,
+            None if accuracy is None else accuracy["smoother"],
             None if consistency is None else consistency.smoother,
             association,
-            measurement_scale(prepared.log.measurements, run.pose_landmarks.covariance[:, :2, :2]),
-            len(known.gaps.smoothed.landmark),
+            measurement_scale(prepared.log.measurements, places),
+            len(smoothed.landmark),
         )
         labelled = prepared.log.measurements.labelled and not prepared.labelled
         if labelled and not (gap and gap.settled):
@@ -150,7 +185,7 @@ class CheckTruthGap(Check):
         if gap.stands:
             from comparisons.checks.diagnosis.first_pose import rows_by_truth
 
-            log, smoothed = prepared.log, known.gaps.smoothed
+            log = prepared.log
             rows = rows_by_truth(log.prior, log.truth.poses)
             labels = exchanged_labels(smoothed, log, labelled=prepared.labelled)
             gap = replace(gap, found=tuple(filter(None, (rows, labels))))
@@ -211,9 +246,9 @@ def qualified(
     """
     found = []
     causes, remarks = verdict.causes, verdict.remarks
-    if gap is not None and gap.stands:
+    if gap is not None and (far := gap.cause) is not None:
         found.append(TRUTH_GAP)
-        causes = (*causes, _cause(gap))
+        causes = (*causes, far)
     elif gap is not None and gap.rough:
         remarks = (*remarks, _rough(gap))
     if unchecked:
@@ -235,38 +270,6 @@ def qualified(
         qualifiers=tuple(found),
         inconsistent=outside,
         failed_on=tuple(one for one in dict.fromkeys(fail_on) if of[one]),
-    )
-
-
-def _cause(gap: TruthGap) -> Cause:
-    parts = [
-        f"the RMS error of its {d.what} is {d.error_m:.2g} m, {d.sigma:.1f} times what its "
-        "covariance states"
-        + (f" (with the log's labels {d.labels_m:.2g} m)" if d.labels_m is not None else "")
-        for d in gap.distances
-        if d.off
-    ]
-    parts = [*gap.found, *parts]
-    if gap.lost:
-        parts.append("none of its landmarks lies near a true landmark")
-    hint = "check the stated noise, the models and the start pose, which EKF and smoother share"
-    if gap.association is not None:
-        pairs = gap.association.landmarks
-        parts.append(
-            f"of the pairs of measurements that the association assigns to one landmark, "
-            f"{100.0 * pairs.precision:.1f} % have the same label, and it finds "
-            f"{100.0 * pairs.recall:.1f} % of the pairs with the same label"
-        )
-        hint = (
-            "check the association, which EKF and smoother share: use the log's labels or a "
-            "stricter "
-            "association, and compare with --smoother-association own"
-        )
-    return Cause(
-        "truth",
-        f"the smoother is far from {gap.reference}: {'; '.join(parts)}; the sigma of a single "
-        f"measurement is {gap.measurement_m:.2g} m",
-        hint,
     )
 
 

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.checks.grade import LIKE_SIGMA, LIKE_VARIANCE, Likeness, Reference, likeness
+from comparisons.checks.grade import LIKE_SIGMA, LIKE_VARIANCE, Likeness, likeness
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 
 _LIKE = np.array((LIKE_SIGMA, np.log1p(LIKE_VARIANCE), np.log1p(LIKE_VARIANCE)))[:, None]
 

@@ -88,7 +88,7 @@ class CheckStatedNoise(Check):
         """Return the factor of each sensor's sigma, with its interval."""
         from graphslam.variance_components import variance_components
 
-        result = known.gaps.result
+        result = known.result
         if result.options.robust != "none" or result.lagged is not None:
             return Absent("the smoother does not weight every measurement by its sigma")
         return StatedNoiseFinding(variance_components(result))

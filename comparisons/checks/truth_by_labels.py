@@ -38,7 +38,7 @@ def with_labels(known: Known, gap: TruthGap) -> TruthGap:
         return gap
     poses, places, _ = found
     judged, table = known.prepared.judged, known.prepared.log.truth.landmarks
-    reached = assess_trajectory(known.ekf.timeline.epoch_time_s, poses, judged)
+    reached = assess_trajectory(known.timeline.epoch_time_s, poses, judged)
     errors = {"poses": None if reached is None else reached.ate_m}
     if table is not None:
         true = (table.id, table.position_m)
@@ -56,16 +56,16 @@ def labels_gap(known: Known, association: AssociationScore | None) -> TruthGap |
     None where that smoother is not verified, or its chi-square says that the labels do not fit.
     association: the filter's, by these labels.
     """
-    gaps, (problem, _) = known.gaps, _labelled(known)
-    if gaps.result.options.robust == "none":  # else chi-square is of what the kernel leaves
+    options, (problem, _) = known.result.options, _labelled(known)
+    if options.robust == "none":  # else chi-square is of what the kernel leaves
         found = _tracked_optimum(problem, "none")
         if found is None or found[2].reading == "too high":
             return None  # before a search for the lowest minimum of what does not fit
-    labelled = smooth(problem, {}, options=gaps.result.options)
+    labelled = smooth(problem, {}, options=options)
     test = labelled.optimality.chi_square
     if not labelled.optimality.verified or test.reading == "too high":
         return None
-    sigma, metres = poses_apart(gaps.smoothed.pose, labelled.poses, labelled.pose_covariances())
+    sigma, metres = poses_apart(known.smoothed.pose, labelled.poses, labelled.pose_covariances())
     return TruthGap(
         distances=(Distance("poses", sigma, limit(3), metres),),
         measurement_m=measurement_scale(known.prepared.log.measurements, np.zeros((0, 2, 2))),
@@ -75,12 +75,13 @@ def labels_gap(known: Known, association: AssociationScore | None) -> TruthGap |
 
 
 def _labelled(known: Known) -> tuple[SlamProblem, NDArray[np.int64]]:
-    """Return the filter's observations with the log's labels, and the landmarks' ids (L,)."""
-    log, run = known.prepared.log, known.ekf
+    """Return S's observations with the log's labels, and the landmarks' ids (L,)."""
+    log, timeline = known.prepared.log, known.timeline
     landmark_index, ids = indices_by_label(log)
-    rows = position_rows(run.timeline, run.positions)
-    problem = assemble(log, run.timeline, landmark_index[: len(run.landmark_index)], len(ids), rows)
-    return replace(problem, pose_landmarks=run.pose_landmarks), ids
+    rows = position_rows(timeline, known.positions)
+    seen = landmark_index[: len(timeline.measurement_epoch)]
+    problem = assemble(log, timeline, seen, len(ids), rows)
+    return replace(problem, pose_landmarks=known.result.problem.pose_landmarks), ids
 
 
 def _tracked_optimum(

@@ -15,7 +15,7 @@ from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.config import FailOn
 from comparisons.figures import rounded
 from comparisons.statistics import ROUNDING
-from comparisons.words import Cause
+from comparisons.words import Cause, Decides
 from graphslam.optimum import ChiSquareTest, Optimality
 from graphslam.smoother import SmootherResult
 
@@ -36,6 +36,8 @@ _SHOWN = 2
 """Figures outside their bands that a summary names."""
 
 Outcome = Literal["agree", "disagree", "unverified"]
+RULES: dict[Decides, Outcome] = {"always": "disagree", "open": "unverified", "verified": "disagree"}
+"""What decides an outcome, the first one first; without any of these it is `agree`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,13 +129,12 @@ def judge(
     disagree, which count like the linearisation gap.
     """
     found = _red(agreement, run, diagnosis, data_faults, conservative=conservative)
-    outcome: Outcome = "disagree"
     algebra = agreement.algebra
     if not found and diagnosis.hidden > _UNTOLD:
-        outcome, found = "unverified", [cause.untold(diagnosis.hidden)]
+        found = [cause.untold(diagnosis.hidden)]
     elif not found:
-        outcome, found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
-        if outcome != "agree":
+        found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
+        if found:
             test = result.optimality.chi_square
             wrong = list(diagnosis.log(test)) if test.reading == "too high" else []
             found = wrong + found
@@ -151,7 +152,13 @@ def judge(
         )
     if run.breakdown and found[0].gap != "breakdown":
         remarks.insert(0, f"{run.breakdown}; all comparisons end at that time")
-    return Verdict(outcome=outcome, causes=tuple(found), remarks=tuple(remarks))
+    return Verdict(outcome=decided(found), causes=tuple(found), remarks=tuple(remarks))
+
+
+def decided(causes: Sequence[Cause]) -> Outcome:
+    """Return the outcome by the kinds of the causes (words.DECIDES), the first rule that is met."""
+    kinds = {cause.decides(one.gap) for one in causes}
+    return next((outcome for kind, outcome in RULES.items() if kind in kinds), "agree")
 
 
 def _red(
@@ -193,17 +200,16 @@ def _by_optimum(
     run: EkfRun,
     diagnosis: Diagnosis,
     causes: Sequence[Cause],
-) -> tuple[Outcome, list[Cause]]:
+) -> list[Cause]:
     """The filter against the smoother's optimum."""
     if not optimality.verified:
-        alone = [one for one in causes if one.alone]
-        return ("disagree" if alone else "unverified"), [*alone, cause.unverified(optimality)]
+        alone = [one for one in causes if cause.decides(one.gap) == "always"]
+        return [*alone, cause.unverified(optimality)]
     blocks = (agreement.pose, *agreement.landmarks, *agreement.pose_landmarks, agreement.map)
     found = []
     if not all(block.agrees for block in blocks):
         found.append(cause.linearisation(agreement, run, diagnosis.growth(), diagnosis.spurious()))
-    found += causes
-    return ("disagree" if found else "agree"), found
+    return [*found, *causes]
 
 
 def _on_robust(robust: str) -> list[str]:

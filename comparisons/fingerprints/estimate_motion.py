@@ -12,9 +12,10 @@ import numpy as np
 from comparisons.adapters.motion import motion_samples
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
-from comparisons.checks.grade import LIKE_SIGMA, Likeness, Reference, likeness
+from comparisons.checks.grade import LIKE_SIGMA, Likeness, likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.fingerprints.companion import Companion, Left
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, Named, RelativePoses, own_integration

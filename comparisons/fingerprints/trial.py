@@ -11,10 +11,11 @@ import numpy as np
 
 from comparisons.adapters.filter_loop import FilterObserver, NoObserver
 from comparisons.arrays import Array
-from comparisons.checks.grade import Likeness, Reference, likeness
+from comparisons.checks.grade import Likeness, likeness
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.faults.fault import NONE, Family, Fault
 from comparisons.fingerprints.companion import EXPLAINED, NEAR, Companion, Left, remainder
 from comparisons.fingerprints.fit import Fit, nearest, selected, settled

@@ -10,9 +10,10 @@ import numpy as np
 from comparisons.adapters.filter_loop import FilterObserver
 from comparisons.adapters.filter_variants import SigmaPoints, UnscentedEkf
 from comparisons.arrays import Array
-from comparisons.checks.grade import Likeness, Reference
+from comparisons.checks.grade import Likeness
 from comparisons.config import SolveConfig
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.fingerprints.companion import EXPLAINED, Companion, remainder
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.references import filter_of

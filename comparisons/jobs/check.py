@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
-from comparisons.checks.accuracy import Accuracy, assess
+from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.agreement import Gap
-from comparisons.checks.consistency.consistency import ExternalConsistency, external_consistency
+from comparisons.checks.check import Answers
+from comparisons.checks.consistency.consistency import ExternalConsistency
+from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.departure import Departure, departure_from
 from comparisons.checks.diagnosis.diagnosis import (
     FEWEST,
@@ -33,19 +35,14 @@ from comparisons.checks.external_agreement import (
     coverage,
     within_log,
 )
-from comparisons.checks.grade import (
-    GRADES,
-    LIKE_SIGMA,
-    LIKE_VARIANCE,
-    Grade,
-    Likeness,
-    Reference,
-    likeness,
-)
+from comparisons.checks.grade import GRADES, LIKE_SIGMA, LIKE_VARIANCE, Grade, Likeness, likeness
+from comparisons.checks.qualifiers import TruthGapFinding, qualified
+from comparisons.checks.registry import CHECKS
 from comparisons.checks.spread import within_spread
-from comparisons.checks.verdict import Outcome
+from comparisons.checks.verdict import Outcome, Verdict
 from comparisons.config import MIN_COVERAGE, CheckConfig, RequiredGrade
-from comparisons.estimates.external import ExternalEstimate, with_poses
+from comparisons.estimates.external import ExternalEstimate, Information, with_poses
+from comparisons.estimates.reference import Reference
 from comparisons.fingerprints.estimate_motion import (
     in_words,
     integrations_by_steps,
@@ -59,6 +56,7 @@ from comparisons.logs.odometry import Integration, RelativePoses
 from comparisons.logs.stamps import at_instants, rounded, since_origin
 from comparisons.logs.transforms.clock import file_start, timed_by_floats
 from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.known import Given, Known
 from comparisons.pipeline.references import (
     APART,
     EKF,
@@ -111,8 +109,6 @@ class ExternalCheck(Shown):
         variants: Other sound filters that it was compared with; none where it equals a peer.
         agreement: The estimate against the smoother.
         coverage: Share of the log's time that it covers.
-        consistency: Its errors, and whether its covariances match them.
-        accuracy: Its errors, where the log has truth or positions.
         trace: The filter's own gaps, where it handed in a trace.
         departure: Where it first leaves the filter that it equals the longest, or its trace the
             models; None where it is equal, or no filter is of its kind.
@@ -121,6 +117,9 @@ class ExternalCheck(Shown):
         outcome: `agree`, `disagree` or `unverified`.
         causes: Why the grade is not higher, the most important first.
         remarks: What narrows the verdict.
+        answers: Of the checks, when they are asked for.
+        qualifiers: What a reader of the outcome must know as well.
+        inconsistent: What of its consistency is outside its band, None where nothing shows it.
     """
 
     given: ExternalEstimate
@@ -130,13 +129,14 @@ class ExternalCheck(Shown):
     variants: tuple[Reference, ...]
     agreement: ExternalAgreement
     coverage: Coverage
-    consistency: ExternalConsistency
-    accuracy: Accuracy | None
     trace: TraceCheck | None
     grade: Graded
     outcome: Outcome
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
+    answers: Answers
+    qualifiers: tuple[str, ...] = ()
+    inconsistent: tuple[str, ...] | None = None
     departure: Departure | None = None
     log: Log | None = None
 
@@ -145,6 +145,21 @@ class ExternalCheck(Shown):
         gaps = ", ".join(one.gap for one in self.causes)
         name, grade = self.solution.log.name, self.grade.value or "none"
         return f"<ExternalCheck of {name}: {self.outcome}, grade {grade}{gaps and f' ({gaps})'}>"
+
+    @property
+    def known(self) -> Known:
+        """What is known of log and estimate, with what the checks find."""
+        return self.answers.known
+
+    @property
+    def consistency(self) -> ExternalConsistency:
+        """Its errors, and whether its covariances match them."""
+        return cast("ExternalConsistency", self.known.value(ConsistencyFinding))
+
+    @property
+    def accuracy(self) -> Accuracy | None:
+        """Its errors, where the log has truth or positions that no estimator has used."""
+        return (self.known.value(AccuracyFinding) or {}).get("estimate")
 
     @property
     def inside(self) -> ExternalEstimate:
@@ -209,7 +224,27 @@ def check(
     instants_s = found.solution.prepared.timeline.instants_s()
     if said := rounded(given.time_s, _by_its_clock(given.time_s, log, instants_s)):
         found = replace(found, remarks=(said, *found.remarks))
-    return replace(found, log=log)
+    return _qualified(replace(found, log=log))
+
+
+def _qualified(found: ExternalCheck) -> ExternalCheck:
+    """Say what a reader of the outcome must know as well, by what the checks find."""
+    known = found.known
+    verdict = Verdict(outcome=found.outcome, causes=found.causes, remarks=found.remarks)
+    judged = qualified(
+        replace(verdict, remarks=(*found.remarks, *known.remarks)),
+        known.value(TruthGapFinding),
+        unchecked="",
+        consistency=known.value(ConsistencyFinding),
+        fail_on=(),
+    )
+    return replace(
+        found,
+        causes=judged.causes,
+        remarks=judged.remarks,
+        qualifiers=judged.qualifiers,
+        inconsistent=judged.inconsistent,
+    )
 
 
 @dataclass(frozen=True)
@@ -526,21 +561,36 @@ def check_external(
         variants=others,
         agreement=found,
         coverage=covered,
-        consistency=external_consistency(
-            inside,
-            references.optimum,
-            solution.estimate,
-            solution.log,
-            _information(given, near),
-            labelled=labelled,
-            robust=solution.result.options.robust,
-        ),
-        accuracy=assess(given.padded(), solution.log, labelled=labelled),
         trace=traced,
         grade=grade,
         outcome=outcome,
         causes=causes,
         remarks=remarks,
+        answers=Answers(
+            _known(
+                solution,
+                traced,
+                Given(
+                    estimate=given,
+                    inside=inside,
+                    optimum=references.optimum,
+                    information=_information(given, near),
+                    sensors=traced.sensors if traced else (),
+                ),
+            ),
+            CHECKS,
+        ),
+    )
+
+
+def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known:
+    """What the checks may read: the smoother, the estimate, and the events of a sound trace."""
+    return replace(
+        solution.unasked,
+        without="the estimate has no trace that shows its filter's events",
+        run=None if traced is None else traced.run,
+        chain=None if traced is None else traced.gaps,
+        given=given,
     )
 
 
@@ -573,7 +623,7 @@ def _short(
     return cause.coverage(evidence, least, "check the clock of the estimate before any other cause")
 
 
-def _information(given: ExternalEstimate, near: Likeness | None) -> str | None:
+def _information(given: ExternalEstimate, near: Likeness | None) -> Information | None:
     """What its poses know of the log: as it says, or else as a reference does that it is like."""
     filtered, smoothed = (given.may_be(kind) for kind in ("filtered", "smoothed"))
     if filtered != smoothed or given.information is not None:

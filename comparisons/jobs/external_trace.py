@@ -39,16 +39,16 @@ from comparisons.checks.diagnosis.single_precision import (
     replay,
     restored_traces,
 )
-from comparisons.checks.grade import Reference
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
 from comparisons.figures import Same
-from comparisons.innovations import InnovationFigures
+from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.clock import Clock, no_progress
@@ -95,9 +95,13 @@ class TraceCheck(TraceFigures):
 
     own: what the trace's own equations lead to, at the log's epochs; None where a cause speaks
     against them. departure: where the trace first leaves the log's models, or the estimate the
-    trace's equations; None where neither does.
+    trace's equations; None where neither does. run, gaps: of the filter that left it. sensors: its
+    innovations.
     """
 
+    run: EkfRun
+    gaps: Gaps
+    sensors: tuple[SensorInnovations, ...]
     agreement: Agreement
     algebra: Gap | None
     verdict: Verdict
@@ -160,7 +164,11 @@ def check_trace(
     algebra = found.algebra if known else None
     right = known and not any(one.gap in OWN for one in verdict.causes)
     left = _departures(given, run, gaps, diagnosis, {one.gap for one in verdict.causes})
+    sensors = event_innovations(run_events(run), run.sensors)
     return TraceCheck(
+        run=run,
+        gaps=gaps,
+        sensors=sensors,
         own=_own_equations(run) if right else None,
         departure=min(left, key=lambda one: one.time_s, default=None),
         agreement=found,
@@ -173,7 +181,7 @@ def check_trace(
         updates=len(trace.measurements[POINT].step),
         initialised=len(trace.initialisations[POINT].step),
         positions=len(trace.positions.step),
-        innovations=list(event_innovations(run_events(run), run.sensors)),
+        innovations=list(sensors),
     )
 
 

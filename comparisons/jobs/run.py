@@ -16,10 +16,11 @@ from comparisons.checks.accuracy import Accuracies, AccuracyFinding
 from comparisons.checks.agreement import Agreement
 from comparisons.checks.association import AssociationFinding, AssociationScore
 from comparisons.checks.causes import log_fault, log_number
+from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
-from comparisons.checks.finding import Finding, value_of
+from comparisons.checks.finding import Finding
 from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spurious import SpuriousFinding
@@ -66,18 +67,14 @@ class Comparison(Shown):
         prepared: The log as the estimators read it, and the configuration.
         ekf: The EKF's estimate (`ekf.estimate`) and trace.
         gaps: The chain of estimates from the EKF to the smoother.
-        dead_reckoned: (K, 3) poses where the odometry alone leads.
-        findings: Of the checks, those of extensions among them, by name.
-        absent: Why other checks have none, by name.
+        known: What the checks have read, and found.
         verdict: Outcome, causes (the most important first) and remarks.
     """
 
     prepared: Prepared[RunConfig]
     ekf: EkfRun
     gaps: Gaps
-    dead_reckoned: Array
-    findings: Mapping[str, Finding]
-    absent: Mapping[str, str]
+    known: Known
     verdict: Verdict
 
     def __repr__(self) -> str:
@@ -126,6 +123,16 @@ class Comparison(Shown):
         return self.gaps.agreement
 
     @property
+    def findings(self) -> Mapping[str, Finding]:
+        """Of the checks, those of extensions among them, by name."""
+        return self.known.findings
+
+    @property
+    def dead_reckoned(self) -> Array:
+        """(K, 3) poses where the odometry alone leads."""
+        return self.known.dead_reckoned
+
+    @property
     def consistency(self) -> Consistency:
         """NEES, NIS, whiteness, filter against smoother; it has no say in the verdict."""
         return self.find(ConsistencyFinding).value
@@ -133,22 +140,23 @@ class Comparison(Shown):
     @property
     def accuracy(self) -> Accuracies:
         """Errors of each estimate. Raises LookupError where the log has no reference."""
-        return self.find(AccuracyFinding).value
+        found: Accuracies = self.find(AccuracyFinding).entries["accuracy"]
+        return found
 
     @property
     def spurious(self) -> Learnt | None:
         """What the filter learnt of its heading without measuring it; None if it was surveyed."""
-        return value_of(self.findings, SpuriousFinding)
+        return self.known.value(SpuriousFinding)
 
     @property
     def association(self) -> AssociationScore | None:
         """The filter's association by labels; None where it used them, or there are none."""
-        return value_of(self.findings, AssociationFinding)
+        return self.known.value(AssociationFinding)
 
     @property
     def truth_gap(self) -> TruthGap | None:
         """The smoother against truth or labels; None where the log has none."""
-        return value_of(self.findings, TruthGapFinding)
+        return self.known.value(TruthGapFinding)
 
     def find(self, kind: type[F]) -> F:
         """Return the finding of a check.
@@ -199,46 +207,52 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     asked = extensions if second is None else (*extensions, second)
     with _started(asked, prepared, run) as started:
         gaps = compute_gaps(log, run, options, clock, progress)
-        own = Known(prepared=prepared, setup=setup, ekf=run, gaps=gaps, started=started)
+        own = Known(
+            prepared=prepared,
+            result=gaps.result,
+            smoothed=gaps.smoothed,
+            landmark_index=run.landmark_index,
+            timeline=run.timeline,
+            positions=run.positions,
+            run=run,
+            chain=gaps,
+            beside=setup,
+            started=started,
+        )
         for one in extensions:
             one.ask(own)
         if second is not None:
             unchecked = _ask(second, own)
+    progress("checks", 0, 0)
+    known = Answers(own, CHECKS).known
+    known.findings.update(own.findings)
+    known.absent.update(own.absent)
     with clock.stage("checks"):
-        progress("checks", 0, 0)
-        known = replace(own, findings={}, absent={})
-        for check in CHECKS:
-            check.ask(known)
-        known.findings.update(own.findings)
-        known.absent.update(own.absent)
         return _judged(known, unchecked)
 
 
 def _judged(known: Known, unchecked: str) -> Comparison:
     """The verdict over all findings. unchecked: why nobody has checked the association."""
     prepared, run, gaps = known.prepared, known.ekf, known.gaps
-    findings = known.findings.values()
     verdict = judge(
         gaps.agreement,
         gaps.result,
         run,
         _diagnosis(known),
         data_faults=data_faults(prepared.log, run, gaps.smoothed, labelled=prepared.labelled),
-        causes=[cause for found in findings for cause in found.causes],
+        causes=[cause for found in known.findings.values() for cause in found.causes],
         conservative=prepared.ekf.conservative,
     )
     remarks = (
         *odometry_remarks(prepared.log),
         *verdict.remarks,
-        *(remark for found in findings for remark in found.remarks),
+        *known.remarks,
     )
     return Comparison(
         prepared=prepared,
         ekf=run,
         gaps=gaps,
-        dead_reckoned=known.dead_reckoned,
-        findings=known.findings,
-        absent=known.absent,
+        known=known,
         verdict=qualified(
             replace(verdict, remarks=remarks),
             known.value(TruthGapFinding),

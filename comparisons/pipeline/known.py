@@ -1,42 +1,143 @@
-"""What a job knows once its estimators have run: what its checks read, and what they have found."""
+"""What a job knows: what its checks read, and what they have found.
+
+The jobs differ in what they put in: a run its own filter, a check somebody else's estimate and,
+with a trace, the events of its filter, a solve neither.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.arrays import Array
-from comparisons.checks.finding import Finding, Of, V, value_of
+from comparisons.adapters.timeline import Timeline
+from comparisons.arrays import Array, Index
+from comparisons.checks.finding import Finding, LackingError, Of, V, value_of
+from comparisons.estimates.estimate import Estimate
+from comparisons.estimates.external import ExternalEstimate, Information
+from comparisons.estimates.reference import Reference
+from comparisons.innovations import SensorInnovations
+from comparisons.logs.log import Positions
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.gaps import Gaps
 from comparisons.pipeline.prepared import Prepared
+from comparisons.words import Row
 from graphslam.increments import dead_reckoned
+from graphslam.smoother import SmootherResult
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """Somebody else's estimate.
+
+    estimate: as it was handed in. inside: its poses within the log's time. optimum: the smoother at
+    these. information: what its poses know of the log, None where nothing tells. sensors: the
+    innovations of its filter, none without a trace.
+    """
+
+    estimate: ExternalEstimate
+    inside: ExternalEstimate
+    optimum: Reference
+    information: Information | None
+    sensors: tuple[SensorInnovations, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """What a run knows once both estimators have run, for its checks.
+    """What a job knows, for its checks. What it has not raises LackingError with the reason.
 
-    setup: what stood beside the filter, with what extensions offered. started: what extensions have
-    started beside the smoother, by name. findings: of the checks that came before, by name.
+    Attributes:
+        prepared: The log as the estimators read it, and the configuration.
+        result: The smoother's optimum S with its evidence.
+        smoothed: S as an estimate.
+        landmark_index: (M,) the landmark of each measurement in S, negative for unused.
+        timeline: Of S.
+        positions: Absolute positions that S fuses.
+        without: Why there is no filter.
+        run: A filter with the events that it went through.
+        chain: The gaps between that filter and S.
+        beside: What stood beside our filter, with what extensions offered.
+        given: Somebody else's estimate that is judged.
+        started: What extensions have started beside the smoother, by name.
+        findings: Of the checks that came before, by name.
+        absent: Why other checks have none, by name.
     """
 
     prepared: Prepared[Any]
-    setup: FilterSetup
-    ekf: EkfRun
-    gaps: Gaps
+    result: SmootherResult
+    smoothed: Estimate
+    landmark_index: Index
+    timeline: Timeline
+    positions: Positions | None
+    without: str = "the job runs no filter"
+    run: EkfRun | None = None
+    chain: Gaps | None = None
+    beside: FilterSetup | None = None
+    given: Given | None = None
     started: Mapping[str, Beside[Any]] = field(default_factory=dict)
     findings: dict[str, Finding] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def ekf(self) -> EkfRun:
+        """The filter that the events are of, ours or the one that left a trace."""
+        return self._present(self.run)
+
+    @property
+    def gaps(self) -> Gaps:
+        """The chain of estimates from that filter to the smoother."""
+        return self._present(self.chain)
+
+    @property
+    def setup(self) -> FilterSetup:
+        """What stood beside our filter."""
+        return self._present(self.beside)
+
+    def _present(self, one: T | None) -> T:
+        if one is None:
+            raise LackingError(self.without)
+        return one
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """The estimates of the log, by what reports call them; the one that is judged first."""
+        judged = {} if self.run is None else {"EKF": self.run.estimate}
+        if self.given is not None:
+            judged = {"estimate": self.given.estimate.padded()}
+        return {**judged, "smoother": self.smoothed}
+
     @cached_property
     def dead_reckoned(self) -> Array:
         """(K, 3) poses where the odometry alone leads."""
-        return dead_reckoned(self.gaps.problem.prior_pose, self.gaps.problem.increment)
+        problem = self.result.problem
+        return dead_reckoned(problem.prior_pose, problem.increment)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What the findings remark."""
+        return [remark for one in self.findings.values() for remark in one.remarks]
+
+    @property
+    def rows(self) -> list[Row]:
+        """Return the rows of all findings, and why other checks have none."""
+        found = [row for one in self.findings.values() for row in one.rows()]
+        absent = self.absent.items()
+        return [*found, *(Row("Not checked", key.replace("_", " "), why) for key, why in absent)]
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Return the lines of a summary that findings have, a name and words each."""
+        return [one.line for one in self.findings.values() if one.line is not None]
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """Return the entries of a result file."""
+        return {key: entry for one in self.findings.values() for key, entry in one.entries.items()}
 
     def value(self, kind: type[Of[V]]) -> V | None:
         """Return the value of a finding of a kind, None where no check has it."""

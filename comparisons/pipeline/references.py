@@ -28,8 +28,9 @@ from comparisons.adapters.motion import poses_at
 from comparisons.adapters.reference_filter import FilterRun, run_reference
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
-from comparisons.checks.grade import SMOOTHER, Reference
+from comparisons.checks.grade import SMOOTHER
 from comparisons.config import SolveConfig
+from comparisons.estimates.reference import Reference
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.solve import Solution
 from ekf_reference.core.ekf import Ekf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -15,9 +16,11 @@ from comparisons.adapters.smoother_input import (
     smoothed_estimate,
 )
 from comparisons.arrays import Array, Index
-from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
-from comparisons.checks.association import AssociationScore, score_association
+from comparisons.checks.accuracy import Accuracy, AccuracyFinding
+from comparisons.checks.association import AssociationFinding, AssociationScore
 from comparisons.checks.association_variants import AssociationCheck, check_association
+from comparisons.checks.check import Answers
+from comparisons.checks.registry import CHECKS
 from comparisons.checks.verdict import misfit_remarks
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
@@ -27,6 +30,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import indices_by_label
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, check_memory, prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown, render
@@ -51,10 +55,6 @@ class Solution(Shown):
         result: The optimum with the evidence for it.
         estimate: Smoothed poses and landmarks.
         dead_reckoned: (K, 3) poses where the odometry alone leads.
-        accuracy: Errors of the estimate; None without truth and positions.
-        accuracy_dead_reckoned: Errors of the odometry alone.
-        association: How its own association compares with the log's labels; None where it used
-            them.
         association_check: How its own association compares with others made without labels.
         misread: How edges between poses fit that do not as they are read; None where they do.
         few: How the few edges fit whose information is far from that of the others; None where
@@ -67,9 +67,6 @@ class Solution(Shown):
     result: SmootherResult
     estimate: Estimate
     dead_reckoned: Array
-    accuracy: Accuracy | None
-    accuracy_dead_reckoned: Accuracy | None
-    association: AssociationScore | None
     association_check: AssociationCheck | None
     misread: EdgeReading | None = None
     few: EdgeReading | None = None
@@ -95,6 +92,33 @@ class Solution(Shown):
         """
         found: DataFrame = render("frame", self, table)
         return found
+
+    @property
+    def unasked(self) -> Known:
+        """What is known of the log, before a check is asked."""
+        return Known(
+            prepared=self.prepared,
+            result=self.result,
+            smoothed=self.estimate,
+            landmark_index=self.landmark_index,
+            timeline=self.prepared.timeline,
+            positions=self.prepared.positions,
+        )
+
+    @cached_property
+    def known(self) -> Known:
+        """The same with what the checks find that need no filter."""
+        return Answers(self.unasked, CHECKS).known
+
+    @property
+    def accuracy(self) -> Accuracy | None:
+        """Errors of the estimate; None without truth and positions."""
+        return (self.known.value(AccuracyFinding) or {}).get("smoother")
+
+    @property
+    def association(self) -> AssociationScore | None:
+        """How its own association compares with the log's labels; None where it used them."""
+        return self.known.value(AssociationFinding)
 
     @property
     def verified(self) -> bool:
@@ -232,9 +256,6 @@ def solve(
         result=result,
         estimate=estimate,
         dead_reckoned=reckoned,
-        accuracy=assess(estimate, prepared.judged, labelled=known),
-        accuracy_dead_reckoned=assess_trajectory(timeline.epoch_time_s, reckoned, prepared.judged),
-        association=None if known else score_association(landmark_index, result.landmarks, log),
         association_check=checked,
         misread=misread,
         few=few,

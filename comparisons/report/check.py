@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from comparisons.arrays import Index
-from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, landmark_errors
+from comparisons.checks.accuracy import Accuracy, landmark_errors
 from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
     BlockAgreement,
@@ -19,14 +19,7 @@ from comparisons.checks.agreement import (
     Together,
     largest_distance,
 )
-from comparisons.checks.consistency.finding import (
-    ExternalConsistencyResult,
-    consistency_line,
-    external_consistency_result,
-    innovation_rows,
-    nees_rows,
-    smoothed_rows,
-)
+from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
 from comparisons.figures import (
@@ -44,6 +37,7 @@ from comparisons.figures import (
 from comparisons.jobs.check import ExternalCheck
 from comparisons.jobs.external_trace import TraceFigures
 from comparisons.pipeline.clock import Clock
+from comparisons.pipeline.known import Known
 from comparisons.report.figures.run import map_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.drawing import Drawing
@@ -60,7 +54,7 @@ from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.job import Report
 from comparisons.report.ladder import SMOOTHER, Step, gap_steps
 from comparisons.report.marks import DEPARTURE, DEPARTURE_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR
-from comparisons.report.models import JobResult, SmootherResult
+from comparisons.report.models import SmootherResult, VerdictResult
 from comparisons.report.panels import external_panels, filters_compared
 from comparisons.report.rows import (
     agreeing,
@@ -71,13 +65,13 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import about_job, about_log, smoother_result
+from comparisons.report.sections import about_job, about_log, found_entries, smoother_result
 from comparisons.report.settings import (
     setting_lines,
     settings_rows,
 )
 from comparisons.report.terminal import STYLES, Summary
-from comparisons.words import Cause, Row
+from comparisons.words import Row
 from ekf_reference.core.landmark_types import POINT
 
 EXTERNAL = "external estimate"
@@ -199,9 +193,8 @@ def _mark(left: Departure, drawing: Drawing) -> None:
     drawing.marks(*look, place, [str(left)], [DEPARTURE], [DEPARTURE_COLOUR])
 
 
-def _check_rows(result: CheckResult) -> list[Row]:
-    """Log, smoother, agreement, consistency and accuracy."""
-    truth, f = result.consistency.truth, result.consistency.filter_against_smoother
+def _check_rows(known: Known, result: CheckResult) -> list[Row]:
+    """Log, smoother and agreement, then what the checks found, and what they lack."""
     return [
         *log_rows(result.log),
         *settings_rows(result.settings),
@@ -209,11 +202,7 @@ def _check_rows(result: CheckResult) -> list[Row]:
         *_estimate_rows(result),
         *_agreement_rows(result),
         *gap_rows(check_ladder(result) if result.trace else ()),
-        *nees_rows("Estimate", truth),
-        *innovation_rows(result.trace.innovations if result.trace else ()),
-        *smoothed_rows("estimate", f),
-        *accuracy_rows("the estimate", result.accuracy),
-        *accuracy_rows("the smoother", result.smoother_accuracy),
+        *known.rows,
     ]
 
 
@@ -343,7 +332,7 @@ class NearestResult(Model):
     missing: list[str]
 
 
-class CheckResult(JobResult):
+class CheckResult(VerdictResult):
     """`check.json`: an external estimate compared with reference filters and with the smoother.
 
     Attributes:
@@ -371,8 +360,6 @@ class CheckResult(JobResult):
         required: the lowest grade that agrees.
         nearest: the nearest reference.
         departure: where the estimate, or its trace, first leaves a sound filter; None where not.
-        verdict: the verdict.
-        causes: reasons for the verdict, the first one first.
     """
 
     smoother: Count[SmootherResult]
@@ -390,15 +377,13 @@ class CheckResult(JobResult):
     landmarks: Together[tuple[LandmarkAgreement, ...]]
     estimate_sha256: dict[str, str]
     consistency: ExternalConsistencyResult
-    accuracy: Accuracy | None
-    smoother_accuracy: Accuracy | None
+    accuracy: Accuracy | None = None
+    smoother_accuracy: Accuracy | None = None
     trace: Count[TraceFigures | None]
     grade: Literal["equal", "like", "plausible", "wrong"] | None
     required: Literal["equal", "like", "plausible"]
     nearest: NearestResult | None
     departure: LeftOut[Departure | None]
-    verdict: Literal["agree", "disagree", "unverified"]
-    causes: list[Cause]
 
 
 def check_ladder(result: CheckResult) -> list[Step]:
@@ -475,24 +460,23 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             last_pose=found.last,
             landmarks=found.landmarks,
             estimate_sha256=dict(check.given.sha256),
-            consistency=external_consistency_result(check.consistency),
-            accuracy=check.accuracy,
-            smoother_accuracy=solution.accuracy,
             trace=check.trace,
             grade=check.grade.value,
             required=check.grade.required,
             nearest=_nearest(check.grade.by),
             departure=check.departure,
             verdict=check.outcome,
+            qualifiers=list(check.qualifiers),
+            inconsistent=None if check.inconsistent is None else list(check.inconsistent),
             causes=check.causes,
             remarks=list(check.remarks),
+            **found_entries(check.known, CheckResult),
             **about_job(solution.prepared, solution.prepared.clock.after(read), log=check.log),
         )
 
     def summary(self) -> Summary:
         """Return what the command prints: verdict and grade, gaps by the trace, agreement."""
-        result = self.result
-        truth, smoothed = result.consistency.truth, result.consistency.filter_against_smoother
+        result, known = self.result, self.found.known
         agree = []
         if result.landmarks:
             count = sum(row.agrees for row in result.landmarks)
@@ -503,17 +487,19 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             agree.append(f"path {result.rms_m:.3f} m rms from smoother")
         required = f" (required: {result.required})"
         return Summary(
-            headline=f"verdict: {result.verdict}; grade: {_grade_words(result)}{required}",
-            style=STYLES[result.verdict],
+            headline=f"verdict: {result.headline}; grade: {_grade_words(result)}{required}",
+            style=STYLES["unverified" if result.reserved else result.verdict],
             causes=result.causes,
             remarks=result.remarks,
             steps=check_ladder(result),
             lines=[
                 ("agreement", "; ".join(agree)),
-                *consistency_line(None, truth, smoothed),
-                *accuracy_line({"estimate": result.accuracy, "smoother": result.smoother_accuracy}),
+                *known.lines,
             ],
-            rows=[*_check_rows(result), *seconds_rows(result.seconds, result.cpu_s)],
+            rows=[
+                *_check_rows(known, result),
+                *seconds_rows(result.seconds, result.cpu_s),
+            ],
         )
 
     def page(self) -> PageContent:
@@ -529,8 +515,8 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         return PageContent(
             job="check",
             name=result.log.name,
-            headline=f"{result.verdict}, {grade}",
-            colour=result.verdict,
+            headline=f"{result.headline}, {grade}",
+            colour="unverified" if result.reserved else result.verdict,
             words=_verdict_words(result),
             facts=_facts(result),
             about=f"estimate: {source}; log: {about_log(result.log)}",
@@ -540,7 +526,7 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             map=map_content,
             reported=reported,
             panels=panels,
-            rows=_check_rows(result),
+            rows=_check_rows(check.known, result),
             landmarks=rows,
             landmarks_note=note,
             settings=setting_lines(solution.prepared.config, result.settings),

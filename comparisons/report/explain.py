@@ -14,22 +14,36 @@ from comparisons.config import config_class
 from comparisons.errors import InputError
 from comparisons.extension_names import EXTENSIONS
 from comparisons.figures import kept_fields, meanings
-from comparisons.words import cause_name
+from comparisons.words import DECIDES, Explanation, cause_name
 
 _WIDTH = 80
 
 
-def every_check(extensions: Iterable[str] = EXTENSIONS) -> list[type[Check]]:
-    """Return the checks that every run is asked, and those of extensions."""
-    places = [config_class(name).extension for name in extensions]
-    return [*map(type, CHECKS), *(resolve_name(place) for place in places)]
+def every_check(extensions: Iterable[str] = EXTENSIONS) -> Iterator[type[Check]]:
+    """Yield the checks that every run is asked, then those of extensions, loaded one by one."""
+    yield from map(type, CHECKS)
+    for name in extensions:
+        yield resolve_name(config_class(name).extension)
+
+
+def every_explanation() -> dict[str, Explanation]:
+    """Return what each kind of cause means, the checks' own last."""
+    own = {kind: one for check in every_check() for kind, one in check.explains.items()}
+    return {**EXPLANATIONS, **own}
+
+
+def explained(kind: str) -> Explanation | None:
+    """Return what a kind of cause means, without a check being loaded that is not asked."""
+    if kind in EXPLANATIONS:
+        return EXPLANATIONS[kind]
+    return next((one.explains[kind] for one in every_check() if kind in one.explains), None)
 
 
 def overview() -> str:
     """Return every check with its question, and every cause with its title."""
     asked = [(one.name, _question(one)) for one in every_check()]
     checks, more = asked[: len(CHECKS)], asked[len(CHECKS) :]
-    causes = [(name, one.title) for name, one in EXPLANATIONS.items()]
+    causes = [(name, one.title) for name, one in every_explanation().items()]
     longest = max(len(name) for name, _ in (*asked, *causes)) + 2
     lines = []
     for title, rows in (
@@ -45,12 +59,12 @@ def overview() -> str:
 def explanation(name: str) -> str:
     """Return what a check asks, needs and finds, and what a cause means. Raises InputError."""
     asked = _spoken(name)
-    checks = every_check()
+    checks, kinds = list(every_check()), every_explanation()
     parts = ["\n".join(_of_check(one)) for one in checks if _spoken(one.name) == asked]
     asked = asked.removesuffix(" gap")
-    parts += ["\n".join(_of_cause(one)) for one in EXPLANATIONS if one == asked]
+    parts += ["\n".join(_of_cause(*one)) for one in kinds.items() if one[0] == asked]
     if not parts:
-        known = ", ".join(dict.fromkeys((*(one.name for one in checks), *EXPLANATIONS)))
+        known = ", ".join(dict.fromkeys((*(one.name for one in checks), *kinds)))
         raise InputError(f"{name[:80]}: no check or cause is called so, expected one of {known}")
     return "\n\n".join(parts)
 
@@ -67,11 +81,11 @@ def _of_check(one: type[Check]) -> Iterator[str]:
             yield _wrapped(f"    {field}: {text[field]}", 6)
 
 
-def _of_cause(name: str) -> Iterator[str]:
-    found = EXPLANATIONS[name]
+def _of_cause(name: str, found: Explanation) -> Iterator[str]:
     yield f"{cause_name(name)} (a cause): {found.title}"
     yield _wrapped(f"  {found.meaning}", 2)
     yield _wrapped(f"  {found.check}", 2)
+    yield _wrapped(f"  decides: {DECIDES[found.decides].replace('`', '')}", 11)
 
 
 def _spoken(key: str) -> str:

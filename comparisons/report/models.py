@@ -16,7 +16,6 @@ from comparisons.checks.qualifiers import TruthGap
 from comparisons.checks.spurious import SpuriousHeadingResult
 from comparisons.extension_names import EXTENSIONS
 from comparisons.figures import Count, Exact, LeftOut, Less, Model, Number, Same, numbers
-from comparisons.report.explain import every_check
 from comparisons.report.settings import SettingsResult
 from comparisons.words import Cause
 
@@ -63,6 +62,45 @@ class JobResult(Model):
     cpu_s: LeftOut[dict[str, float] | None] = None
     versions: dict[str, str]
     files: tuple[str, ...] = ()
+
+
+class CheckedResult(JobResult):
+    """What every job says whose checks are asked; each that found something adds its entries.
+
+    Attributes:
+        qualifiers: reservations beside the verdict, such as `truth gap`.
+        not_checked: checks without an answer, and what the job lacks for it.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    qualifiers: list[str] = Field(default_factory=list)
+    not_checked: dict[str, str] = Field(default_factory=dict)
+
+
+class VerdictResult(CheckedResult):
+    """What a job says that judges a filter.
+
+    Attributes:
+        verdict: the verdict.
+        inconsistent: what of the filter's consistency is outside its band; None where nothing can
+            tell.
+        causes: reasons for the verdict, the first one first.
+    """
+
+    verdict: Literal["agree", "disagree", "unverified"]
+    inconsistent: list[str] | None = None
+    causes: list[Cause]
+
+    @property
+    def headline(self) -> str:
+        """The verdict with its qualifiers."""
+        return ", ".join((self.verdict, *self.qualifiers))
+
+    @property
+    def reserved(self) -> bool:
+        """Whether it agrees with reservations."""
+        return self.verdict == "agree" and bool(self.qualifiers)
 
 
 class EkfResult(Model):
@@ -209,7 +247,7 @@ SCHEMA = 4
 """Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
 
 
-class Result(JobResult):
+class Result(VerdictResult):
     """`result.json`: a whole run.
 
     Each extension that ran adds an entry of its name.
@@ -225,17 +263,11 @@ class Result(JobResult):
         accuracy: errors against truth or GPS.
         association: the association compared with the log's labels.
         truth_gap: the smoother compared with truth.
-        verdict: the verdict.
         summary: verdict, qualifiers and the filter's consistency in one line.
-        qualifiers: reservations beside the verdict, such as `truth gap`.
-        inconsistent: what of the filter's consistency is outside its band; None where nothing can
-            tell.
         failed_on: findings that `--fail-on` names and that were made.
-        not_checked: checks without an answer, and what the log lacks for it.
-        causes: reasons for the verdict, the first one first.
     """
 
-    model_config = ConfigDict(extra="allow", serialize_by_alias=True, populate_by_name=True)
+    model_config = ConfigDict(serialize_by_alias=True, populate_by_name=True)
 
     schema_version: LeftOut[int] = Field(alias="schema", default=1)
     ekf: Count[EkfResult]
@@ -246,18 +278,8 @@ class Result(JobResult):
     accuracy: Accuracies | None = None
     association: AssociationScore | None = None
     truth_gap: TruthGap | None = None
-    verdict: Literal["agree", "disagree", "unverified"]
     summary: str = ""
-    qualifiers: list[str] = Field(default_factory=list)
-    inconsistent: list[str] | None = None
     failed_on: list[str] = Field(default_factory=list)
-    not_checked: dict[str, str] = Field(default_factory=dict)
-    causes: list[Cause]
-
-    @property
-    def headline(self) -> str:
-        """The verdict with its qualifiers."""
-        return ", ".join((self.verdict, *self.qualifiers))
 
 
 class PoseGraphResult(Model):
@@ -274,7 +296,7 @@ class PoseGraphResult(Model):
     initial_chi2: float
 
 
-class SolutionResult(JobResult):
+class SolutionResult(CheckedResult):
     """`solution.json`: the smoother alone.
 
     Attributes:
@@ -298,9 +320,9 @@ class SolutionResult(JobResult):
     measurements_used: int
     gps: str
     smoother: Count[SmootherResult]
-    accuracy: Accuracy | None
-    dead_reckoning: Accuracy | None
-    association: AssociationScore | None
+    accuracy: Accuracy | None = None
+    dead_reckoning: Accuracy | None = None
+    association: AssociationScore | None = None
     association_check: AssociationCheck | None = None
     pose_graph: PoseGraphResult | None = None
     verdict: Literal["verified", "unverified"]
@@ -309,6 +331,8 @@ class SolutionResult(JobResult):
 
 def found_numbers(result: JobResult) -> dict[str, Number]:
     """Return the figures of a job by name, those of all checks and extensions as well."""
+    from comparisons.report.explain import every_check
+
     asked = result.config.get("extensions")
     ran = [name for name in EXTENSIONS if isinstance(asked, dict) and name in asked]
     kinds = dict(entry for check in every_check(ran) for entry in check.figures)

@@ -37,7 +37,7 @@ from comparisons.statistics import mean_band
 
 if TYPE_CHECKING:
     from comparisons.checks.consistency.consistency import ExternalConsistency
-    from comparisons.checks.grade import Reference
+    from comparisons.estimates.reference import Reference
     from comparisons.jobs.check import ExternalCheck
 
 REFERENCE_COLOUR = "#5c6f2b"
@@ -219,7 +219,7 @@ def _of_pair(pair: EstimateComparison) -> tuple[tuple[Panel, ...], Panel | None]
 
 def _by_truth(c: ExternalConsistency) -> tuple[tuple[Panel, ...], Panel | None]:
     """Errors of an external estimate, and NEES where it has covariances; none without truth."""
-    poses = None if c.truth is None else c.truth.poses
+    poses = None if c.ekf is None else c.ekf.poses
     if poses is None:
         return (), None
     curves = [("estimate", EKF_COLOUR, poses)]

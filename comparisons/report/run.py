@@ -13,9 +13,7 @@ import numpy as np
 from comparisons.arrays import Index
 from comparisons.checks.accuracy import landmark_errors
 from comparisons.checks.agreement import BlockAgreement
-from comparisons.checks.finding import value_of
 from comparisons.checks.position_gate import PositionsFinding
-from comparisons.figures import stored
 from comparisons.jobs.run import Comparison
 from comparisons.pipeline.clock import Clock
 from comparisons.report.folder import JobFolder
@@ -45,7 +43,13 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import about_job, about_log, ekf_result, smoother_result
+from comparisons.report.sections import (
+    about_job,
+    about_log,
+    ekf_result,
+    found_entries,
+    smoother_result,
+)
 from comparisons.report.settings import setting_lines, settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -69,12 +73,7 @@ class RunReport(Report[Comparison, Result]):
     @staticmethod
     def build(comparison: Comparison, read: Clock | None = None) -> Result:
         """Return the findings of a run, read being the time that reading the log took."""
-        c, fixes = comparison, value_of(comparison.findings, PositionsFinding)
-        entries = {
-            key: entry if key in Result.model_fields else stored(entry)
-            for found in c.findings.values()
-            for key, entry in found.entries.items()
-        }
+        c, fixes = comparison, comparison.known.value(PositionsFinding)
         return Result(
             schema_version=SCHEMA,
             ekf=ekf_result(c.ekf, c.prepared.ekf, fixes),
@@ -89,11 +88,10 @@ class RunReport(Report[Comparison, Result]):
             qualifiers=list(c.verdict.qualifiers),
             inconsistent=None if c.verdict.inconsistent is None else list(c.verdict.inconsistent),
             failed_on=list(c.verdict.failed_on),
-            not_checked=dict(c.absent),
             causes=c.verdict.causes,
             remarks=list(c.verdict.remarks),
             **about_job(c.prepared, c.prepared.clock.after(read), c.prepared.ekf),
-            **entries,
+            **found_entries(c.known, Result),
         )
 
     @cached_property
@@ -113,10 +111,9 @@ class RunReport(Report[Comparison, Result]):
         landmarks = [*gaps.landmarks, *gaps.pose_landmarks]
         agree = sum(row.agrees for row in landmarks)
         failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
-        qualified = result.verdict == "agree" and result.qualifiers
         return Summary(
             headline=f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}",
-            style=STYLES["unverified" if qualified else result.verdict],
+            style=STYLES["unverified" if result.reserved else result.verdict],
             causes=result.causes,
             remarks=result.remarks,
             steps=ladder(result),
@@ -126,7 +123,7 @@ class RunReport(Report[Comparison, Result]):
                     f"{agree} of {len(landmarks)} landmarks "
                     f"({gaps.landmark_difference_rms_m:.3f} m rms); {pose_words(gaps.pose)}",
                 ),
-                *finding_lines(self.found),
+                *self.found.known.lines,
             ],
             rows=[*run_rows(self.found, result), *seconds_rows(result.seconds, result.cpu_s)],
         )
@@ -144,18 +141,17 @@ class RunReport(Report[Comparison, Result]):
         scan = [row for one in found for row in one.landmarks()]
         rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
         inconsistent = "; ".join(result.inconsistent or ())
-        qualified = result.verdict == "agree" and result.qualifiers
         return PageContent(
             job="run",
             name=result.log.name,
             headline=result.headline,
-            colour="unverified" if qualified else result.verdict,
+            colour="unverified" if result.reserved else result.verdict,
             words=_WORDS[result.verdict],
             facts=[
                 *_facts(result, [*a, *scan]),
                 *(
                     (name[:1].upper() + name[1:], words)
-                    for name, words in finding_lines(c)
+                    for name, words in c.known.lines
                     if not (inconsistent and name == "consistency")  # a note says it
                 ),
             ],
@@ -247,17 +243,8 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
         ),
         *block_rows("Last pose", "EKF", gaps.pose, AGREEING_RATIOS),
         *block_rows("Last pose and map jointly", "EKF", gaps.map, AGREEING_RATIOS),
-        *(row for found in comparison.findings.values() for row in found.rows()),
-        *(
-            Row("Not checked", name.replace("_", " "), why)
-            for name, why in comparison.absent.items()
-        ),
+        *comparison.known.rows,
     ]
-
-
-def finding_lines(comparison: Comparison) -> list[tuple[str, str]]:
-    """Return the lines of the summary that findings have, a name and words each."""
-    return [found.line for found in comparison.findings.values() if found.line is not None]
 
 
 def _facts(result: Result, landmarks: Sequence[BlockAgreement]) -> list[tuple[str, str]]:

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.config import EkfConfig, JobConfig
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import finite, package_versions
+from comparisons.figures import finite, package_versions, stored
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
 from comparisons.report.html.map import MapContent
 from comparisons.report.html.page import PageContent, facts_of
 from comparisons.report.models import (
+    CheckedResult,
     EkfResult,
     JobResult,
     LogResult,
@@ -27,6 +28,7 @@ from graphslam import smoother
 
 if TYPE_CHECKING:
     from comparisons.checks.position_gate import RejectedFixes
+    from comparisons.pipeline.known import Known
     from comparisons.pipeline.prepared import Prepared
 
 
@@ -60,6 +62,15 @@ def log_result(log: Log) -> LogResult:
         sha256=log_hash(log),
         provenance=log.provenance,
     )
+
+
+def found_entries(known: Known, result: type[CheckedResult]) -> dict[str, Any]:
+    """Return what checks found as a result's arguments, and what they lack."""
+    entries = {
+        key: entry if key in result.model_fields else stored(entry)
+        for key, entry in known.entries.items()
+    }
+    return {**entries, "not_checked": dict(known.absent)}
 
 
 def about_log(log: LogResult) -> str:

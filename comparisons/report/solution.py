@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.checks.accuracy import accuracy_line, accuracy_rows
-from comparisons.checks.association import association_rows
+from comparisons.checks.qualifiers import TRUTH_GAP, TruthGapFinding
 from comparisons.checks.verdict import misfit_remarks
 from comparisons.figures import rounded
 from comparisons.pipeline.clock import Clock
@@ -22,7 +21,7 @@ from comparisons.report.job import Report
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, job_page, smoother_result
+from comparisons.report.sections import about_job, found_entries, job_page, smoother_result
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -60,26 +59,28 @@ class SolutionReport(Report[Solution, SolutionResult]):
     @staticmethod
     def build(solution: Solution, read: Clock | None = None) -> SolutionResult:
         """Return the findings, read being the time that reading the log took."""
-        s = solution
+        s, gap = solution, solution.known.value(TruthGapFinding)
+        far = None if gap is None else gap.cause
         return SolutionResult(
             association_by=s.association_by,
             landmarks=len(s.estimate.landmark),
             measurements_used=int(np.count_nonzero(s.landmark_index >= 0)),
             gps=s.prepared.ekf.gps,
             smoother=smoother_result(s.result, s.estimate),
-            accuracy=s.accuracy,
-            dead_reckoning=s.accuracy_dead_reckoned,
-            association=s.association,
             association_check=s.association_check,
             pose_graph=_pose_graph(s),
             verdict="verified" if s.verified else "unverified",
             reasons=s.lacks,
+            qualifiers=[TRUTH_GAP] if far else [],
             remarks=[
+                *([f"{far.gap} gap: {far.evidence}"] if far else []),
                 *([FRAME] if s.log.prior.open else []),
                 *s.notes,
                 *s.open_loops,
                 *_misfit(s),
+                *s.known.remarks,
             ],
+            **found_entries(s.known, SolutionResult),
             **about_job(s.prepared, s.prepared.clock.after(read)),
         )
 
@@ -91,12 +92,12 @@ class SolutionReport(Report[Solution, SolutionResult]):
         if smoother.dof:
             low, high = smoother.chi2_band
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
-        accuracy = {"smoother": result.accuracy, "odometry": result.dead_reckoning}
         used = "measurements used for the map"
         test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
+        overstated = ["sigmas too large"] if _overstated(test) else []
         return Summary(
-            headline=f"verdict: {result.verdict}{', sigmas too large' * _overstated(test)}",
-            style=STYLES[result.verdict],
+            headline=", ".join((f"verdict: {result.verdict}", *result.qualifiers, *overstated)),
+            style=STYLES["unverified" if result.qualifiers else result.verdict],
             reasons=result.reasons,
             remarks=result.remarks,
             lines=[
@@ -106,7 +107,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
                     f"{measurements:,} measurements (association: {result.association_by})",
                 ),
                 ("optimum", f"{tested}, {smoother.poses:,} poses"),
-                *accuracy_line(accuracy),
+                *self.found.known.lines,
             ],
             rows=[
                 *log_rows(result.log),
@@ -116,9 +117,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
                 Row("Map", "association", result.association_by),
                 *_pose_graph_rows(result),
                 *smoother_rows(smoother),
-                *accuracy_rows("the smoother", result.accuracy),
-                *accuracy_rows("dead reckoning", result.dead_reckoning),
-                *association_rows(result.association, "the smoother"),
+                *self.found.known.rows,
                 *(result.association_check.rows() if result.association_check else ()),
                 *seconds_rows(result.seconds, result.cpu_s),
             ],

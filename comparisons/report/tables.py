@@ -188,9 +188,7 @@ def check_tables(c: ExternalCheck) -> Tables:
         "gaps": lambda: [asdict(step) for step in check_ladder(CheckReport.build(c))],
         "poses": lambda: pose_columns(given.time_s, given.pose, given.pose_covariance),
         "landmarks": landmarks,
-        "nees": lambda: _nees(
-            {"estimate": c.consistency.truth, "smoother": c.consistency.smoother}
-        ),
+        "nees": lambda: _nees({"estimate": c.consistency.ekf, "smoother": c.consistency.smoother}),
         "causes": lambda: _causes(c.causes),
         "settings": lambda: _settings(c.solution.prepared.config),
     }

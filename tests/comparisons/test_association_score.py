@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from comparisons.checks.association import (
-    association_rows,
     compare_partitions,
     counterparts,
     differing_measurements,
@@ -76,7 +75,7 @@ def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
     assert (present(result.clusters).precision, present(result.clusters).recall) == (1.0, 1.0)
     assert (result.used, result.labelled) == (2, 3)
     assert result.landmarks.precision < 0.8
-    rows = {row.quantity: row.value for row in association_rows(result, "the filter")}
+    rows = {row.quantity: row.value for row in present(result).rows("the filter")}
     assert (rows["landmarks used"], rows["landmarks labelled"]) == ("2", "3")
     assert rows["pairs of measurements, same landmark: precision"].startswith("0.")
 

@@ -37,7 +37,8 @@ def sound_runs() -> tuple[Comparison, ...]:
 
 
 def with_consistency(c: Comparison, found: Consistency) -> Comparison:
-    return replace(c, findings={**c.findings, "consistency": ConsistencyFinding(found)})
+    findings = {**c.findings, "consistency": ConsistencyFinding(found)}
+    return altered(c, "known.findings", findings)
 
 
 def judged_anew() -> list[Coverage]:

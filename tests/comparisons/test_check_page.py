@@ -13,13 +13,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.checks.consistency.finding import consistency_result, external_consistency_result
+from comparisons.checks.check import Answers
+from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.consistency.finding import (
+    CheckConsistency,
+    ConsistencyFinding,
+    consistency_result,
+    external_consistency_result,
+)
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.jobs.check import ExternalCheck, check
 from comparisons.jobs.run import Comparison
+from comparisons.pipeline.known import Known
 from comparisons.report.check import EXTERNAL, CheckReport, check_ladder
 from comparisons.report.figures.run import map_figure
 from comparisons.report.html.page import page
@@ -266,6 +274,16 @@ def test_what_log_and_estimate_are_called_is_text() -> None:
     assert "<img" not in text
 
 
+class Finds(CheckConsistency):
+    """Finds what it is given."""
+
+    def __init__(self, found: Consistency) -> None:
+        self.found = ConsistencyFinding(found, "estimate")
+
+    def find(self, known: Known) -> ConsistencyFinding:
+        return self.found
+
+
 def test_a_long_estimate_leaves_a_page_of_less_than_5_mb() -> None:
     """Of 60,000 poses, which the curves and the map thin out."""
     found, poses = sound(), 60_000
@@ -296,8 +314,9 @@ def test_a_long_estimate_leaves_a_page_of_less_than_5_mb() -> None:
         ),
         optimum=optimum[0],
         peers=tuple(peers),
-        consistency=replace(c, time_s=time_s, difference=c.difference[row], smoothed=smoothed),
     )
+    wide = replace(c, time_s=time_s, difference=c.difference[row], smoothed=smoothed)
+    long = replace(long, answers=Answers(found.known, (Finds(wide),)))
     assert len(page(CheckReport(long, CheckReport.build(found)).page())) < 2_500_000
 
 

@@ -6,20 +6,30 @@ import inspect
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
+from html import escape
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Finding
+from comparisons.checks.qualifiers import TRUTH_GAP
 from comparisons.checks.registry import CHECKS
+from comparisons.estimates.external import ExternalEstimate
 from comparisons.figures import kept_fields, meanings
+from comparisons.jobs.check import check
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log, Truth
+from comparisons.pipeline.known import Known
+from comparisons.pipeline.solve import solve
 from comparisons.report.explain import every_check
+from comparisons.report.html.page import page
+from comparisons.report.job import Report, report_of
 from comparisons.report.run import RunReport, run_rows
 from tests.commands import refused, works
-from tests.helpers import compared, simulated
+from tests.helpers import altered, compared, present, simulated
 
 
 def bare(log: Log) -> Log:
@@ -30,7 +40,7 @@ def as_it_is(log: Log) -> Log:
     return log
 
 
-@pytest.mark.parametrize("check", every_check(), ids=lambda one: one.name)
+@pytest.mark.parametrize("check", list(every_check()), ids=lambda one: one.name)
 def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(check: type[Check]) -> None:
     question = inspect.cleandoc(check.__doc__ or "").splitlines()[0]
     assert question.endswith("?")
@@ -42,7 +52,7 @@ def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(check: ty
 
 def unaccounted(c: Comparison) -> list[str]:
     """Checks that neither found something nor said why not, or did both."""
-    return [one.name for one in CHECKS if (one.name in c.findings) == (one.name in c.absent)]
+    return [one.name for one in CHECKS if (one.name in c.findings) == (one.name in c.known.absent)]
 
 
 @pytest.mark.slow
@@ -58,9 +68,9 @@ def test_a_check_finds_or_says_what_the_log_lacks(
     change: Callable[[Log], Log], association: str, lacking: set[str]
 ) -> None:
     c = compared(change(simulated()), association=association)
-    assert c.absent.keys() == lacking
+    assert c.known.absent.keys() == lacking
     assert unaccounted(c) == []
-    silent = replace(c, absent={})
+    silent = altered(c, "known.absent", {})
     assert set(unaccounted(silent)) == lacking, "a check that is silent was not seen"
 
 
@@ -68,13 +78,62 @@ def test_what_is_found_and_what_is_not_stand_in_result_and_table() -> None:
     c = compared(bare(simulated()))
     result = RunReport.build(c)
     kept = json.loads(result.model_dump_json())
-    assert kept["not_checked"] == dict(c.absent)
+    assert kept["not_checked"] == dict(c.known.absent)
     entries = {key for found in c.findings.values() for key in found.entries}
     assert entries <= {key for check in every_check() for key, _ in check.figures}
     assert entries <= {key for key, value in kept.items() if value is not None}
     assert all(kept[name] is None for name in ("accuracy", "association", "truth_gap"))
     rows = [row for row in run_rows(c, result) if row.group == "Not checked"]
-    assert [(row.quantity.replace(" ", "_"), row.value) for row in rows] == list(c.absent.items())
+    lacking = list(c.known.absent.items())
+    assert [(row.quantity.replace(" ", "_"), row.value) for row in rows] == lacking
+
+
+@cache
+def jobs() -> dict[str, tuple[Known, Report[Any, Any]]]:
+    """A short log by each job whose checks are asked; its truth lies elsewhere."""
+    log = simulated(loop_s=20.0)
+    poses = present(log.truth.poses)
+    turned = replace(poses, pose=poses.pose + (3.0, 3.0, 0.0))
+    log = replace(log, truth=Truth(poses=turned))
+    c = compared(log)
+    checked = check(log, ExternalEstimate.of(c.ekf.estimate))
+    solution = solve(log)
+    return {
+        "run": (c.known, report_of(c)),
+        "check": (checked.known, report_of(checked)),
+        "solve": (solution.known, report_of(solution)),
+    }
+
+
+@pytest.mark.parametrize(
+    ("job", "lacking"),
+    [
+        ("run", {"association": "by the log's labels", "positions": "no absolute positions"}),
+        ("check", {"association": "by the log's labels", "positions": "no trace",
+                   "spurious_heading": "no trace"}),
+        ("solve", {"association": "by the log's labels", "positions": "no filter",
+                   "spurious_heading": "no filter"}),
+    ],
+)  # fmt: skip
+def test_every_job_asks_every_check_and_shows_what_it_says(
+    job: str, lacking: dict[str, str]
+) -> None:
+    known, report = jobs()[job]
+    assert {*known.findings, *known.absent} == {one.name for one in CHECKS}
+    assert not known.findings.keys() & known.absent.keys()
+    assert known.absent.keys() == lacking.keys()
+    assert all(words in known.absent[name] for name, words in lacking.items())
+    result, shown = report.result, page(report.page())
+    kept = json.loads(result.model_dump_json())
+    assert kept["not_checked"] == known.absent
+    assert known.entries.keys() <= {key for key, value in kept.items() if value is not None}
+    assert json.loads(type(result).model_validate(kept).model_dump_json()) == kept
+    rows = report.summary().rows
+    assert set(known.rows) <= set(rows)
+    for row in known.rows:
+        assert escape(row.value) in shown, row
+    assert TRUTH_GAP in result.qualifiers
+    assert f"{result.verdict}, truth gap" in report.summary().headline
 
 
 def test_a_finding_of_nothing_adds_nothing() -> None:

@@ -19,6 +19,7 @@ from comparisons.checks.consistency.filter_smoother import (
     filter_against_smoother,
 )
 from comparisons.checks.consistency.finding import (
+    ConsistencyResult,
     consistency_line,
     innovation_rows,
     smoothed_rows,
@@ -323,11 +324,12 @@ def test_a_line_has_what_there_is() -> None:
     sensor, smoothed = innovations(runs), against_smoother(runs, 0)
     nis = f"NIS {sensor.nis[0].mean / sensor.nis[0].dof:.2g}"
     beside = f"vs smoother {present(smoothed.squared_per_dof):.2g}"
-    ((_, line),) = consistency_line((), None, replace(smoothed, departure=None), [sensor])
-    assert line == f"per dof, expect 1: {nis}; {beside}"
     unclear = replace(smoothed, squared_per_dof=None)
-    ((_, line),) = consistency_line((), None, unclear, [sensor])
-    assert line == f"per dof, expect 1: {nis}"
+    for one, words in ((replace(smoothed, departure=None), f"{nis}; {beside}"), (unclear, nis)):
+        found = ConsistencyResult(
+            ekf=None, smoother=None, innovations=[sensor], filter_against_smoother=one
+        )
+        assert present(consistency_line((), found))[1] == f"per dof, expect 1: {words}"
     assert smoothed_rows("EKF", smoothed)
     assert smoothed_rows("EKF", unclear) == smoothed_rows("EKF", None) == []
 

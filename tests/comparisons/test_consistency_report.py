@@ -14,10 +14,11 @@ from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.consistency.consistency import check_innovations
+from comparisons.checks.consistency.consistency import Consistency, check_innovations
 from comparisons.checks.consistency.finding import (
     TruthConsistencyResult,
     consistency_line,
+    consistency_result,
     nees_rows,
 )
 from comparisons.config import EkfConfig
@@ -201,7 +202,8 @@ def test_what_is_outside_stands_before_its_band_and_in_short() -> None:
         "filter-smoother difference 26 per degree of freedom, band 0.24 to 2.3",
         "filter more certain than the smoother at 6185 of 6969 epochs",
     )
-    ((label, text),) = consistency_line(found, None, None)
+    nothing = consistency_result(Consistency(None, None, (), None, gated=False))
+    label, text = present(consistency_line(found, nothing))
     assert label == "consistency"
     assert text == (
         "outside, per dof: NEES poses 12 (<= 5.4); vs smoother 26 (0.24 to 2.3); "

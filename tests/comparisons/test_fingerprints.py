@@ -13,11 +13,12 @@ from benchmarks.strangers import Course, simulate
 from comparisons.adapters.filter_loop import NoObserver
 from comparisons.adapters.filter_variants import RobocentricState
 from comparisons.arrays import Array
-from comparisons.checks.grade import Reference, likeness
+from comparisons.checks.grade import likeness
 from comparisons.checks.spread import within_spread
 from comparisons.config import CheckConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import NONE, Family, Fault, together
 from comparisons.fingerprints.search import fingerprints

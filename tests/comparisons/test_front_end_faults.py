@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.checks.map_agreement import compare_maps
@@ -27,7 +26,6 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Landmarks, Log, Positions, Truth
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.known import Known
 from comparisons.pipeline.solve import solve
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
@@ -157,8 +155,7 @@ def test_an_unproven_smoother_on_scans_has_no_say() -> None:
     three, motion = three_of(c), c.find(ScanMotionFinding).motion
     apart = replace(three, ekf=replace(three.ekf, outside=three.ekf.landmarks, agrees=False))
     lost = replace(apart, verified=False)
-    both = Known(prepared=c.prepared, setup=FilterSetup(), ekf=c.ekf, gaps=c.gaps)
-    found = [ScanMotionFinding(both, motion, third) for third in (apart, lost)]
+    found = [ScanMotionFinding(c.known, motion, third) for third in (apart, lost)]
     said = [judge(c.agreement, c.smoother, c.ekf, Diagnosis(), causes=f.causes) for f in found]
     assert [v.outcome for v in said] == ["disagree", "agree"]
     assert any("not verified" in remark for remark in found[1].remarks)

@@ -300,7 +300,7 @@ def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -
     found = Finding()
     found.estimates = {"third": third, "plain": comparison.smoothed}
     found.titles = {"third": "a third <i>"}
-    more = replace(comparison, findings={**comparison.findings, "x": found})
+    more = altered(comparison, "known.findings", {**comparison.findings, "x": found})
     text = drawn(more, RunReport.build(comparison))
     assert 'data-name="a third &lt;i&gt; trajectory"' in text
     assert 'data-name="plain landmarks"' in text
@@ -394,7 +394,8 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     broken = altered(broken, "gaps.agreement.landmarks", blocks)
     worse = altered(c.consistency, "ekf.poses.error", gone[1:] * poses.error)
     worse = altered(worse, "ekf.poses.sigma", gone[1:] * poses.sigma)
-    broken = replace(broken, findings={**c.findings, "consistency": ConsistencyFinding(worse)})
+    findings = {**c.findings, "consistency": ConsistencyFinding(worse)}
+    broken = altered(broken, "known.findings", findings)
     text = drawn(broken, RunReport.build(c))
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
     assert len(places) > 100

@@ -30,7 +30,7 @@ from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Poses, Prior, Truth
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.report.run import RunReport, finding_lines
+from comparisons.report.run import RunReport
 from comparisons.settings import run_config
 from comparisons.trace.events import Sensor
 from tests.commands import slamcheck, works
@@ -323,7 +323,7 @@ def test_true_landmarks_alone_may_be_in_a_frame_of_their_own(
     found = compared(replace(sound.log, truth=Truth(landmarks=moved)))
     assert (TRUTH_GAP in found.verdict.qualifiers) == gap
     assert bool(found.verdict.inconsistent) == gap
-    assert "landmarks, aligned" in dict(finding_lines(found))["accuracy"]
+    assert "landmarks, aligned" in dict(found.known.lines)["accuracy"]
 
 
 @pytest.mark.slow

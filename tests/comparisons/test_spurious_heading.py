@@ -24,7 +24,7 @@ from comparisons.report.run import RunReport, run_rows
 from comparisons.trace.events import Event, Update
 from comparisons.trace.reader import Trace
 from tests.comparisons.test_known_landmarks import with_survey
-from tests.helpers import compared, present, simulated
+from tests.helpers import altered, compared, present, simulated
 from tests.scenarios import scenario
 
 
@@ -181,5 +181,5 @@ def test_the_page_has_its_figures() -> None:
 
 def test_nothing_learnt_is_not_drawn() -> None:
     c, faint = sound(), SpuriousFinding(with_information(1e-26))
-    nothing = replace(c, findings={**c.findings, "spurious_heading": faint})
+    nothing = altered(c, "known.findings", {**c.findings, "spurious_heading": faint})
     assert consistency_panels(nothing).learnt is None

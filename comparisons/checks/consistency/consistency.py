@@ -24,8 +24,9 @@ from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 
 if TYPE_CHECKING:
-    from comparisons.checks.grade import Reference
     from comparisons.estimates.external import ExternalEstimate
+    from comparisons.estimates.reference import Reference
+    from comparisons.pipeline.known import Given, Known
 
 _SURER = 0.05
 """Of the epochs: so many with a filter more certain than the smoother make it inconsistent."""
@@ -145,43 +146,27 @@ def check_consistency(
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class ExternalConsistency(Brief):
+class ExternalConsistency(Consistency):
     """How an external estimate errs, and whether it is as sure as it may be.
 
+    ekf is the estimate; where no covariances were handed in, there are errors and no NEES. smoothed
+    is None where Cov(difference) = P_given - P_smoother need not hold, for the reason unjudged.
     time_s: (K,) its poses in the log's time; difference: (K, 3) of these from the smoother's.
-    truth, smoother: the estimate and the smoother's against truth; where no covariances were handed
-    in, there are errors and no NEES. smoothed: the covariances handed in by the smoother; None
-    where Cov(difference) = P_given - P_smoother need not hold, for the reason unjudged.
     """
 
     time_s: Array
     difference: Array
-    truth: TruthConsistency | None
-    smoother: TruthConsistency | None
-    smoothed: FilterAgainstSmoother | None
     unjudged: str
 
 
-def external_consistency(
-    given: ExternalEstimate,
-    optimum: Reference,
-    smoothed: Estimate,
-    log: Log,
-    information: str | None,
-    *,
-    labelled: bool,
-    robust: str,
-) -> ExternalConsistency:
-    """Everything the log and the estimate allow.
-
-    given: its poses in the log's time. optimum: the smoother's at these. information: what its
-    poses know of the log, None where neither it says so nor a reference is like it. labelled: see
-    accuracy.assess. robust: the smoother's kernel.
-    """
-    reason, compared = _unjudged(given, optimum, information), None
+def external_consistency(known: Known, judged: Given) -> ExternalConsistency:
+    """Everything the log and an estimate that is judged allow."""
+    labelled, robust = known.prepared.labelled, known.result.options.robust
+    given, optimum, log = judged.inside, judged.optimum, known.prepared.log
+    reason, compared = _unjudged(given, optimum, judged.information), None
     if not reason and not labelled:
         reason = "without labels filter and smoother may use different associations"
-    if not reason and (smoothed.information != "smoothed" or robust != "none"):
+    if not reason and (known.smoothed.information != "smoothed" or robust != "none"):
         reason = "the smoother does not weight the measurements as a filter does"
     if not reason and given.pose_covariance is not None:
         at = optimum.known
@@ -197,11 +182,13 @@ def external_consistency(
     difference = given.pose - optimum.pose
     difference[:, 2] = wrap_angle(difference[:, 2])
     return ExternalConsistency(
+        against_truth(estimate, log, labelled=labelled),
+        against_truth(known.smoothed, log, labelled=labelled),
+        judged.sensors,
+        compared,
+        not labelled,
         time_s=given.time_s,
         difference=difference,
-        truth=against_truth(estimate, log, labelled=labelled),
-        smoother=against_truth(smoothed, log, labelled=labelled),
-        smoothed=compared,
         unjudged=reason,
     )
 

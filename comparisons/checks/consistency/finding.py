@@ -11,11 +11,12 @@ from comparisons.checks.consistency.consistency import (
     Consistency,
     ExternalConsistency,
     check_consistency,
+    external_consistency,
     inconsistencies,
 )
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmootherFigures
-from comparisons.checks.consistency.nees import TruthConsistency
-from comparisons.checks.finding import Of
+from comparisons.checks.consistency.nees import TruthConsistency, against_truth
+from comparisons.checks.finding import Absent, Of
 from comparisons.figures import LeftOut, Model, band
 from comparisons.innovations import InnovationFigures
 from comparisons.statistics import BlockDeparture, Normalised, NormalisedFigures
@@ -89,22 +90,26 @@ class ExternalConsistencyResult(Model):
 
 
 class ConsistencyFinding(Of[Consistency]):
-    """What of the filter is outside its band, and what is within."""
+    """What of a filter is outside its band, and what is within."""
 
-    def __init__(self, found: Consistency) -> None:
-        """found: by truth, innovations and smoother."""
-        self.value, self.result = found, consistency_result(found)
+    def __init__(self, found: Consistency, name: str = "EKF") -> None:
+        """found: by truth, innovations and smoother. name: of what is judged, in rows."""
+        self.value, self.name, self.remarks = found, name, found.remarks
+        self.result = consistency_result(found)
         self.entries = {"consistency": self.result}
-        self.remarks = found.remarks
-        result = self.result
-        lines = consistency_line(
-            inconsistencies(found), result.ekf, result.filter_against_smoother, result.innovations
-        )
-        self.line = next(iter(lines), None)
+        if isinstance(found, ExternalConsistency):
+            self.entries = {"consistency": external_consistency_result(found)}
+        self.line = consistency_line(inconsistencies(found), self.result)
 
     def rows(self) -> Sequence[Row]:
         """Return NEES of both estimators, NIS by sensor, and the filter by the smoother."""
-        return consistency_rows(self.result)
+        c, name = self.result, self.name
+        return [
+            *nees_rows(name[:1].upper() + name[1:], c.ekf, _NEES_BANDS),
+            *nees_rows("Smoother", c.smoother),
+            *innovation_rows(c.innovations),
+            *smoothed_rows(name, c.filter_against_smoother),
+        ]
 
 
 class CheckConsistency(Check):
@@ -115,25 +120,42 @@ class CheckConsistency(Check):
     errs = "1 of 1,000 sound runs by NIS, 5 of 520 by filter against smoother"
     figures = (("consistency", ConsistencyResult),)
 
-    def find(self, known: Known) -> ConsistencyFinding:
+    def find(self, known: Known) -> ConsistencyFinding | Absent:
         """Return the statistics that the log allows; they have no say in the verdict."""
-        gaps, prepared = known.gaps, known.prepared
-        robust = gaps.result.options.robust
+        if known.given is not None:
+            return ConsistencyFinding(external_consistency(known, known.given), "estimate")
+        if known.run is None:
+            return _of_smoother(known)
+        labelled, robust = known.prepared.labelled, known.result.options.robust
+        log, smoothed = known.prepared.log, known.smoothed
         return ConsistencyFinding(
-            check_consistency(
-                prepared.log, known.ekf, gaps.smoothed, labelled=prepared.labelled, robust=robust
-            )
+            check_consistency(log, known.ekf, smoothed, labelled=labelled, robust=robust)
         )
+
+
+def _of_smoother(known: Known) -> ConsistencyFinding | Absent:
+    labelled = known.prepared.labelled
+    truth = against_truth(known.smoothed, known.prepared.log, labelled=labelled)
+    if truth is None:
+        return Absent(f"the log has no truth, and {known.without}")
+    return ConsistencyFinding(Consistency(None, truth, (), None, gated=not labelled))
 
 
 def consistency_result(c: Consistency) -> ConsistencyResult:
     """The check's figures."""
     return ConsistencyResult(
-        ekf=_truth(c.ekf),
+        ekf=_truth(_with_covariances(c.ekf) if isinstance(c, ExternalConsistency) else c.ekf),
         smoother=_truth(c.smoother),
         innovations=list(c.sensors),
         filter_against_smoother=c.smoothed,
     )
+
+
+def _with_covariances(t: TruthConsistency | None) -> TruthConsistency | None:
+    """Return what is left without poses of which no covariance was handed in."""
+    if t is not None and t.poses is not None and not len(t.poses.pose.squared):
+        t = replace(t, poses=None)
+    return None if t is None or (t.poses is None and t.map is None) else t
 
 
 def _truth(t: TruthConsistency | None) -> TruthConsistencyResult | None:
@@ -160,25 +182,11 @@ def _nees(n: Normalised) -> Normalised | None:
 
 def external_consistency_result(c: ExternalConsistency) -> ExternalConsistencyResult:
     """An external estimate's."""
-    truth = c.truth
-    if truth is not None and truth.poses is not None and not len(truth.poses.pose.squared):
-        truth = replace(truth, poses=None)
-    none = truth is None or (truth.poses is None and truth.map is None)
     return ExternalConsistencyResult(
-        truth=None if none else _truth(truth),
+        truth=consistency_result(c).ekf,
         filter_against_smoother=c.smoothed,
         unjudged=c.unjudged,
     )
-
-
-def consistency_rows(c: ConsistencyResult) -> list[Row]:
-    """Return NEES of both estimators by truth, NIS by sensor, and the filter by the smoother."""
-    rows = [*nees_rows("EKF", c.ekf, _NEES_BANDS), *nees_rows("Smoother", c.smoother)]
-    return [
-        *rows,
-        *innovation_rows(c.innovations),
-        *smoothed_rows("EKF", c.filter_against_smoother),
-    ]
 
 
 def innovation_rows(innovations: Sequence[InnovationFigures]) -> list[Row]:
@@ -261,14 +269,12 @@ def smoothed_rows(name: str, f: FilterAgainstSmootherFigures | None) -> list[Row
 
 
 def consistency_line(
-    inconsistent: Sequence[str] | None,
-    truth: TruthConsistencyResult | None,
-    smoothed: FilterAgainstSmootherFigures | None,
-    innovations: Sequence[InnovationFigures] = (),
-) -> list[tuple[str, str]]:
+    inconsistent: Sequence[str] | None, c: ConsistencyResult
+) -> tuple[str, str] | None:
     """Return one line: what is outside its band, or else the figures per degree of freedom."""
     if inconsistent:
-        return [("consistency", f"outside, per dof: {'; '.join(map(_brief, inconsistent))}")]
+        return "consistency", f"outside, per dof: {'; '.join(map(_brief, inconsistent))}"
+    truth, smoothed = c.ekf, c.filter_against_smoother
     found, nees = [], []
     if truth is not None:
         for name, n in (("pose", truth.pose), ("map", truth.landmarks)):
@@ -277,12 +283,12 @@ def consistency_line(
                 nees.append(f"{name} {n.mean / n.dof:.2g}{_brackets(where)}")
     if nees:
         found.append(f"NEES {', '.join(nees)}")
-    for sensor in innovations[:1]:
+    for sensor in c.innovations[:1]:
         found += [f"NIS {n.mean / n.dof:.2g}" for n in sensor.nis[:1]]
     if smoothed is not None and smoothed.squared_per_dof is not None:
         value = f"{smoothed.squared_per_dof:.2g}{_brackets(smoothed.departure)}"
         found.append(f"vs smoother {value}")
-    return [("consistency", f"per dof, expect 1: {'; '.join(found)}")] if found else []
+    return ("consistency", f"per dof, expect 1: {'; '.join(found)}") if found else None
 
 
 def _brackets(departure: BlockDeparture | None) -> str:

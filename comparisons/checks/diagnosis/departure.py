@@ -9,8 +9,9 @@ import numpy as np
 
 from comparisons.adapters.timeline import Timeline
 from comparisons.checks.diagnosis.model_differences import INITIALISATIONS, UPDATES, ModelDifference
-from comparisons.checks.grade import Reference, pose_part
+from comparisons.checks.grade import pose_part
 from comparisons.estimates.external import ExternalEstimate, with_poses
+from comparisons.estimates.reference import Reference
 from comparisons.logs.log import Log
 from comparisons.statistics import ROUNDING
 

@@ -18,12 +18,12 @@ from comparisons.checks.grade import (
     SMOOTHER,
     Likeness,
     Part,
-    Reference,
     in_sigma,
     joint_pair,
     pose_difference,
 )
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.estimates.reference import Reference
 from comparisons.logs.stamps import at_instants
 from comparisons.words import Cause
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -25,7 +25,7 @@ from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.report.html.drawing import Drawing
-from comparisons.words import Row
+from comparisons.words import Explanation, Row
 from ekf_reference.core.landmark_types import POINT
 from graphslam.increments import dead_reckoned
 
@@ -165,6 +165,15 @@ class DenseMaps(Extension):
     name = "dense_maps"
     needs = "scans"
     errs = "not measured"
+    explains: ClassVar = {
+        "dense": Explanation(
+            "The dense maps differ",
+            "The dense map of the EKF differs from the map that the smoother's poses give for "
+            "the same scans. The sparse landmarks may agree all the same.",
+            "Check the landmarks at the corners of the named region. A region deforms if these "
+            "were uncertain relative to each other when its scans were added.",
+        )
+    }
     figures = (("dense", DenseAgreement),)
     settings: DenseMapsConfig
 

@@ -16,7 +16,6 @@ from comparisons.checks.accuracy import Accuracy, accuracy_rows, assess
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
 from comparisons.checks.association import (
     AssociationScore,
-    association_rows,
     compare_partitions,
     counterparts,
     differing_measurements,
@@ -153,7 +152,6 @@ def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
         + _costliest(own, run),
         "check the measurements whose association differs: for a wrong loop closure, and for "
         "landmarks too close to distinguish",
-        alone=True,
     )
 
 
@@ -228,7 +226,7 @@ class OwnAssociationFinding(Finding):
             Row(group, "last pose: difference of positions", f"{own.pose_difference_m:.3f} m"),
             Row(group, "last pose: difference of the means", in_sigma(own.pose_distance_sigma)),
             *accuracy_rows("the smoother with its own association", own.accuracy),
-            *association_rows(own.association, "the smoother"),
+            *(own.association.rows("the smoother") if own.association else ()),
         ]
 
     def layers(self, drawing: Drawing) -> None:

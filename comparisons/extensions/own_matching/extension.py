@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from html import escape
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -28,7 +29,7 @@ from comparisons.logs.stamps import resolved
 from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.report.html.shell import number, sortable
-from comparisons.words import Row
+from comparisons.words import Explanation, Row
 from ekf_reference.scan_landmarks.templates import Template as FiltersTemplate
 from graphslam.problem import SlamProblem
 from graphslam.scan import planar
@@ -51,6 +52,15 @@ class OwnMatching(Extension):
     name = "own_matching"
     needs = "scan landmarks"
     errs = "not measured"
+    explains: ClassVar = {
+        "matching": Explanation(
+            "Two scan matchers disagree",
+            "The smoother aligned the scans with a matcher of its own, and its optimum differs "
+            "from the filter's. At least one of the two matchers returns wrong alignments.",
+            "Check the alignments of the scan landmarks that the evidence names: the axes of the "
+            "template, the covariance R, and places that look alike.",
+        )
+    }
     figures = (("own_matching", OwnMatchingCheck),)
 
     def find(self, known: Known) -> OwnMatchingFinding | None:

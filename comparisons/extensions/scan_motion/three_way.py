@@ -126,5 +126,4 @@ def motion_cause(three_way: ThreeWay) -> Cause:
         f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "
         f"{pair.landmarks} landmarks lie outside their 99 % region; {three_way.evidence}",
         hint,
-        alone=True,
     )

@@ -206,11 +206,11 @@ def _cause(cause: Cause, *, led: bool) -> str:
 
     led: what to do stands above already.
     """
-    from comparisons.checks.causes import EXPLANATIONS
+    from comparisons.report.explain import explained
 
     kind = cause_name(cause.gap)
     title, more = f"<b>{escape(kind)}</b>", ""
-    if (known := EXPLANATIONS.get(cause.gap)) is not None:
+    if (known := explained(cause.gap)) is not None:
         title = f"<b>{escape(known.title)}</b> <span>{escape(kind)}</span>"
         more = (
             f"<details><summary>What this means</summary><p>{escape(known.meaning)}</p>"

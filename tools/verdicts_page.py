@@ -1,0 +1,59 @@
+"""The causes in `docs/verdicts.md`, written anew: `python -m tools.verdicts_page`.
+
+What a kind of cause means, what to check and what it decides come from the code. How it is found,
+examples and how often it errs are written by hand and stay.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from pathlib import Path
+
+from comparisons.report.explain import every_explanation
+from comparisons.words import DECIDES, Explanation
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "verdicts.md"
+_TABLE = re.compile(r"\| kind \| .*?\n\n", re.DOTALL)
+_SECTION = re.compile(r"^## Cause: (\w+)\n\n(.*?)(?=^## )", re.DOTALL | re.MULTILINE)
+_WIDTH = 120
+
+
+def written(page: str) -> str:
+    """Return the page with what the code says of each kind of cause."""
+    kinds = every_explanation()
+    own = {one[1]: one[2] for one in _SECTION.finditer(page)}
+    sections = [_section(kind, kinds[kind], text) for kind, text in own.items() if kind in kinds]
+    sections += [_section(kind, one, "") for kind, one in kinds.items() if kind not in own]
+    found = list(_SECTION.finditer(page))
+    page = page[: found[0].start()] + "".join(sections) + page[found[-1].end() :]
+    return _TABLE.sub(lambda _: _table(kinds), page, count=1)
+
+
+def _table(kinds: dict[str, Explanation]) -> str:
+    rows = [
+        f"| [`{kind}`](#cause-{kind}) | {one.title} | {DECIDES[one.decides]} |"
+        for kind, one in kinds.items()
+    ]
+    return "\n".join(("| kind | what is wrong | what it decides |", "|---|---|---|", *rows, "", ""))
+
+
+def _section(kind: str, one: Explanation, text: str) -> str:
+    """Return a section. text: the former one, of which what is written by hand stays."""
+    hand = [part for part in text.strip().split("\n\n") if part and not part.startswith("**")]
+    check = _wrapped(f"What to check: {one.check}")
+    places = [k for k, part in enumerate(hand) if part.startswith("What to check:")]
+    if places:
+        hand[places[0]] = check
+    else:
+        hand.append(check)
+    meaning = _wrapped(f"**{one.title}.** {one.meaning}")
+    return "\n\n".join([f"## Cause: {kind}", meaning, *hand]) + "\n\n"
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, _WIDTH, break_long_words=False, break_on_hyphens=False)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
