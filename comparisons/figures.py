@@ -8,10 +8,23 @@ import json
 import math
 import platform
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Annotated, Any, TypeVar, get_type_hints
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, TypeAdapter
 from pydantic_core import CoreSchema, core_schema
@@ -73,6 +86,52 @@ class _Unread:
 Aside = Annotated[T, Field(exclude=True), _Unread()]
 """What a finding holds and result files leave out: of any type."""
 
+Side = Literal["less", "more", "nominal", "same", "count", "left out"]
+"""Which change of a figure is for the better: less, more, nearer to its nominal value, or none. A
+count is the same as none where it is zero. Figures that are left out are in no baseline."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """What a field declares of its figure, or of all figures below it that declare nothing.
+
+    nominal: value that is best, or the field beside it that has it. within: the field beside it
+    with what rounding explains. exact: no change is small. key: the name of its row in a list.
+    name: in place of the field's own. together: what is read of a list.
+    """
+
+    side: Side | None = None
+    nominal: float | str = 1.0
+    _: KW_ONLY
+    within: str = ""
+    exact: bool = False
+    key: bool = False
+    name: str | None = None
+    together: Callable[[Any], object] | None = None
+
+
+_UNMARKED = Mark()
+Less = Annotated[T, Mark("less")]
+More = Annotated[T, Mark("more")]
+Nominal = Annotated[T, Mark("nominal")]
+Same = Annotated[T, Mark("same")]
+Count = Annotated[T, Mark("count")]
+Exact = Annotated[T, Mark("count", exact=True)]
+OfDof = Annotated[T, Mark("nominal", "dof")]
+Share95 = Annotated[T, Mark("nominal", 0.95)]
+LeftOut = Annotated[T, Mark("left out")]
+Key = Annotated[T, Mark(key=True)]
+
+
+class Number(NamedTuple):
+    """A figure, and how it is judged, see Mark. side: None where nothing says it."""
+
+    value: float | None
+    side: Side | None = "same"
+    nominal: float = 1.0
+    rounding: float | None = None
+    exact: bool = False
+
 
 def stored(found: object, kind: type | None = None) -> Any:
     """Return what a result file keeps of a dataclass, or of the one above it that is named."""
@@ -80,32 +139,99 @@ def stored(found: object, kind: type | None = None) -> Any:
     return adapter.dump_python(found, mode="json")
 
 
-def kept_fields(kind: type) -> Mapping[str, Any]:
-    """Return the types of the fields that result files keep of a model or a dataclass, by name."""
-    if issubclass(kind, BaseModel):
-        return {
-            name: field.annotation for name, field in kind.model_fields.items() if not field.exclude
+class Declared(NamedTuple):
+    """A field that result files keep. hint: its type."""
+
+    hint: Any
+    mark: Mark
+
+
+@cache
+def kept_fields(kind: Any) -> Mapping[str, Declared]:
+    """Return the fields that result files keep of a model or a dataclass, by name; none of others.
+
+    What is computed is a field as well.
+    """
+    found: dict[str, tuple[Any, Sequence[Any]]] = {}
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        found = {
+            name: (one.annotation, (one, *one.metadata)) for name, one in kind.model_fields.items()
         }
-    if not dataclasses.is_dataclass(kind):
-        return {}
-    computed = {
-        name: value.wrapped.fget
-        for name, value in vars(kind).items()
-        if hasattr(value, "decorator_info")
-    }
-    plain, marked = (
-        get_type_hints(kind, include_extras=extras)
-        | {
-            name: get_type_hints(get, include_extras=extras)["return"]
-            for name, get in computed.items()
+    elif isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        hints = get_type_hints(kind, include_extras=True)
+        hints = {one.name: hints[one.name] for one in dataclasses.fields(kind)} | {
+            name: get_type_hints(value.wrapped.fget, include_extras=True)["return"]
+            for name, value in vars(kind).items()
+            if hasattr(value, "decorator_info")
         }
-        for extras in (False, True)
-    )
+        found = {name: (hint, getattr(hint, "__metadata__", ())) for name, hint in hints.items()}
     return {
-        name: float | None if marked[name] == Figure else plain[name]
-        for name in (*(one.name for one in dataclasses.fields(kind)), *computed)
-        if not any(getattr(m, "exclude", None) for m in getattr(marked[name], "__metadata__", ()))
+        name: Declared(
+            float | None if any(isinstance(one, PlainSerializer) for one in extra) else hint,
+            next((one for one in extra if isinstance(one, Mark)), _UNMARKED),
+        )
+        for name, (hint, extra) in found.items()
+        if not any(getattr(one, "exclude", None) for one in extra)
     }
+
+
+def numbers(
+    found: Any, hint: Any, above: str = "", side: Side | None = None
+) -> Iterator[tuple[str, Number]]:
+    """Yield each number of a result by its dotted name, and how it is judged.
+
+    Of lists only those whose rows have a name, or that are read together, and no truth values.
+
+    Args:
+        found: A model, a dataclass, or what a file holds of it.
+        hint: Its type; None where that is unknown.
+        above: Its name.
+        side: Of numbers that do not declare any, and of all below what is left out; else whole
+            ones are `same`.
+    """
+    for name, value, inner, mark in _parts(found, hint):
+        whole = ".".join(filter(None, (above, name)))
+        judged = side if side == "left out" else mark.side or side
+        if mark.together is not None and isinstance(value, list | tuple):
+            together = mark.together(value)
+            yield from numbers(together, type(together), whole, judged)
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            nominal = at(found, mark.nominal) if isinstance(mark.nominal, str) else mark.nominal
+            rounding = at(found, mark.within) if mark.within else None
+            judged = judged or ("same" if isinstance(value, int) else None)
+            yield whole, Number(number(value), judged, nominal, rounding, mark.exact)
+        else:
+            yield from numbers(value, inner, whole, judged)
+
+
+def _parts(found: Any, hint: Any) -> Iterator[tuple[str, Any, Any, Mark]]:
+    """Yield name, value, type and mark of each field, entry, or row with a name."""
+    while get_origin(hint) in (Annotated, Union, UnionType):
+        hint = get_args(hint)[0]
+    within = get_args(hint)
+    if isinstance(found, list | tuple):
+        row = within[0] if within else hint
+        keys = [name for name, one in kept_fields(row).items() if one.mark.key]
+        for one in found if keys else ():
+            yield ".".join(str(at(one, key)) for key in keys), one, row, _UNMARKED
+    elif fields := kept_fields(hint):
+        for name, field in fields.items():
+            instead = field.mark.name
+            yield name if instead is None else instead, at(found, name), field.hint, field.mark
+    elif isinstance(found, Mapping):
+        for name, value in found.items():
+            yield str(name), value, within[-1] if within else None, _UNMARKED
+
+
+def number(value: Any) -> float | None:
+    """Return what is a number, neither infinite nor as good as that; None for anything else."""
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    return value if plain and abs(value) < 1e300 else None
+
+
+def at(found: Any, name: str) -> Any:
+    """Return a part of a model or dataclass, or of what a file holds of it; None without."""
+    return found.get(name) if isinstance(found, Mapping) else getattr(found, name, None)
 
 
 def meanings(kind: type) -> dict[str, str]:

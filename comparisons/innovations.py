@@ -17,12 +17,14 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, gammainc, gammaincinv
 
 from comparisons.arrays import Array, Index
+from comparisons.figures import Key, Mark
 from comparisons.statistics import Nis, Whiteness, average, faults, mean_band, whiteness
 from comparisons.trace.events import Sensor
 from comparisons.words import Row
@@ -112,8 +114,8 @@ class InnovationFigures:
         unusable: innovations that could not be whitened.
     """
 
-    sensor: str
-    nis: tuple[Nis, ...]
+    sensor: Key[str]
+    nis: Annotated[tuple[Nis, ...], Mark(name="")]
     whiteness: tuple[Whiteness, ...]
     unusable: int
 

@@ -17,6 +17,7 @@ from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 
 from comparisons.arrays import Array, Index
+from comparisons.figures import Key, LeftOut, Nominal, OfDof, Share95
 
 _OUTSIDE = 0.05
 """Of the figures that a band is for, as many lie outside, half of them on either side."""
@@ -113,12 +114,12 @@ class NormalisedFigures:
             definite`.
     """
 
-    dof: int
+    dof: LeftOut[int]
     count: int
-    mean: float | None
-    last: float | None
+    mean: OfDof[float | None]
+    last: LeftOut[float | None]
     single_band: Band
-    inside: float | None
+    inside: Share95[float | None]
     unusable: Mapping[str, int]
 
 
@@ -196,10 +197,10 @@ class Nis:
         reading: `plausible`, `too high`: the filter is too sure, or `too low`.
     """
 
-    name: str
-    dof: int
+    name: Key[str]
+    dof: LeftOut[int]
     count: int
-    mean: float
+    mean: OfDof[float]
     band: Band
 
     @computed_field
@@ -407,9 +408,9 @@ class BlockDeparture:
     """
 
     block: str
-    squared_per_dof: float
-    since_s: float
-    until_s: float
+    squared_per_dof: Nominal[float]
+    since_s: LeftOut[float]
+    until_s: LeftOut[float]
 
     @property
     def words(self) -> str:

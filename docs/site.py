@@ -16,7 +16,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from latex2mathml.converter import convert
 from markdown.extensions.toc import slugify
@@ -48,7 +48,7 @@ _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTAL
 RESULTS: dict[str, tuple[type, ...]] = {
     "result.json": (Result,),
     "result.json: entries of checks": tuple(
-        kind for check in every_check() for kind in check.figures
+        kind for check in every_check() for _, kind in check.figures
     ),
     "check.json": (CheckResult,),
     "solution.json": (SolutionResult,),
@@ -88,7 +88,7 @@ def _nested(*kinds: Any) -> Iterator[type]:
     for kind in kinds:
         if isinstance(kind, type) and kept_fields(kind):
             yield kind
-            yield from _nested(*kept_fields(kind).values())
+            yield from _nested(*(field.hint for field in kept_fields(kind).values()))
         else:
             yield from _nested(*(one for one in get_args(kind) if not isinstance(one, str)))
 
@@ -96,8 +96,8 @@ def _nested(*kinds: Any) -> Iterator[type]:
 def _model(kind: type, names: dict[type, str]) -> str:
     text = meanings(kind)
     rows = [
-        f"| `{_key(kind, name)}` | {_cell(text[name])} | {_type(hint, names)} | {_unit(name)} |"
-        for name, hint in kept_fields(kind).items()
+        f"| `{_key(kind, name)}` | {_cell(text[name])} | {_type(one.hint, names)} | {_unit(name)} |"
+        for name, one in kept_fields(kind).items()
     ]
     prose = inspect.cleandoc(kind.__doc__ or "").partition("\n\nAttributes:")[0]
     head = "| field | meaning | type | unit |\n|---|---|---|---|\n"
@@ -115,6 +115,8 @@ def _type(kind: Any, names: dict[type, str]) -> str:
     origin, parts = get_origin(kind), get_args(kind)
     if kind in names:
         return f"[{names[kind]}](#{slugify(names[kind], '-')})"
+    if origin is Annotated:
+        return _type(parts[0], names)
     if origin is Literal:
         return ", ".join(f"`{one}`" for one in parts)
     if origin is list or (origin is tuple and parts[-1] is ...):

@@ -14,6 +14,7 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import Count, Less, More
 from comparisons.logs.log import Log
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
@@ -57,18 +58,18 @@ class Accuracy:
         coverage: share of the reference's instants within the estimate's time.
     """
 
-    ate_m: float | None = None
-    ate_aligned_m: float | None = None
-    rpe_10m_m: float | None = None
-    rpe_10m_rad: float | None = None
-    landmark_rmse_m: float | None = None
-    landmark_rmse_aligned_m: float | None = None
-    landmarks_found: int | None = None
-    landmarks_true: int | None = None
-    gps_median_m: float | None = None
-    gps_median_aligned_m: float | None = None
-    gps_rms_aligned_m: float | None = None
-    coverage: float | None = None
+    ate_m: Less[float | None] = None
+    ate_aligned_m: Less[float | None] = None
+    rpe_10m_m: Less[float | None] = None
+    rpe_10m_rad: Less[float | None] = None
+    landmark_rmse_m: Less[float | None] = None
+    landmark_rmse_aligned_m: Less[float | None] = None
+    landmarks_found: More[int | None] = None
+    landmarks_true: Count[int | None] = None
+    gps_median_m: Less[float | None] = None
+    gps_median_aligned_m: Less[float | None] = None
+    gps_rms_aligned_m: Less[float | None] = None
+    coverage: More[float | None] = None
 
     def rows(self, of: str) -> list[Row]:
         """Return a row for each error. of: whose, as `the EKF`."""
@@ -133,7 +134,7 @@ class CheckAccuracy(Check):
     name = "accuracy"
     needs = "true poses or landmarks, or absolute positions that no estimator has used"
     errs = "not at all: errors are reported and change no verdict"
-    figures = (Accuracies,)
+    figures = (("accuracy", Accuracies),)
 
     def find(self, known: Known) -> AccuracyFinding | Absent:
         """Return the errors of each estimate; of the odometry alone, too, beside our own."""

@@ -7,17 +7,17 @@ E - F1 is the filter's algebra, F1 - F2 the model, F2 - S the linearisation.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigvalsh
 
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import Aside, Figure
+from comparisons.figures import Aside, Figure, LeftOut, Less, Mark, Nominal, at, number
 from comparisons.statistics import (
     ROUNDING,
     chi2_quantile,
@@ -228,10 +228,10 @@ class BlockAgreement:
         limit_sigma: the distance up to which it does.
     """
 
-    difference_m: float
-    distance_sigma: Figure
-    variance_ratio_least: Figure | None
-    variance_ratio_largest: Figure | None
+    difference_m: Less[float]
+    distance_sigma: Less[Figure]
+    variance_ratio_least: Nominal[Figure | None]
+    variance_ratio_largest: Nominal[Figure | None]
     agrees: bool
     limit_sigma: Aside[float] = LARGEST_DISTANCE
 
@@ -296,6 +296,39 @@ class LandmarkAgreement(BlockAgreement):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LandmarksTogether:
+    """Landmarks in a few figures, of those that have any."""
+
+    count: Annotated[int, Mark(exact=True)]
+    agreeing: Annotated[int, Mark("more", exact=True)]
+    difference_rms_m: Less[float | None]
+    distance_sigma: Less[float | None]
+    variance_ratio_least: Nominal[float | None]
+    variance_ratio_largest: Nominal[float | None]
+
+    @classmethod
+    def of(cls, rows: Sequence[Any]) -> LandmarksTogether:
+        """Return them of `LandmarkAgreement`, or of what a file holds of it."""
+
+        def each(name: str) -> list[float]:
+            return [value for row in rows if (value := number(at(row, name))) is not None]
+
+        places, sigmas = each("difference_m"), each("distance_sigma")
+        return cls(
+            count=len(rows),
+            agreeing=sum(at(row, "agrees") is True for row in rows),
+            difference_rms_m=float(np.sqrt(np.mean(np.square(places)))) if places else None,
+            distance_sigma=max(sigmas, default=None) if len(sigmas) == len(rows) else None,
+            variance_ratio_least=min(each("variance_ratio_least"), default=None),
+            variance_ratio_largest=max(each("variance_ratio_largest"), default=None),
+        )
+
+
+T = TypeVar("T")
+Together = Annotated[T, Mark(together=LandmarksTogether.of)]
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlacedAgreement(LandmarkAgreement):
     """One landmark of filter and smoother.
 
@@ -306,6 +339,10 @@ class PlacedAgreement(LandmarkAgreement):
 
     ekf_m: tuple[float, float]
     smoother_m: tuple[float, float]
+
+
+_ALGEBRA = Mark("less", within="algebra_limit_sigma")
+_MODEL = Mark("less", within="model_limit_sigma")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,14 +363,14 @@ class GapFigures:
         model_limit_sigma: largest model gap that rounding explains.
     """
 
-    algebra_gap_sigma: Figure | None
-    algebra_gap_covariance: Figure | None
-    model_gap_sigma: Figure
-    model_gap_covariance: Figure
-    linearisation_gap_sigma: Figure
-    linearisation_gap_covariance: Figure
-    algebra_limit_sigma: float = ROUNDING
-    model_limit_sigma: float = ROUNDING
+    algebra_gap_sigma: Annotated[Figure | None, _ALGEBRA]
+    algebra_gap_covariance: Annotated[Figure | None, _ALGEBRA]
+    model_gap_sigma: Annotated[Figure, _MODEL]
+    model_gap_covariance: Annotated[Figure, _MODEL]
+    linearisation_gap_sigma: Less[Figure]
+    linearisation_gap_covariance: Less[Figure]
+    algebra_limit_sigma: LeftOut[float] = ROUNDING
+    model_limit_sigma: LeftOut[float] = ROUNDING
 
 
 def gap_figures(algebra: Gap | None, model: Gap, linearisation: Gap) -> dict[str, Any]:
@@ -363,12 +400,12 @@ class Agreement(GapFigures):
         linearisation: F2 - S.
     """
 
-    optimism: Figure
-    pessimism: Figure
-    landmark_difference_rms_m: float
+    optimism: Nominal[Figure]
+    pessimism: Nominal[Figure]
+    landmark_difference_rms_m: Less[float]
     pose: BlockAgreement
     map: BlockAgreement
-    landmarks: tuple[PlacedAgreement, ...]
+    landmarks: Together[tuple[PlacedAgreement, ...]]
     pose_landmarks: Aside[tuple[PlacedAgreement, ...]] = ()
     algebra: Aside[Gap] = NO_GAP
     model: Aside[Gap] = NO_GAP

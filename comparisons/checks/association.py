@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
+from comparisons.figures import More
 from comparisons.logs.log import Log
 from comparisons.words import Row
 
@@ -35,8 +36,8 @@ class PartitionScore:
         recall: share of the pairs that belong together that it has.
     """
 
-    precision: float
-    recall: float
+    precision: More[float]
+    recall: More[float]
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class CheckAssociation(Check):
     name = "association"
     needs = "labels in the log, and an association made without them"
     errs = "not at all: the scores are reported and change no verdict"
-    figures = (AssociationScore,)
+    figures = (("association", AssociationScore),)
 
     def find(self, known: Known) -> AssociationFinding | Absent:
         """Return the score of the filter's association, or of the smoother's without one."""

@@ -28,8 +28,9 @@ class Check:
     """How often it says something wrong of what is sound, as far as that is measured."""
     explains: ClassVar[Mapping[str, Explanation]] = {}
     """The kinds of cause that it alone finds, by the name that each has in a result."""
-    figures: tuple[type, ...] = ()
-    """What it adds to the result: classes that describe every field."""
+    figures: tuple[tuple[str, type], ...] = ()
+    """What it adds to the result: keys, and the class, of a list that of its rows, that describes
+    every field."""
 
     def find(self, known: Known) -> Finding | Absent | None:
         """Return the answer, or why there is none; None where nothing was asked.

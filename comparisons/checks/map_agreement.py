@@ -9,6 +9,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import Less
 from comparisons.statistics import chi2_quantile
 
 _CHI2_2_99 = float(chi2_quantile(0.99, 2))
@@ -32,10 +33,10 @@ class Pair:
         agrees: whether the maps agree.
     """
 
-    rms_m: float
-    rms_aligned_m: float
-    distance_sigma_median: float | None
-    outside: int
+    rms_m: Less[float]
+    rms_aligned_m: Less[float]
+    distance_sigma_median: Less[float | None]
+    outside: Less[int]
     landmarks: int
     agrees: bool
 

@@ -23,7 +23,7 @@ from comparisons.checks.consistency.nees import TruthConsistency, limit
 from comparisons.checks.finding import Absent, Of
 from comparisons.checks.verdict import Verdict
 from comparisons.config import FailOn
-from comparisons.figures import Aside, Figure
+from comparisons.figures import Aside, Figure, Key, LeftOut, Less
 from comparisons.logs.log import LandmarkMeasurements
 from comparisons.words import Cause
 
@@ -50,11 +50,11 @@ class Distance:
         labels_m: the same with the log's labels, where the run has not used them.
     """
 
-    what: str
-    sigma: Figure
-    limit: float
-    error_m: float
-    labels_m: float | None = None
+    what: Key[str]
+    sigma: Less[Figure]
+    limit: LeftOut[float]
+    error_m: Less[float]
+    labels_m: Less[float | None] = None
 
     @property
     def far(self) -> bool:
@@ -88,7 +88,7 @@ class TruthGap:
     """
 
     distances: tuple[Distance, ...]
-    measurement_m: float
+    measurement_m: LeftOut[float]
     lost: bool = False
     association: Aside[AssociationScore | None] = None
     reference: str = "the truth"
@@ -160,7 +160,7 @@ class CheckTruthGap(Check):
     name = "truth_gap"
     needs = "truth, or labels that the run has not used"
     errs = "1 of 1,000 sound runs is farther from the truth than the limit of its NEES"
-    figures = (TruthGap,)
+    figures = (("truth_gap", TruthGap),)
 
     def find(self, known: Known) -> TruthGapFinding | Absent:
         """Return S against truth, or else against labels, where S has not used them."""

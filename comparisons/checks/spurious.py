@@ -9,7 +9,7 @@ from comparisons.audit.own_filter import run_events
 from comparisons.audit.spurious import HEADING, Learnt, learnt
 from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
-from comparisons.figures import Model, finite
+from comparisons.figures import LeftOut, Less, Model, finite
 from comparisons.words import Row
 
 if TYPE_CHECKING:
@@ -28,9 +28,9 @@ class SpuriousShareResult(Model):
         information: what it added [1/rad^2].
     """
 
-    time_s: float
+    time_s: LeftOut[float]
     landmark: str
-    information: float
+    information: Less[float]
 
 
 class SpuriousHeadingResult(Model):
@@ -49,11 +49,11 @@ class SpuriousHeadingResult(Model):
         growth: information gathered until then [1/rad^2].
     """
 
-    information: float
-    sigma_deg: float | None
+    information: Less[float]
+    sigma_deg: LeftOut[float | None]
     fastest_s: tuple[float, float]
-    fastest: float
-    largest: SpuriousShareResult | None
+    fastest: Less[float]
+    largest: LeftOut[SpuriousShareResult | None]
     time_s: list[float]
     growth: list[float]
 
@@ -77,7 +77,7 @@ class CheckSpurious(Check):
     name = "spurious_heading"
     needs = "landmarks whose places the filter finds itself"
     errs = "not at all: it explains a linearisation gap and makes none"
-    figures = (SpuriousHeadingResult,)
+    figures = (("spurious_heading", SpuriousHeadingResult),)
 
     def find(self, known: Known) -> SpuriousFinding | Absent:
         """Return what it learnt, with or without positions and prior."""

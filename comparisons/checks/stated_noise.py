@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
-from comparisons.figures import Figure, finite
+from comparisons.figures import Figure, Key, LeftOut, Nominal, finite
 from comparisons.statistics import WORDS
 from comparisons.words import Row
 
@@ -41,10 +41,10 @@ class StatedNoise:
         settled: whether the factors of all sensors were found; else this one is on its way.
     """
 
-    sensor: str
-    factor: Figure
-    low: Figure
-    high: Figure
+    sensor: Key[str]
+    factor: Nominal[Figure]
+    low: LeftOut[Figure]
+    high: LeftOut[Figure]
     testable: bool
     settled: bool
 
@@ -82,7 +82,7 @@ class CheckStatedNoise(Check):
     name = "stated_noise"
     needs = "the batch smoother, without a robust kernel"
     errs = "a note on 1 of 1,000 sound runs"
-    figures = (StatedNoise,)
+    figures = (("stated_noise", StatedNoise),)
 
     def find(self, known: Known) -> StatedNoiseFinding | Absent:
         """Return the factor of each sensor's sigma, with its interval."""

@@ -47,6 +47,7 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
+from comparisons.figures import Same
 from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
@@ -86,7 +87,7 @@ class TraceFigures(GapFigures):
     updates: int
     initialised: int
     positions: int
-    innovations: list[InnovationFigures] = field(default_factory=list)
+    innovations: Same[list[InnovationFigures]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,12 +16,24 @@ from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
     BlockAgreement,
     LandmarkAgreement,
+    Together,
     largest_distance,
 )
 from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
-from comparisons.figures import Model, band, finite, in_sigma, shown
+from comparisons.figures import (
+    Count,
+    LeftOut,
+    Less,
+    Model,
+    More,
+    Nominal,
+    band,
+    finite,
+    in_sigma,
+    shown,
+)
 from comparisons.jobs.check import ExternalCheck
 from comparisons.jobs.external_trace import TraceFigures
 from comparisons.pipeline.clock import Clock
@@ -313,9 +325,9 @@ class NearestResult(Model):
     """
 
     name: str
-    largest_sigma: float | None
-    variance_ratio_least: float | None
-    variance_ratio_largest: float | None
+    largest_sigma: Less[float | None]
+    variance_ratio_least: Nominal[float | None]
+    variance_ratio_largest: Nominal[float | None]
     parts: list[str]
     missing: list[str]
 
@@ -350,28 +362,28 @@ class CheckResult(VerdictResult):
         departure: where the estimate, or its trace, first leaves a sound filter; None where not.
     """
 
-    smoother: SmootherResult
+    smoother: Count[SmootherResult]
     association_by: str
     information: str
     estimator: str
     absent: list[str]
-    poses: int
-    coverage: float
+    poses: Count[int]
+    coverage: More[float]
     uncovered_s: list[tuple[float, float]]
-    rms_m: float
-    rms_heading_rad: float
-    outside: float | None
+    rms_m: Less[float]
+    rms_heading_rad: Less[float]
+    outside: Less[float | None]
     last_pose: BlockAgreement | None
-    landmarks: tuple[LandmarkAgreement, ...]
+    landmarks: Together[tuple[LandmarkAgreement, ...]]
     estimate_sha256: dict[str, str]
     consistency: ExternalConsistencyResult
     accuracy: Accuracy | None = None
     smoother_accuracy: Accuracy | None = None
-    trace: TraceFigures | None
+    trace: Count[TraceFigures | None]
     grade: Literal["equal", "like", "plausible", "wrong"] | None
     required: Literal["equal", "like", "plausible"]
     nearest: NearestResult | None
-    departure: Departure | None
+    departure: LeftOut[Departure | None]
 
 
 def check_ladder(result: CheckResult) -> list[Step]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pkgutil import resolve_name
 
 from comparisons.checks.causes import EXPLANATIONS
@@ -19,10 +19,10 @@ from comparisons.words import DECIDES, Explanation, cause_name
 _WIDTH = 80
 
 
-def every_check() -> Iterator[type[Check]]:
+def every_check(extensions: Iterable[str] = EXTENSIONS) -> Iterator[type[Check]]:
     """Yield the checks that every run is asked, then those of extensions, loaded one by one."""
     yield from map(type, CHECKS)
-    for name in EXTENSIONS:
+    for name in extensions:
         yield resolve_name(config_class(name).extension)
 
 
@@ -74,7 +74,7 @@ def _of_check(one: type[Check]) -> Iterator[str]:
     yield _wrapped(f"  asks:   {_question(one)}", 10)
     yield _wrapped(f"  needs:  {one.needs}", 10)
     yield _wrapped(f"  errs:   {one.errs}", 10)
-    for kind in one.figures:
+    for _, kind in one.figures:
         text = meanings(kind)
         yield "  finds:"
         for field in kept_fields(kind):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
@@ -13,7 +14,8 @@ from comparisons.checks.association_variants import AssociationCheck
 from comparisons.checks.consistency.finding import ConsistencyResult
 from comparisons.checks.qualifiers import TruthGap
 from comparisons.checks.spurious import SpuriousHeadingResult
-from comparisons.figures import Model, stored
+from comparisons.extension_names import EXTENSIONS
+from comparisons.figures import Count, Exact, LeftOut, Less, Model, Number, Same, numbers
 from comparisons.report.settings import SettingsResult
 from comparisons.words import Cause
 
@@ -52,12 +54,12 @@ class JobResult(Model):
         files: files of the folder.
     """
 
-    config: dict[str, Any] = Field(default_factory=dict)
-    settings: SettingsResult = SettingsResult(preset="", differing=[])
-    log: LogResult
+    config: LeftOut[dict[str, Any]] = Field(default_factory=dict)
+    settings: LeftOut[SettingsResult] = SettingsResult(preset="", differing=[])
+    log: LeftOut[LogResult]
     remarks: list[str]
-    seconds: dict[str, float]
-    cpu_s: dict[str, float] | None = None
+    seconds: LeftOut[dict[str, float]]
+    cpu_s: LeftOut[dict[str, float] | None] = None
     versions: dict[str, str]
     files: tuple[str, ...] = ()
 
@@ -124,12 +126,13 @@ class EkfResult(Model):
         fixes_rejected_by_smoother: rejected positions that the same gate also rejects at the
             smoother's optimum.
         global_updates: global updates of a compressed filter.
-        global_update_spared: share of the passive covariance that they left unchanged (set I).
+        global_update_spared: share of the passive covariance that they left unchanged (set I): less
+            is exact, more is quick.
     """
 
     filter: str
     association: str
-    landmarks: int
+    landmarks: Exact[int]
     rejected: int
     ambiguous: int
     candidate: int
@@ -144,7 +147,7 @@ class EkfResult(Model):
     longest_streak: int = 0
     fixes_rejected_by_smoother: int = 0
     global_updates: int
-    global_update_spared: float
+    global_update_spared: Same[float]
 
 
 class StartResult(Model):
@@ -198,7 +201,7 @@ class SmootherResult(Model):
             batch.
         rank: unknowns that the measurements determine.
         poses: poses of the problem.
-        error: half the sum of squared whitened residuals at the optimum.
+        error: half the sum of squared whitened residuals at the optimum, of which a log has one.
         chi2: twice the error.
         dof: degrees of freedom: residuals minus unknowns.
         chi2_band: two-sided 99.8 % band of chi2.
@@ -220,24 +223,24 @@ class SmootherResult(Model):
     robust: str
     rejected_measurements: int
     rejected_positions: int
-    distance_sigma: float | None
-    rank: int
-    poses: int
-    error: float
-    chi2: float
+    distance_sigma: LeftOut[float | None]
+    rank: LeftOut[int]
+    poses: Exact[int]
+    error: Same[float]
+    chi2: Same[float]
     dof: int
     chi2_band: tuple[float, float]
-    newton_decrement: float
-    iterations: int
+    newton_decrement: Less[float]
+    iterations: LeftOut[int]
     converged: bool
     verified: bool
     lacks: str
     agreeing_starts: list[str]
     starts: list[StartResult]
     minima: list[MinimumResult]
-    hops: int
-    random_starts: int
-    chance_missed: float
+    hops: LeftOut[int]
+    random_starts: LeftOut[int]
+    chance_missed: Less[float]
 
 
 SCHEMA = 4
@@ -266,9 +269,9 @@ class Result(VerdictResult):
 
     model_config = ConfigDict(serialize_by_alias=True, populate_by_name=True)
 
-    schema_version: int = Field(alias="schema", default=1)
-    ekf: EkfResult
-    smoother: SmootherResult
+    schema_version: LeftOut[int] = Field(alias="schema", default=1)
+    ekf: Count[EkfResult]
+    smoother: Count[SmootherResult]
     agreement: Agreement
     consistency: ConsistencyResult
     spurious_heading: SpuriousHeadingResult | None = None
@@ -316,7 +319,7 @@ class SolutionResult(CheckedResult):
     landmarks: int
     measurements_used: int
     gps: str
-    smoother: SmootherResult
+    smoother: Count[SmootherResult]
     accuracy: Accuracy | None = None
     dead_reckoning: Accuracy | None = None
     association: AssociationScore | None = None
@@ -326,23 +329,13 @@ class SolutionResult(CheckedResult):
     reasons: list[str]
 
 
-def metrics(result: Result) -> dict[str, float | None]:
-    """The figures of a run that a baseline keeps, by name; None where a log has no such figure."""
-    found: dict[str, float | None] = {}
-    for part, model in (
-        ("agreement", result.agreement),
-        ("ekf", result.ekf),
-        ("smoother", result.smoother),
-    ):
-        for name, value in stored(model).items():
-            if isinstance(value, bool) or name in ("iterations", "rank", "distance_sigma"):
-                continue
-            if value is None or isinstance(value, int | float):
-                found[f"{part}.{name}"] = value
-    if result.accuracy is not None:
-        for name, figures in (
-            ("ekf", result.accuracy.ekf),
-            ("smoother", result.accuracy.smoother),
-        ):
-            found |= {f"accuracy.{name}.{key}": v for key, v in vars(figures).items()}
-    return found
+def found_numbers(result: JobResult) -> dict[str, Number]:
+    """Return the figures of a job by name, those of all checks and extensions as well."""
+    from comparisons.report.explain import every_check
+
+    asked = result.config.get("extensions")
+    ran = [name for name in EXTENSIONS if isinstance(asked, dict) and name in asked]
+    kinds = dict(entry for check in every_check(ran) for entry in check.figures)
+    more = (result.model_extra or {}).items()
+    entries = (numbers(one, kinds.get(key), key) for key, one in more)
+    return dict(chain(numbers(result, type(result)), *entries))

@@ -7,7 +7,7 @@ import html
 import io
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -20,9 +20,10 @@ from rich.text import Text
 
 from comparisons.atomic import Kind, begins, check_file, write_whole
 from comparisons.errors import InputError, printable
+from comparisons.figures import kept_fields, numbers
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
-from comparisons.report.models import Result, metrics
+from comparisons.report.models import Result, SmootherResult, found_numbers
 
 Cell = str | float | None
 Row = tuple[str, list[Cell]]
@@ -52,10 +53,20 @@ _FILES: dict[str, tuple[str, dict[str, str]]] = {
     "montecarlo": ("montecarlo", {}),
 }
 """The file of each job, and what its parts are called where a run has the same."""
-_ASIDE = ("config", "settings", "log", "seconds", "cpu_s", "versions", "level")
-_IN_METRICS = ("agreement", "ekf", "smoother", "accuracy", "consistency")
-"""Entries of a run whose figures are chosen; of all other checks every figure counts."""
-_NOT_COMPARED = ("iterations", "rank", "distance_sigma", "schema")
+_ASIDE = (
+    "config",
+    "settings",
+    "log",
+    "seconds",
+    "cpu_s",
+    "versions",
+    "level",
+    "schema",
+    "schema_version",
+)
+_SMOOTHER = kept_fields(SmootherResult).items()
+_LEFT_OUT = {f"smoother.{name}" for name, one in _SMOOTHER if one.mark.side == "left out"}
+"""Figures of any job that say nothing of what it found."""
 
 
 @dataclass(frozen=True)
@@ -151,20 +162,23 @@ def _read(folder: Path) -> Found:
         found = None
     if _at(found, "versions", "slamcheck").startswith("0.1."):
         raise InputError(f"{path}: of slamcheck 0.1, which compare of slamcheck 0.2 reads")
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: not a result of slamcheck {job}")
+    words = _words(found, job)
     if job == "run":
         try:
             run = Result.model_validate_json(text)
         except ValidationError as error:
             raise InputError(f"{path}: not a run's result: {first_fault(error)}") from None
-        own = {key: value for key, value in found.items() if key not in (*_ASIDE, *_IN_METRICS)}
-        figures = {**metrics(run), **dict(_flat(own))}
-        return Found({**_words(run.model_dump(), job), "verdict": run.headline}, figures)
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: not a result of slamcheck {job}")
-    whole: dict[str, Any] = {
-        str(names.get(key, key)): value for key, value in found.items() if key not in _ASIDE
+        words["verdict"], every = run.headline, found_numbers(run)
+    else:
+        every = dict(numbers({names.get(key, key): one for key, one in found.items()}, None))
+    figures = {
+        name: one.value
+        for name, one in every.items()
+        if name not in _LEFT_OUT and name.partition(".")[0] not in _ASIDE
     }
-    return Found(_words(found, job), dict(_flat(whole)))
+    return Found(words, figures)
 
 
 def _words(found: Mapping[str, Any], job: str) -> dict[str, str]:
@@ -191,16 +205,6 @@ def _at(found: Any, *keys: str) -> str:
     for key in keys:
         found = found.get(key) if isinstance(found, Mapping) else None
     return found if isinstance(found, str) else ""
-
-
-def _flat(values: Mapping[str, Any], below: str = "") -> Iterator[tuple[str, float | None]]:
-    """All figures by dotted name, without lists of them."""
-    for key, value in values.items():
-        name = f"{below}{key}"
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{name}.")
-        elif type(value) in (int, float) and key not in _NOT_COMPARED:
-            yield name, float(value) if abs(value) < 1e300 else None
 
 
 def _alike(values: Sequence[float | None]) -> bool:

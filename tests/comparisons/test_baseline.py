@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 from xml.etree import ElementTree
 
 import pytest
 
 from comparisons.baseline import (
-    SIDES,
     Baseline,
     Change,
     Metric,
@@ -19,29 +19,32 @@ from comparisons.baseline import (
     changes_of,
     compare_with,
     figures,
-    judged_by,
-    number_paths,
     read_baseline,
     updated,
     write_baseline,
     write_junit,
 )
-from comparisons.checks.accuracy import Accuracy
-from comparisons.checks.agreement import Agreement
+from comparisons.checks.agreement import LandmarksTogether
+from comparisons.checks.check import Check
+from comparisons.checks.registry import CHECKS
 from comparisons.config import CheckConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.folder import tum_text, write_estimate
+from comparisons.figures import Declared, LeftOut, Less, Number, kept_fields, stored
 from comparisons.jobs.check import check
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log_folder import write_log_folder
+from comparisons.report import explain
 from comparisons.report.check import CheckReport, CheckResult
-from comparisons.report.models import EkfResult, Result, metrics
+from comparisons.report.models import Result
 from comparisons.report.run import RunReport
 from comparisons.settings import run_config
 from tests.commands import refused, slamcheck, works
 from tests.helpers import compared, present, simulated
+
+KEPT = Path(__file__).parent / "kept"
 
 
 @pytest.fixture(scope="module")
@@ -170,12 +173,41 @@ def test_a_junit_report_says_what_broke(tmp_path: Path, result: Result, kept: Ba
 
 def test_names_of_figures_are_those_of_the_result(result: Result) -> None:
     document = result.model_dump()
-    for name, value in metrics(result).items():
+    found = figures(result)
+    assert {name for name in found if name.startswith(("accuracy.dead", "spurious", "truth"))}
+    for name, one in found.items():
         place: object = document
         for part in name.split("."):
             assert isinstance(place, dict)
             place = place[part]
-        assert place == value
+            if isinstance(place, list | tuple):
+                break
+        else:
+            assert place == one.value
+
+
+def test_figures_of_a_file_are_those_of_the_result(result: Result, checked: CheckResult) -> None:
+    for found in (result, checked):
+        again = type(found).model_validate_json(found.model_dump_json(by_alias=True))
+        assert figures(again) == figures(found)
+
+
+def test_an_entry_of_anything_has_the_figures_that_are_there(result: Result) -> None:
+    scans = {"scans": True, "rejected": 10**400, "fused": "many", "dynamic": 2, "rule": [1]}
+    rows = ["x", 5, {"difference_m": "far", "agrees": 1}, {"distance_sigma": None, "agrees": True}]
+    odd = {
+        **result.model_dump(by_alias=True),
+        "config": {"extensions": {"scan_landmarks": {}, "nothing": 1}},
+        "scan_slam": {**scans, "landmarks": rows},
+    }
+    found = figures(Result.model_validate(odd))
+    kept = {name: one.value for name, one in found.items() if name.startswith("scan_slam")}
+    assert kept.pop("scan_slam.rejected") is None
+    assert {name: value for name, value in kept.items() if value is not None} == {
+        "scan_slam.landmarks.count": 4,
+        "scan_slam.landmarks.agreeing": 1,
+        "scan_slam.dynamic": 2,
+    }
 
 
 def states(changes: list[Change]) -> dict[str, str]:
@@ -224,30 +256,104 @@ def test_nearer_to_the_nominal_value_is_better(
     for name, nominal in (("consistency.ekf.pose.mean", 3.0), ("agreement.optimism", 1.0)):
         was = Metric(value=then * nominal, tolerance=0.04 * nominal)
         now = Metric(value=nominal, tolerance=0.04 * nominal)
-        values = {name: nominal}
-        expected = {"consistency.ekf.pose.mean": 3.0}
+        values = {name: Number(nominal, "nominal", nominal)}
         one = kept.model_copy(update={"metrics": {name: was}})
-        (found,) = changes_of(one, {"verdict": kept.verdict}, values, expected=expected)[1:]
+        (found,) = changes_of(one, {"verdict": kept.verdict}, values)[1:]
         assert found.state == state
         back = kept.model_copy(update={"metrics": {name: now}})
-        moved = {name: then * nominal}
-        (found,) = changes_of(back, {"verdict": kept.verdict}, moved, expected=expected)[1:]
+        moved = {name: Number(then * nominal, "nominal", nominal)}
+        (found,) = changes_of(back, {"verdict": kept.verdict}, moved)[1:]
         assert found.state == {"better": "broken"}.get(state, state)
 
 
-def test_every_figure_has_a_side_and_a_reason(result: Result, checked: CheckResult) -> None:
-    """Broken variant: a figure that nobody thought of."""
-    names = {".".join(path) for path in number_paths(CheckResult)}
-    for part, model in (("ekf", EkfResult), ("agreement", Agreement)):
-        names |= {".".join(path) for path in number_paths(model, (part,)) if len(path) == 2}
-    names |= {".".join(path) for path in number_paths(Accuracy, ("accuracy", "ekf"))}
-    names |= figures(result).keys() | figures(checked).keys()
-    assert len(names) > 90
-    assert [name for name in sorted(names) if judged_by(name) is None] == []
-    assert judged_by("accuracy.ekf.jerk") is None
-    assert all(judged.reason for judged in SIDES.values())
-    used = {id(judged_by(name)) for name in names | {"accuracy.rpe_m"}}
-    assert [name for name, judged in SIDES.items() if id(judged) not in used] == []
+@dataclass(frozen=True)
+class Start:
+    """Where something begins."""
+
+    size_m: Less[float]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What the check of nobody's finds."""
+
+    drift_m: Less[float]
+    worst_s: LeftOut[float]
+    start: LeftOut[Start]
+    steps: int
+    curve: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Unjudged:
+    """A figure that nobody thought of, below one of another side."""
+
+    drift: Less[dict[str, Drift]]
+    jerk: float
+
+
+class CheckDrift(Check):
+    """Does it drift?"""
+
+    name = "drift"
+    figures = (("drift", Drift),)
+
+
+def undeclared(kind: Any, above: str, side: str | None = None) -> Iterator[str]:
+    """Floats that neither say on which side they are better, nor are below one that says it."""
+    if kind is float and side in (None, "count"):
+        yield above
+    for part in () if kind in (float, int) else get_args(kind):
+        yield from undeclared(part, above, side)
+    for name, one in kept_fields(kind).items():
+        keyed = any(field.mark.key for field in rows_of(one.hint))
+        if one.mark.together is None and (keyed or get_origin(one.hint) not in (list, tuple)):
+            yield from undeclared(one.hint, f"{above}.{name}", one.mark.side or side)
+
+
+def rows_of(hint: Any) -> list[Declared]:
+    return [field for row in get_args(hint)[:1] for field in kept_fields(row).values()]
+
+
+def test_every_number_of_every_check_says_on_which_side_it_is_better() -> None:
+    kinds = dict(one for check in explain.every_check() for one in check.figures)
+    assert len(kinds) > 15
+    more = {"run": Result, "check": CheckResult, "landmarks": LandmarksTogether}
+    for name, kind in (kinds | more).items():
+        assert list(undeclared(kind, name)) == []
+    assert list(undeclared(Unjudged, "toy")) == ["toy.jerk"]
+
+
+def test_figures_of_a_new_check_are_kept_and_are_new_beside_an_older_baseline(
+    result: Result, kept: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With nothing but the check itself."""
+    monkeypatch.setattr(explain, "CHECKS", (*CHECKS, CheckDrift()))
+    with_drift = [
+        Result.model_validate({**result.model_dump(by_alias=True), "drift": stored(drift)})
+        for drift in (Drift(1.0, 3.0, Start(1.0), 7), Drift(1.2, 9.0, Start(2.0), 7))
+    ]
+    assert figures(with_drift[0])["drift.drift_m"] == Number(1.0, "less")
+    assert states(compare_with(kept, with_drift[0])) == {
+        "drift.drift_m": "new",
+        "drift.steps": "new",
+    }
+    newer = build_baseline(with_drift[:1], run_config())
+    assert states(compare_with(newer, with_drift[1])) == {"drift.drift_m": "broken"}
+
+
+@pytest.mark.parametrize("name", ["run", "check"])
+def test_a_baseline_of_before_holds_and_what_it_lacks_is_new(
+    name: str, result: Result, checked: CheckResult
+) -> None:
+    """Saved when figures were chosen by a table of names."""
+    then = read_baseline(KEPT / f"baseline-0.2-{name}.json")
+    found = result if name == "run" else checked
+    changes = compare_with(then, found)
+    assert set(states(changes).values()) == {"new"}
+    assert len(then.metrics) > 50
+    there = {name for name, metric in then.metrics.items() if metric.value is not None}
+    assert there <= figures(found).keys()
 
 
 def test_a_figure_of_no_side_is_two_sided(result: Result, kept: Baseline) -> None:

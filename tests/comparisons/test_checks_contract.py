@@ -46,7 +46,7 @@ def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(check: ty
     assert question.endswith("?")
     assert check.needs
     assert check.errs
-    for kind in check.figures:
+    for _, kind in check.figures:
         assert kept_fields(kind).keys() <= meanings(kind).keys()
 
 
@@ -80,6 +80,7 @@ def test_what_is_found_and_what_is_not_stand_in_result_and_table() -> None:
     kept = json.loads(result.model_dump_json())
     assert kept["not_checked"] == dict(c.known.absent)
     entries = {key for found in c.findings.values() for key in found.entries}
+    assert entries <= {key for check in every_check() for key, _ in check.figures}
     assert entries <= {key for key, value in kept.items() if value is not None}
     assert all(kept[name] is None for name in ("accuracy", "association", "truth_gap"))
     rows = [row for row in run_rows(c, result) if row.group == "Not checked"]

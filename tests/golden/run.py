@@ -18,10 +18,10 @@ from comparisons.baseline import (
     Metric,
     changes_of,
     figures,
-    judged_by,
     read_baseline,
     write_baseline,
 )
+from comparisons.figures import Number
 from comparisons.report.check import CheckResult
 from comparisons.report.models import Result
 from tests.commands import slamcheck
@@ -33,6 +33,7 @@ MODELS: dict[str, type[Result | CheckResult]] = {"result.json": Result, "check.j
 LEFT_OUT = frozenset(
     {"config", "settings", "schema", "log", "seconds", "cpu_s", "scans_per_second", "versions"}
     | {"files", "starts", "minima", "id", "stated_noise"}
+    | {"rank", "iterations", "hops", "random_starts"}
 )
 """Keys that are no results, or the way to the optimum, or say of the log what its estimates do not
 depend on."""
@@ -62,7 +63,9 @@ def baseline_of(folder: Path, code: int) -> Baseline:
     more = found
     if path.name in MODELS:
         result = MODELS[path.name].model_validate(found)
-        values, more = figures(result), result.model_extra or {}
+        kept = figures(result).items()
+        values = {name: one.value for name, one in kept if name.split(".")[0] not in LEFT_OUT}
+        more = result.model_extra or {}
     values |= _summed_up(more)
     log = found.get("log", found)
     return Baseline(
@@ -82,7 +85,7 @@ def baseline_of(folder: Path, code: int) -> Baseline:
 
 def differences(kept: Baseline, now: Baseline) -> list[Change]:
     """Return what does not hold; what is better or new does not, either."""
-    values = {name: metric.value for name, metric in now.metrics.items()}
+    values = {name: Number(metric.value) for name, metric in now.metrics.items()}
     changes = changes_of(kept, {"verdict": now.verdict, **now.words}, values)
     if kept.sha256 != now.sha256:
         changes.insert(0, Change("log", kept.sha256, now.sha256, 0.0, "broken"))
@@ -114,8 +117,7 @@ def _numbers(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
     if isinstance(value, dict):
         for key, inner in value.items():
             whole = f"{name}.{key}".removeprefix(".")
-            judged = judged_by(whole)
-            if key not in LEFT_OUT and (judged is None or judged.side != "left out"):
+            if key not in LEFT_OUT:
                 yield from _numbers(inner, whole)
     elif isinstance(value, list):
         if value and isinstance(value[0], dict):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.arrays import Array, Index
+from comparisons.figures import LeftOut, Less, Nominal, Share95
 from comparisons.statistics import (
     Averaged,
     Band,
@@ -56,15 +57,15 @@ class FilterAgainstSmootherFigures:
     """
 
     epochs: int
-    squared_per_dof: float | None
+    squared_per_dof: Nominal[float | None]
     band: Band | None = None
-    inside: float | None
-    least_ratio: float | None
-    least_ratio_s: float | None
-    overconfident_epochs: int
-    overconfident_since_s: float | None
+    inside: Share95[float | None]
+    least_ratio: Nominal[float | None]
+    least_ratio_s: LeftOut[float | None]
+    overconfident_epochs: Less[int]
+    overconfident_since_s: LeftOut[float | None]
     unusable: Mapping[str, int]
-    departure: BlockDeparture | None = None
+    departure: LeftOut[BlockDeparture | None] = None
 
 
 @dataclass(frozen=True, kw_only=True)

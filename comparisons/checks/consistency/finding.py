@@ -17,7 +17,7 @@ from comparisons.checks.consistency.consistency import (
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmootherFigures
 from comparisons.checks.consistency.nees import TruthConsistency, against_truth
 from comparisons.checks.finding import Absent, Of
-from comparisons.figures import Model, band
+from comparisons.figures import LeftOut, Model, band
 from comparisons.innovations import InnovationFigures
 from comparisons.statistics import BlockDeparture, Normalised, NormalisedFigures
 from comparisons.words import Row
@@ -56,7 +56,7 @@ class TruthConsistencyResult(Model):
     distance: NormalisedFigures | None
     distances: NormalisedFigures | None
     too_short: int
-    departure: BlockDeparture | None = None
+    departure: LeftOut[BlockDeparture | None] = None
 
 
 class ConsistencyResult(Model):
@@ -118,7 +118,7 @@ class CheckConsistency(Check):
     name = "consistency"
     needs = "innovations; truth for the NEES; the batch smoother, without a kernel, for the rest"
     errs = "1 of 1,000 sound runs by NIS, 5 of 520 by filter against smoother"
-    figures = (ConsistencyResult,)
+    figures = (("consistency", ConsistencyResult),)
 
     def find(self, known: Known) -> ConsistencyFinding | Absent:
         """Return the statistics that the log allows; they have no say in the verdict."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from comparisons.arrays import Array
-from comparisons.figures import Figure
+from comparisons.figures import Figure, Less
 from comparisons.words import Row
 from ekf_reference.dense.layers.layer import Samples
 
@@ -29,8 +29,8 @@ class SurfaceError:
         occupied: cells or points that were measured.
     """
 
-    median_m: Figure
-    p95_m: Figure
+    median_m: Less[Figure]
+    p95_m: Less[Figure]
     occupied: int
 
 

@@ -22,7 +22,7 @@ from comparisons.extensions.dense_maps.accuracy import (
     surface_error_rows,
 )
 from comparisons.extensions.dense_maps.source import DenseRun, classic_grid
-from comparisons.figures import Aside
+from comparisons.figures import Aside, Less, More
 from comparisons.logs.log import Log
 from comparisons.words import Cause, Row
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
@@ -52,9 +52,9 @@ class LayerAgreement:
     """
 
     samples: int
-    median_m: float
-    p95_m: float
-    missed_m: float
+    median_m: Less[float]
+    p95_m: Less[float]
+    missed_m: Less[float]
     point: Aside[Array]
     distance_m: Aside[Array]
 
@@ -131,7 +131,7 @@ class DenseAgreement:
     agrees: bool
     first_condition: FirstCondition
     layers: dict[str, LayerAgreement]
-    occupancy_share: float | None
+    occupancy_share: More[float | None]
     regions: tuple[RegionAgreement, ...]
     surface_errors: dict[str, SurfaceError]
     median_m: Aside[float]

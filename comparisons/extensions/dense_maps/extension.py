@@ -174,7 +174,7 @@ class DenseMaps(Extension):
             "were uncertain relative to each other when its scans were added.",
         )
     }
-    figures = (DenseAgreement,)
+    figures = (("dense", DenseAgreement),)
     settings: DenseMapsConfig
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:

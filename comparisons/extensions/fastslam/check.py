@@ -19,6 +19,7 @@ from scipy.special import chdtri, fdtri, gammaln, hyp1f1, stdtrit
 
 from comparisons.arrays import Array
 from comparisons.extensions.fastslam.stretches import StretchClouds
+from comparisons.figures import LeftOut, Less, More, Nominal
 
 LEVEL = 1e-3
 """Probability of a disagreement where both posteriors are the same."""
@@ -63,8 +64,8 @@ class ExactCheck:
     """
 
     stretches: int
-    clouds: float
-    gaussian: float
+    clouds: LeftOut[LeftOut[float]]
+    gaussian: LeftOut[LeftOut[float]]
 
     @property
     def explains(self) -> bool:
@@ -94,12 +95,12 @@ class CloudCheck:
 
     stretches: tuple[StretchCheck, ...]
     clouds: int
-    energy: float
-    p: float
-    squared_shift: float
-    largest_shift: float
-    spread: float
-    independent: float
+    energy: Less[float]
+    p: LeftOut[float]
+    squared_shift: Less[float]
+    largest_shift: LeftOut[float]
+    spread: Nominal[float]
+    independent: More[float]
     agrees: bool | None
     exact: ExactCheck | None
     shape: tuple[str, ...]

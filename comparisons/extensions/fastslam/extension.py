@@ -24,6 +24,7 @@ from comparisons.extensions.fastslam.drive import (
     run_fastslam,
 )
 from comparisons.extensions.fastslam.stretches import LEAST_ANCESTORS, StretchComparison
+from comparisons.figures import LeftOut, Less, More
 from comparisons.logs.transforms.known_landmarks import surveyed
 from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
@@ -64,13 +65,13 @@ class FastSlamResult(CloudCheck):
     """
 
     particles: int
-    length_s: float
-    level: float
+    length_s: LeftOut[float]
+    level: LeftOut[float]
     verdict: str
-    path_m: float
-    difference_m: float
-    difference_rad: float
-    effective: float
+    path_m: Less[float]
+    difference_m: Less[float]
+    difference_rad: Less[float]
+    effective: More[float]
     first: int
     middle: int
     accuracy: Accuracy | None
@@ -85,7 +86,7 @@ class FastSlamExtension(Extension):
     name = "fastslam"
     needs = "measurements of landmarks, none surveyed"
     errs = "not at all: what it finds changes no verdict"
-    figures = (FastSlamResult,)
+    figures = (("fastslam", FastSlamResult),)
     settings: FastSlamConfig
 
     def __init__(self, settings: FastSlamConfig, config: Configured) -> None:

@@ -35,7 +35,7 @@ class HighLevel(Extension):
     name = "high_level"
     needs = "scans"
     errs = "not at all: it gives the estimators landmarks"
-    figures = (HighLevelRun,)
+    figures = (("high_level", HighLevelRun),)
 
     def __init__(self, settings: HighLevelConfig, config: Configured) -> None:
         """Of a dense map the options are those of the preset."""

@@ -27,7 +27,7 @@ from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.own_association.config import OwnAssociationConfig
-from comparisons.figures import Aside, in_sigma
+from comparisons.figures import Aside, Less, More, in_sigma
 from comparisons.logs.log import LandmarkMeasurements
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.extension import Extension
@@ -72,15 +72,15 @@ class OwnAssociationCheck:
     """
 
     landmarks: int
-    agreement: float
+    agreement: More[float]
     pairs_both: int
     pairs_filter: int
     pairs_smoother: int
-    splits: int
-    merges: int
-    pose_difference_m: float
-    pose_distance_sigma: float
-    landmark_rms_m: float | None
+    splits: Less[int]
+    merges: Less[int]
+    pose_difference_m: Less[float]
+    pose_distance_sigma: Less[float]
+    landmark_rms_m: Less[float | None]
     verified: bool
     accuracy: Accuracy | None = None
     association: AssociationScore | None = None
@@ -181,7 +181,7 @@ class OwnAssociation(Extension):
     name = "own_association"
     needs = "measurements of landmarks"
     errs = "not measured"
-    figures = (OwnAssociationCheck,)
+    figures = (("own_association", OwnAssociationCheck),)
 
     def __init__(self, settings: OwnAssociationConfig, config: Configured) -> None:
         """Of `when` never, it does nothing."""

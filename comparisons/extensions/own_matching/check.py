@@ -17,7 +17,7 @@ from comparisons.checks.accuracy import Accuracy, aligned
 from comparisons.checks.agreement import Gaussian, block_agreement
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import Aside, Figure
+from comparisons.figures import Aside, Figure, LeftOut, Less, Same
 from comparisons.words import Cause
 from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
@@ -107,20 +107,20 @@ class OwnMatchingCheck:
     filter: int
     own: int
     common: int
-    distance_sigma: Figure | None
+    distance_sigma: Less[Figure | None]
     shift_m: tuple[float, float]
-    shift_rad: float
-    shift_sigma: Figure | None
+    shift_rad: LeftOut[float]
+    shift_sigma: Less[Figure | None]
     landmarks: tuple[LandmarkMatching, ...]
     ekf: Pair
     smoother: Pair
-    pose_difference_m: float
-    pose_distance_sigma: Figure
-    path_ekf_m: float
-    path_smoother_m: float
+    pose_difference_m: Less[float]
+    pose_distance_sigma: Less[Figure]
+    path_ekf_m: Less[float]
+    path_smoother_m: Less[float]
     agrees: bool
     verified: bool
-    chi2: float
+    chi2: Same[float]
     dof: int
     reasons: dict[str, int] = field(default_factory=dict)
     accuracy: Accuracy | None = None

@@ -61,7 +61,7 @@ class OwnMatching(Extension):
             "template, the covariance R, and places that look alike.",
         )
     }
-    figures = (OwnMatchingCheck,)
+    figures = (("own_matching", OwnMatchingCheck),)
 
     def find(self, known: Known) -> OwnMatchingFinding | None:
         """See the scan landmarks anew, solve, assess, and compare the alignments."""

@@ -16,7 +16,7 @@ from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.posterior.config import PosteriorConfig
-from comparisons.figures import Aside, finite
+from comparisons.figures import Aside, LeftOut, finite
 from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
@@ -121,16 +121,16 @@ class PosteriorCheck:
     draws: int
     chains: int
     unknowns: int
-    acceptance: float
-    step_rad: float
-    r_hat: float | None
-    bulk: float | None
-    tail: float | None
+    acceptance: LeftOut[float]
+    step_rad: LeftOut[float]
+    r_hat: LeftOut[float | None]
+    bulk: LeftOut[float | None]
+    tail: LeftOut[float | None]
     converged: bool
     lacks: str
     moments: Moments | None
-    ekf: Judged | None
-    smoother: Judged | None
+    ekf: LeftOut[Judged | None]
+    smoother: LeftOut[Judged | None]
     posterior: Aside[PosteriorDraws]
 
 
@@ -204,7 +204,7 @@ class Posterior(Extension):
     name = "posterior"
     needs = "a short log"
     errs = "not at all: what it finds changes no verdict"
-    figures = (PosteriorCheck,)
+    figures = (("posterior", PosteriorCheck),)
 
     def __init__(self, settings: PosteriorConfig, config: Configured) -> None:
         """settings: how many draws, and the seed."""

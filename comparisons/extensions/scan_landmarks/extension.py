@@ -44,7 +44,7 @@ class ScanLandmarksExtension(Extension):
     name = "scan_landmarks"
     needs = "scans"
     errs = "not at all: it gives the estimators landmarks"
-    figures = (ScanSlamResult,)
+    figures = (("scan_slam", ScanSlamResult),)
 
     def __init__(self, settings: ScanLandmarksConfig, config: Configured) -> None:
         """Settings also say whether a dense map is anchored to the landmarks."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from comparisons.checks.agreement import PlacedAgreement
+from comparisons.checks.agreement import PlacedAgreement, Together
 from comparisons.config import setting_default
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_slam_options
-from comparisons.figures import Model
+from comparisons.figures import LeftOut, Model
 from comparisons.pipeline.gaps import Gaps
 from comparisons.words import Row
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
@@ -200,11 +200,11 @@ class ScanSlamResult(Model):
     """
 
     scans: int
-    landmarks: list[ScanLandmark]
+    landmarks: Together[list[ScanLandmark]]
     rejected: int
     dynamic: int = 0
     deactivated: int = 0
     fused: int = 0
     pieces: str = "single"
-    rule: TemplateRule | None = None
+    rule: LeftOut[TemplateRule | None] = None
     measurements: dict[str, int]

@@ -59,9 +59,9 @@ class ScanMotionExtension(Extension):
     needs = "scans"
     errs = "not measured"
     figures = (
-        ScanOdometryResult,
-        IncrementCheck,
-        ThreeWay,
+        ("scan_odometry", ScanOdometryResult),
+        ("increments", IncrementCheck),
+        ("three_way", ThreeWay),
     )
 
     def __init__(self, settings: ScanMotionConfig, config: Configured) -> None:

@@ -13,6 +13,7 @@ from comparisons.adapters.scan_odometry import ScanMotion
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
 from comparisons.extensions.scan_motion.log_by_scans import divide
+from comparisons.figures import Nominal
 from comparisons.logs.log import Log, Poses, Positions
 from graphslam.increments import Samples, dead_reckoned
 from graphslam.scan import planar
@@ -45,12 +46,12 @@ class IncrementCheck:
     """
 
     against: str
-    nees: float
+    nees: Nominal[float]
     dof: int
     band: tuple[float, float]
-    factor: float
-    reference_factor: float | None = None
-    median: float | None = None
+    factor: Nominal[float]
+    reference_factor: Nominal[float | None] = None
+    median: Nominal[float | None] = None
 
 
 def check_increments(motion: ScanMotion, log: Log) -> IncrementCheck | None:

@@ -12,7 +12,7 @@ from comparisons.adapters.scan_odometry import ScanMotion
 from comparisons.checks.accuracy import accuracy_rows
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
-from comparisons.figures import Model, band
+from comparisons.figures import LeftOut, Less, Model, More, band
 from comparisons.words import Row
 
 _SURE = 2.0
@@ -126,6 +126,6 @@ class ScanOdometryResult(Model):
     failures: dict[str, int]
     breaks: int
     weak: int
-    overlap: float | None
-    residual_m: float | None
-    scans_per_second: float
+    overlap: More[float | None]
+    residual_m: Less[float | None]
+    scans_per_second: LeftOut[float]

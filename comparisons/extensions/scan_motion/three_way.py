@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import Aside
+from comparisons.figures import Aside, Same
 from comparisons.words import Cause
 from graphslam.optimum import Optimality, chi_square_test
 from graphslam.smoother import SmootherResult
@@ -44,7 +44,7 @@ class ThreeWay:
     smoother: Pair
     loops: int
     verified: bool
-    chi2: float
+    chi2: Same[float]
     dof: int
     accuracy: Accuracy | None
     inconsistent_source: str
