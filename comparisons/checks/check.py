@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 from comparisons.checks.finding import Absent, Finding, LackingError
+from comparisons.shown import Brief
 from comparisons.words import Explanation
 
 if TYPE_CHECKING:
@@ -54,8 +55,8 @@ class Check:
             known.findings[self.name] = found
 
 
-@dataclass(frozen=True)
-class Answers:
+@dataclass(frozen=True, repr=False)
+class Answers(Brief):
     """What checks find, once somebody wants to know it.
 
     before: what is known without them. checks: in the order in which one reads another's finding.

@@ -24,6 +24,7 @@ from comparisons.logs.log import Positions
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.gaps import Gaps
 from comparisons.pipeline.prepared import Prepared
+from comparisons.shown import Brief
 from comparisons.words import Row
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherResult
@@ -31,8 +32,8 @@ from graphslam.smoother import SmootherResult
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Given:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Given(Brief):
     """Somebody else's estimate.
 
     estimate: as it was handed in. inside: its poses within the log's time. optimum: the smoother at
@@ -47,8 +48,8 @@ class Given:
     sensors: tuple[SensorInnovations, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Known:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Known(Brief):
     """What a job knows, for its checks. What it has not raises LackingError with the reason.
 
     Attributes:

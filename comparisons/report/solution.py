@@ -78,7 +78,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
                 *s.notes,
                 *s.open_loops,
                 *_misfit(s),
-                *s.known.remarks,
+                *(s.known.remarks if s.misread is None else ()),  # else no sigma means what it says
             ],
             **found_entries(s.known, SolutionResult),
             **about_job(s.prepared, s.prepared.clock.after(read)),
