@@ -137,9 +137,9 @@ def front_end(log: Log) -> None:
     spent_s = f.prepared.clock.seconds["loops"]
     print(f"{log.name}: {len(f.closed.loop_closures.first)} loops closed in {spent_s:.1f} s")
     for name, accuracy in (
-        ("wheels", f.accuracy_wheels),
-        ("scan odometry", f.accuracy_odometry),
-        ("scan graph", f.accuracy_graph),
+        ("wheels", f.accuracy.get("wheels")),
+        ("scan odometry", f.accuracy.get("scans")),
+        ("scan graph", f.accuracy.get("scan graph")),
     ):
         if accuracy is not None:
             figure = accuracy.gps_rms_aligned_m or accuracy.ate_aligned_m

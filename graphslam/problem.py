@@ -150,7 +150,14 @@ class SlamProblem:
         return len(self.increment) + 1
 
     def same_as(self, other: SlamProblem) -> bool:
-        """Return whether two problems are equal, number for number; NaN equals itself."""
+        """Compare with another problem, number for number; NaN equals itself.
+
+        Args:
+            other: The other problem.
+
+        Returns:
+            Whether both are equal.
+        """
         return _same(self, other)
 
     @property

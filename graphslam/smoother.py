@@ -145,6 +145,11 @@ class SmootherResult:
     lagged: LagEnd | None = None
 
     @property
+    def reweighted(self) -> bool:
+        """Whether a robust kernel has changed the weight of residuals."""
+        return _reweighted(self.problem, self.options.kernel)
+
+    @property
     def rank(self) -> int:
         """Unknowns that the measurements determine; a result is only had when they all are."""
         return int(self.values.dim())
@@ -363,10 +368,15 @@ def _along(result: SmootherResult, followed: _Followed) -> SmootherResult:
 
 def _degrees_of_freedom(problem: SlamProblem, kernel: str) -> int:
     """0 where a kernel has changed the residuals, so that chi-square says nothing."""
-    closed = problem.loop_closures
-    if kernel != "none" or (len(closed.first) > 0 and closed.kernel != "none"):
+    if _reweighted(problem, kernel):
         return 0
     return problem.residual_dimension - problem.state_dimension
+
+
+def _reweighted(problem: SlamProblem, kernel: str) -> bool:
+    """Whether a kernel reduces the weight of what fits badly, of closures or of all."""
+    closed = problem.loop_closures
+    return kernel != "none" or (len(closed.first) > 0 and closed.kernel != "none")
 
 
 def _distance(optimum: SmootherResult, followed: _Followed) -> float:

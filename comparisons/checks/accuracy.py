@@ -32,6 +32,9 @@ _NEARER, _FAR_M = 3.0, 0.5
 """Another is so many times nearer than a landmark's own, which is farther than so much."""
 _FEWEST_LABELS = 4
 """Landmarks of which a frame leaves those that are exchanged."""
+_WORDS = {"odometry": "dead reckoning", "scans": "scan odometry"}
+_KEYS = {"odometry": "dead_reckoning", "scans": "scan_odometry", "wheels": "wheels"}
+"""What rows and results call what a line calls shortly."""
 _COMPLEX = np.array([1.0, 1.0j])
 """Takes points to complex numbers."""
 
@@ -120,11 +123,10 @@ class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
 
     def rows(self) -> Sequence[Row]:
         """Return the rows of each."""
-        words = {"odometry": "dead reckoning"}
         return [
             row
             for name, one in self.value.items()
-            for row in accuracy_rows(words.get(name, f"the {name}"), one)
+            for row in accuracy_rows(_WORDS.get(name, f"the {name}"), one)
         ]
 
 
@@ -137,22 +139,28 @@ class CheckAccuracy(Check):
     figures = (("accuracy", Accuracies),)
 
     def find(self, known: Known) -> AccuracyFinding | Absent:
-        """Return the errors of each estimate; of the odometry alone, too, beside our own."""
-        judged, labelled = known.prepared.judged, known.prepared.labelled
+        """Return the errors of each estimate, and of odometry alone beside our own."""
+        judged, labelled = known.judged, known.prepared.labelled
         each = {
             name: assess(one, judged, labelled=labelled) for name, one in known.estimates.items()
         }
         if None in each.values():
             return Absent("the log has neither truth nor positions that no estimator has used")
+        optimum = each[known.called]
         if known.given is not None:
-            given = each["estimate"]
-            return AccuracyFinding(each, {"accuracy": given, "smoother_accuracy": each["smoother"]})
-        reckoned = assess_trajectory(known.timeline.epoch_time_s, known.dead_reckoned, judged)
-        entries: dict[str, object] = {"accuracy": each["smoother"], "dead_reckoning": reckoned}
+            both = {"accuracy": each["estimate"], "smoother_accuracy": optimum}
+            return AccuracyFinding(each, both)
+        ways = {"odometry": known.dead_reckoned} if known.ways is None else known.ways
+        epochs_s = known.timeline.epoch_time_s
+        beside = {name: assess_trajectory(epochs_s, pose, judged) for name, pose in ways.items()}
+        entries: dict[str, object] = {
+            "accuracy": optimum,
+            **{_KEYS[name]: one for name, one in beside.items()},
+        }
         if known.run is not None:
-            ekf, smoother = each.values()
-            entries = {"accuracy": Accuracies(ekf, smoother, reckoned)}  # type: ignore[arg-type]
-        return AccuracyFinding(each | {"odometry": reckoned}, entries)
+            compared = (each["EKF"], optimum, beside["odometry"])
+            entries = {"accuracy": Accuracies(*compared)}  # type: ignore[arg-type]
+        return AccuracyFinding(each | beside, entries)
 
 
 def accuracy_line(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:

@@ -169,7 +169,7 @@ class CheckTruthGap(Check):
         accuracy, consistency = known.value(AccuracyFinding), known.value(ConsistencyFinding)
         association = known.value(AssociationFinding)
         gap = truth_gap(
-            None if accuracy is None else accuracy["smoother"],
+            None if accuracy is None else accuracy[known.called],
             None if consistency is None else consistency.smoother,
             association,
             measurement_scale(prepared.log.measurements, places),

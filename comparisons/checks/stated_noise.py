@@ -89,7 +89,8 @@ class CheckStatedNoise(Check):
         from graphslam.variance_components import variance_components
 
         result = known.result
-        if result.options.robust != "none" or result.lagged is not None:
+        robust = result.options.robust != "none" or result.reweighted
+        if robust or result.lagged is not None:
             return Absent("the smoother does not weight every measurement by its sigma")
         return StatedNoiseFinding(variance_components(result))
 

@@ -20,7 +20,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, Information
 from comparisons.estimates.reference import Reference
 from comparisons.innovations import SensorInnovations
-from comparisons.logs.log import Positions
+from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.gaps import Gaps
 from comparisons.pipeline.prepared import Prepared
@@ -59,6 +59,10 @@ class Known(Brief):
         landmark_index: (M,) the landmark of each measurement in S, negative for unused.
         timeline: Of S.
         positions: Absolute positions that S fuses.
+        called: What reports call S.
+        ways: (K, 3) poses without covariances at S's epochs, by what reports call them; None for
+            where the odometry alone leads.
+        reference: The log that errors are against; None for what no estimator was given.
         without: Why there is no filter.
         run: A filter with the events that it went through.
         chain: The gaps between that filter and S.
@@ -75,6 +79,9 @@ class Known(Brief):
     landmark_index: Index
     timeline: Timeline
     positions: Positions | None
+    called: str = "smoother"
+    ways: Mapping[str, Array] | None = None
+    reference: Log | None = None
     without: str = "the job runs no filter"
     run: EkfRun | None = None
     chain: Gaps | None = None
@@ -110,7 +117,12 @@ class Known(Brief):
         judged = {} if self.run is None else {"EKF": self.run.estimate}
         if self.given is not None:
             judged = {"estimate": self.given.estimate.padded()}
-        return {**judged, "smoother": self.smoothed}
+        return {**judged, self.called: self.smoothed}
+
+    @property
+    def judged(self) -> Log:
+        """The log with those positions only that no estimator was given, and its truth."""
+        return self.prepared.judged if self.reference is None else self.reference
 
     @cached_property
     def dead_reckoned(self) -> Array:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.checks.qualifiers import TRUTH_GAP, TruthGapFinding
 from comparisons.config import EkfConfig, JobConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import finite, package_versions, stored
@@ -71,6 +72,19 @@ def found_entries(known: Known, result: type[CheckedResult]) -> dict[str, Any]:
         for key, entry in known.entries.items()
     }
     return {**entries, "not_checked": dict(known.absent)}
+
+
+def optimum_findings(
+    known: Known, result: type[CheckedResult], remarks: Sequence[str]
+) -> dict[str, Any]:
+    """Return the same for an optimum with which no filter is compared, and all remarks."""
+    gap = known.value(TruthGapFinding)
+    far = None if gap is None else gap.cause
+    return {
+        **found_entries(known, result),
+        "qualifiers": [TRUTH_GAP] if far else [],
+        "remarks": [*([f"{far.gap} gap: {far.evidence}"] if far else []), *remarks],
+    }
 
 
 def about_log(log: LogResult) -> str:

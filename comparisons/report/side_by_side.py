@@ -44,7 +44,8 @@ _FILES: dict[str, tuple[str, dict[str, str]]] = {
         "odometry",
         {
             "graph": "smoother",
-            "scan_graph": "accuracy.smoother",
+            "accuracy": "accuracy.smoother",
+            "scan_graph": "accuracy.smoother",  # of version 0.2
             "scan_odometry": "accuracy.scan_odometry",
             "wheels": "accuracy.wheels",
         },

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.checks.qualifiers import TRUTH_GAP, TruthGapFinding
 from comparisons.checks.verdict import misfit_remarks
 from comparisons.figures import rounded
 from comparisons.pipeline.clock import Clock
@@ -21,7 +20,7 @@ from comparisons.report.job import Report
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, found_entries, job_page, smoother_result
+from comparisons.report.sections import about_job, job_page, optimum_findings, smoother_result
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -59,8 +58,14 @@ class SolutionReport(Report[Solution, SolutionResult]):
     @staticmethod
     def build(solution: Solution, read: Clock | None = None) -> SolutionResult:
         """Return the findings, read being the time that reading the log took."""
-        s, gap = solution, solution.known.value(TruthGapFinding)
-        far = None if gap is None else gap.cause
+        s = solution
+        remarks = [
+            *([FRAME] if s.log.prior.open else []),
+            *s.notes,
+            *s.open_loops,
+            *_misfit(s),
+            *(s.known.remarks if s.misread is None else ()),  # else no sigma means what it says
+        ]
         return SolutionResult(
             association_by=s.association_by,
             landmarks=len(s.estimate.landmark),
@@ -71,16 +76,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
             pose_graph=_pose_graph(s),
             verdict="verified" if s.verified else "unverified",
             reasons=s.lacks,
-            qualifiers=[TRUTH_GAP] if far else [],
-            remarks=[
-                *([f"{far.gap} gap: {far.evidence}"] if far else []),
-                *([FRAME] if s.log.prior.open else []),
-                *s.notes,
-                *s.open_loops,
-                *_misfit(s),
-                *(s.known.remarks if s.misread is None else ()),  # else no sigma means what it says
-            ],
-            **found_entries(s.known, SolutionResult),
+            **optimum_findings(s.known, SolutionResult, remarks),
             **about_job(s.prepared, s.prepared.clock.after(read)),
         )
 

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.scan_odometry import ScanFailure, ScanMotion, run_scan_odometry
+from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.map_agreement import compare_maps
+from comparisons.checks.qualifiers import TRUTH_GAP
+from comparisons.checks.registry import CHECKS
 from comparisons.config import FrontEndConfig, OdometryConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
@@ -21,7 +24,7 @@ from comparisons.extensions.scan_motion.report import FrontEndReport, FrontEndRe
 from comparisons.extensions.scan_motion.three_way import ThreeWay, find_inconsistent_source
 from comparisons.jobs.run import Comparison
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.readers import read_log
@@ -77,7 +80,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert set(result.files) == names
     assert result.loops.closed > 10
     assert result.loops.tried == result.loops.closed + sum(result.loops.reasons.values())
-    assert present(present(result.scan_graph).ate_aligned_m) < 0.1 * present(
+    assert present(present(result.accuracy).ate_aligned_m) < 0.1 * present(
         present(result.wheels).ate_aligned_m
     )
     assert 0.7 < present(result.increments).factor < 1.4
@@ -106,8 +109,8 @@ def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop:
     assert not none.closed.attempts
     assert not len(none.graph.problem.loop_closures.first)
     blind = run_front_end(scan_loop, OdometryConfig(front_end=FrontEndConfig(guess="none")))
-    assert blind.accuracy_wheels is not None
-    assert present(blind.accuracy_graph).ate_aligned_m is not None
+    assert blind.accuracy["wheels"] is not None
+    assert present(blind.accuracy["scan graph"]).ate_aligned_m is not None
 
 
 @pytest.mark.slow
@@ -185,13 +188,27 @@ def test_maps_that_share_nothing_cannot_be_compared(wrong_wheels: Comparison) ->
 
 
 @pytest.mark.slow
+def test_the_graph_is_asked_what_a_solution_is(scan_loop: Log) -> None:
+    """Its kernel on closures leaves no sigma to be judged; a truth elsewhere is a truth gap."""
+    poses = present(scan_loop.truth.poses)
+    moved = replace(poses, pose=poses.pose + (30.0, 0.0, 0.0))
+    found = run_front_end(replace(scan_loop, truth=Truth(poses=moved)))
+    report = FrontEndReport.of(found)
+    known, result = found.known, report.result
+    assert {*known.findings, *known.absent} == {one.name for one in CHECKS}
+    assert "does not weight every measurement" in result.not_checked["stated_noise"]
+    assert present(present(known.value(ConsistencyFinding)).smoother).poses is not None
+    assert result.qualifiers == [TRUTH_GAP]
+    assert "verified, truth gap" in report.summary().headline
+    assert set(known.rows) <= set(report.summary().rows)
+
+
+@pytest.mark.slow
 def test_the_car_park(shared_data: Path) -> None:
     """The issue's figures: scan odometry 1.0 m, with closed loops 0.35 m, wheels about 2 m."""
     f = run_front_end(read_log(shared_data / "acfr_car_park"))
     wheels, odometry, graph = (
-        a.gps_rms_aligned_m
-        for a in (f.accuracy_wheels, f.accuracy_odometry, f.accuracy_graph)
-        if a is not None
+        present(f.accuracy[name]).gps_rms_aligned_m for name in ("wheels", "scans", "scan graph")
     )
     assert wheels is not None
     assert odometry is not None
@@ -206,7 +223,7 @@ def test_the_car_park_without_wheels_is_unverified_where_scans_are_lost(shared_d
     """A lost scan is bridged by constant velocity alone; with wheels as the guess it is not."""
     log, how = read_log(shared_data / "acfr_car_park"), FrontEndConfig(guess="none")
     f = run_front_end(log, OdometryConfig(front_end=how))
-    assert present(present(f.accuracy_graph).gps_rms_aligned_m) < 1.0
+    assert present(present(f.accuracy["scan graph"]).gps_rms_aligned_m) < 1.0
     lost = ScanFailure(3, 0.6, "too few points")
     for guessed, failures in itertools.product((False, True), ((), (lost,))):
         motion = replace(f.motion, guessed=guessed, failures=failures)

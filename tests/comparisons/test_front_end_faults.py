@@ -16,7 +16,6 @@ from comparisons.checks.map_agreement import compare_maps
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.config import FrontEndConfig, Gps, OdometryConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.extension import ScanMotionFinding
 from comparisons.extensions.scan_motion.increments import check_increments
 from comparisons.extensions.scan_motion.job import run_front_end
@@ -198,21 +197,13 @@ def test_no_scans_at_all_are_told_of() -> None:
 
 
 @pytest.mark.slow
-def test_positions_held_back_stay_so_where_scans_begin_late(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_positions_held_back_stay_so_where_scans_begin_late() -> None:
     """An odd number of positions, or an even one, comes before the first scan."""
-    judging: list[Positions | None] = []
-
-    def noted(estimate: Estimate, log: Log, *, labelled: bool) -> None:
-        judging.append(log.positions)
-
-    monkeypatch.setattr("comparisons.extensions.scan_motion.job.assess", noted)
     late = without_odometry(with_scans(short(), slice(2, None)))
     for first_s in (0.0, 0.4):
         front_end = run_front_end(with_positions(late, first_s), with_gps("half"))
         fused = front_end.time_s[front_end.graph.problem.position_pose]
-        held = present(judging.pop())
+        held = present(front_end.known.judged.positions)
         assert not np.isin(held.time_s, fused).any()
         assert abs(len(held.time_s) - len(fused)) <= 1
 
@@ -236,7 +227,7 @@ def test_surveyed_landmarks_hold_the_scan_graph_where_others_have_no_names() -> 
     front_end = run_front_end(without_labels(log))
     assert len(front_end.estimate.landmark) == len(present(log.known_landmarks).id)
     assert len(front_end.graph.problem.z)
-    assert present(present(front_end.accuracy_graph).ate_m) < 0.1
+    assert present(present(front_end.accuracy["scan graph"]).ate_m) < 0.1
 
 
 def test_scan_odometry_needs_no_measurement_within_the_time_of_the_scans() -> None:

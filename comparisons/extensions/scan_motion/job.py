@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,7 +13,9 @@ from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.adapters.scan_source import CloudsAt
 from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
 from comparisons.arrays import Array
-from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
+from comparisons.checks.accuracy import Accuracy, AccuracyFinding
+from comparisons.checks.check import Answers
+from comparisons.checks.registry import CHECKS
 from comparisons.config import EkfConfig, OdometryConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.increments import IncrementCheck, check_increments
@@ -28,6 +31,7 @@ from comparisons.logs.transforms.known_landmarks import (
     indices_by_label,
 )
 from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown
@@ -58,9 +62,7 @@ class FrontEnd(Shown):
         estimate: The graph's trajectory, and landmarks where they are labelled or surveyed.
         clouds: The points of each scan, by the index of its pose.
         increments: Scan odometry against the wheels; None without odometry.
-        accuracy_wheels: Errors of the wheels' poses.
-        accuracy_odometry: Errors of scan odometry.
-        accuracy_graph: Errors of the graph.
+        unasked: What is known of the graph's optimum, before a check is asked.
     """
 
     prepared: Prepared[OdometryConfig]
@@ -73,9 +75,7 @@ class FrontEnd(Shown):
     estimate: Estimate
     clouds: CloudsAt
     increments: IncrementCheck | None
-    accuracy_wheels: Accuracy | None
-    accuracy_odometry: Accuracy | None
-    accuracy_graph: Accuracy | None
+    unasked: Known
 
     def __repr__(self) -> str:
         """Return log and counts in one line."""
@@ -85,6 +85,16 @@ class FrontEnd(Shown):
     def log(self) -> Log:
         """The log as it was read, surveyed landmarks' measurements among the others."""
         return self.prepared.log
+
+    @cached_property
+    def known(self) -> Known:
+        """What is known of the graph's optimum, with what the checks find."""
+        return Answers(self.unasked, CHECKS).known
+
+    @property
+    def accuracy(self) -> Mapping[str, Accuracy | None]:
+        """Errors by truth or positions of `scan graph`, `scans` and `wheels`; none without."""
+        return self.known.value(AccuracyFinding) or {}
 
     @cached_property
     def _points(self) -> Array:
@@ -140,7 +150,6 @@ def run_front_end(
         wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
     # Fused ones are counted among those that the scans reach.
     reached = scanned.judged.positions if scanned.positions else prepared.judged.positions
-    judged = replace(log, positions=reached)
     return FrontEnd(
         prepared=prepared,
         motion=motion,
@@ -152,11 +161,17 @@ def run_front_end(
         estimate=estimate,
         clouds=clouds,
         increments=check_increments(motion, log),
-        accuracy_wheels=None
-        if wheels is None
-        else assess_trajectory(timeline.epoch_time_s, wheels, judged),
-        accuracy_odometry=assess_trajectory(timeline.epoch_time_s, odometry, judged),
-        accuracy_graph=assess(estimate, judged, labelled=labelled),
+        unasked=Known(
+            prepared=scanned,
+            result=graph,
+            smoothed=estimate,
+            landmark_index=landmark_index,
+            timeline=timeline,
+            positions=scanned.positions,
+            called="scan graph",
+            ways={"scans": odometry} | ({} if wheels is None else {"wheels": wheels}),
+            reference=replace(log, positions=reached),
+        ),
     )
 
 

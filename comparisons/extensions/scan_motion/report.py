@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from comparisons.arrays import Array
-from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows
+from comparisons.checks.accuracy import Accuracy
 from comparisons.estimates.folder import tum_text
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.job import FrontEnd
@@ -38,9 +38,9 @@ from comparisons.report.html.map import Track, estimate_map
 from comparisons.report.html.page import PageContent, write_page
 from comparisons.report.job import Report
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
-from comparisons.report.models import JobResult, SmootherResult
+from comparisons.report.models import CheckedResult, SmootherResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, job_page, smoother_result
+from comparisons.report.sections import about_job, job_page, optimum_findings, smoother_result
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
 from comparisons.words import Row
@@ -62,7 +62,7 @@ class LoopResult(Model):
     reasons: dict[str, int]
 
 
-class FrontEndResult(JobResult):
+class FrontEndResult(CheckedResult):
     """`odometry.json`: the scan front end alone.
 
     Attributes:
@@ -72,9 +72,9 @@ class FrontEndResult(JobResult):
         landmarks: landmarks of the map.
         gps: value of `--gps`.
         increments: errors of the increments by truth or GPS.
-        wheels: errors of the wheels' odometry.
+        accuracy: errors of the scan pose graph.
         scan_odometry: errors of the scan odometry.
-        scan_graph: errors of the scan pose graph.
+        wheels: errors of the wheels' odometry.
         verdict: whether the graph's optimum is verified and no scan was lost that no wheels bridge.
         reasons: why it is not.
     """
@@ -85,9 +85,9 @@ class FrontEndResult(JobResult):
     landmarks: int
     gps: str
     increments: IncrementCheck | None
-    wheels: Accuracy | None
-    scan_odometry: Accuracy | None
-    scan_graph: Accuracy | None
+    accuracy: Accuracy | None = None
+    scan_odometry: Accuracy | None = None
+    wheels: Accuracy | None = None
     verdict: Literal["verified", "unverified"]
     reasons: list[str]
 
@@ -111,12 +111,9 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
             landmarks=len(f.estimate.landmark),
             gps=f.prepared.config.front_end.gps,
             increments=f.increments,
-            wheels=f.accuracy_wheels,
-            scan_odometry=f.accuracy_odometry,
-            scan_graph=f.accuracy_graph,
             verdict="unverified" if reasons else "verified",
             reasons=reasons,
-            remarks=_remarks(f),
+            **optimum_findings(f.known, FrontEndResult, [*_remarks(f), *f.known.remarks]),
             **about_job(f.prepared, f.prepared.clock.after(read)),
         )
 
@@ -124,20 +121,15 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
         """Return what the command prints: outcome, scans, loop closures and accuracy."""
         result = self.result
         o = result.odometry
-        each = {
-            "wheels": result.wheels,
-            "scans": result.scan_odometry,
-            "scans with loops": result.scan_graph,
-        }
         return Summary(
-            headline=f"verdict: {result.verdict}",
-            style=STYLES[result.verdict],
+            headline=", ".join((f"verdict: {result.verdict}", *result.qualifiers)),
+            style=STYLES["unverified" if result.qualifiers else result.verdict],
             reasons=result.reasons,
             remarks=result.remarks,
             lines=[
                 ("scans", f"{o.used:,} of {o.scans:,} scans used, {o.breaks} restarts"),
                 ("loops", f"{result.loops.closed} closed of {result.loops.tried} tried"),
-                *accuracy_line(each),
+                *self.found.known.lines,
             ],
             rows=[
                 *log_rows(result.log),
@@ -146,9 +138,7 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
                 Row("Loop closure", "pairs of poses tried", f"{result.loops.tried:,}"),
                 Row("Loop closure", "pairs of poses closed", f"{result.loops.closed:,}"),
                 *smoother_rows(result.graph),
-                *accuracy_rows("the wheels", result.wheels),
-                *accuracy_rows("scan odometry", result.scan_odometry),
-                *accuracy_rows("the scan graph", result.scan_graph),
+                *self.found.known.rows,
                 *seconds_rows(result.seconds, result.cpu_s),
             ],
         )
