@@ -168,13 +168,16 @@ class CheckTruthGap(Check):
         places = known.result.problem.pose_landmarks.covariance[:, :2, :2]
         accuracy, consistency = known.value(AccuracyFinding), known.value(ConsistencyFinding)
         association = known.value(AssociationFinding)
+        scale_m = measurement_scale(prepared.log.measurements, places)
         gap = truth_gap(
             None if accuracy is None else accuracy[known.called],
             None if consistency is None else consistency.smoother,
             association,
-            measurement_scale(prepared.log.measurements, places),
+            scale_m,
             len(smoothed.landmark),
         )
+        if gap is not None and not scale_m:
+            return Absent("no landmark is measured, whose sigma tells which error is small")
         labelled = prepared.log.measurements.labelled and not prepared.labelled
         if labelled and not (gap and gap.settled):
             from comparisons.checks.truth_by_labels import labels_gap, with_labels

@@ -182,6 +182,8 @@ def test_no_band_is_drawn_where_none_is_justified(given: dict[str, Any], reason:
 @pytest.mark.slow
 def test_no_band_is_drawn_where_the_filter_is_surer() -> None:
     found = check(run().log, overconfident(filtered()))
+    assert "filter inconsistent" in found.qualifiers
+    assert "The estimate is inconsistent: NEES of the poses" in html(found)
     reported, panels = external_panels(found)
     high = named(panels, "estimate - smoother")[0].bands[0].high
     half = len(high) // 2

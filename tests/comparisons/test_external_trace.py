@@ -20,6 +20,7 @@ from comparisons.adapters.smoother_input import recorded_system_of, solve_record
 from comparisons.adapters.timeline import build_timeline
 from comparisons.audit.run_trace import write_run
 from comparisons.checks.agreement import Gap, Gaussian, gap
+from comparisons.checks.check import Answers
 from comparisons.checks.diagnosis.single_precision import replay
 from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
@@ -35,6 +36,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.solve import solve
+from comparisons.report.panels import external_panels
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
@@ -111,6 +113,16 @@ def test_gaps_are_those_from_within(
     assert_as_from_within(found, comparison)
     assert found.trace is not None
     assert found.trace.gaps.result is found.solution.result, "S is solved twice"
+    of_events = ("NIS of ", "autocorrelation of innovations", "spurious knowledge of the heading")
+    for one, there in ((found, True), (replace(found, answers=without_trace(found)), False)):
+        titles = [panel.title for panel in external_panels(one)[1]]
+        assert all(any(name in title for title in titles) == there for name in of_events)
+
+
+def without_trace(found: ExternalCheck) -> Answers:
+    before = found.answers.before
+    given = replace(present(before.given), sensors=())
+    return replace(found.answers, before=replace(before, run=None, chain=None, given=given))
 
 
 @pytest.mark.slow

@@ -201,6 +201,8 @@ def test_the_graph_is_asked_what_a_solution_is(scan_loop: Log) -> None:
     assert result.qualifiers == [TRUTH_GAP]
     assert "verified, truth gap" in report.summary().headline
     assert set(known.rows) <= set(report.summary().rows)
+    blind = run_front_end(replace(found.log, measurements=no_measurements()))
+    assert "no landmark is measured" in blind.known.absent["truth_gap"]
 
 
 @pytest.mark.slow
