@@ -17,6 +17,7 @@ from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Finding
 from comparisons.checks.qualifiers import TRUTH_GAP
 from comparisons.checks.registry import CHECKS
+from comparisons.checks.verdict import decided
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.figures import kept_fields, meanings
 from comparisons.jobs.check import check
@@ -28,6 +29,7 @@ from comparisons.report.explain import every_check
 from comparisons.report.html.page import page
 from comparisons.report.job import Report, report_of
 from comparisons.report.run import RunReport, run_rows
+from comparisons.words import Cause
 from tests.commands import refused, works
 from tests.helpers import altered, compared, present, simulated
 
@@ -133,7 +135,30 @@ def test_every_job_asks_every_check_and_shows_what_it_says(
     for row in known.rows:
         assert escape(row.value) in shown, row
     assert TRUTH_GAP in result.qualifiers
+    causes = [f"{one.gap} gap: {one.evidence}" for one in getattr(result, "causes", ())]
+    said = [one for one in (*causes, *result.remarks) if one.startswith("truth gap: ")]
+    assert len(said) == 1
+    assert "the smoother is far from the truth" in said[0]
     assert f"{result.verdict}, truth gap" in report.summary().headline
+
+
+@pytest.mark.parametrize(
+    ("kinds", "outcome"),
+    [
+        ((), "agree"),
+        (("noise", "dropout", "truth"), "agree"),
+        (("oracle",), "unverified"),
+        (("linearisation",), "disagree"),
+        (("linearisation", "oracle"), "unverified"),
+        (("oracle", "motion"), "disagree"),
+        (("algebra", "oracle"), "disagree"),
+        (("a check's own",), "disagree"),
+        (("a check's own", "oracle"), "unverified"),
+    ],
+)
+def test_the_kinds_of_causes_decide(kinds: tuple[str, ...], outcome: str) -> None:
+    causes = [Cause(kind, "evidence", "hint") for kind in kinds]
+    assert decided(causes) == decided(causes[::-1]) == outcome
 
 
 def test_a_finding_of_nothing_adds_nothing() -> None:

@@ -206,6 +206,8 @@ def test_positions_held_back_stay_so_where_scans_begin_late() -> None:
         held = present(front_end.known.judged.positions)
         assert not np.isin(held.time_s, fused).any()
         assert abs(len(held.time_s) - len(fused)) <= 1
+    covered = present(run_front_end(with_positions(late)).accuracy["scan graph"]).coverage
+    assert 0.0 < present(covered) < 0.5, "positions before the first scan are not covered"
 
 
 @pytest.mark.slow

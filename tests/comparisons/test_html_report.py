@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.checks.causes import EXPLANATIONS
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.finding import Finding
 from comparisons.estimates.estimate import Estimate
 from comparisons.jobs.run import Comparison
+from comparisons.report.explain import every_explanation
 from comparisons.report.html import map as map_page
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
@@ -115,11 +115,11 @@ def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
     assert text.count("<script") == 2
 
 
-@pytest.mark.parametrize("kind", sorted(EXPLANATIONS))
+@pytest.mark.parametrize("kind", sorted(every_explanation()))
 def test_a_cause_comes_with_what_it_means(comparison: Comparison, kind: str) -> None:
     cause = Cause(gap=kind, evidence="measured", hint="look")
     text = drawn(comparison, RunReport.build(comparison).model_copy(update={"causes": [cause]}))
-    known = EXPLANATIONS[kind]
+    known = every_explanation()[kind]
     card = text[text.index('id="outcome"') : text.index('id="gaps"')]
     sought = (">Look.", escape(known.title), ">measured<", escape(known.meaning))
     places = [card.index(part) for part in sought]
