@@ -140,7 +140,7 @@ class CheckAccuracy(Check):
 
     def find(self, known: Known) -> AccuracyFinding | Absent:
         """Return the errors of each estimate, and of odometry alone beside our own."""
-        judged, labelled = known.judged, known.prepared.labelled
+        judged, labelled = known.prepared.judged, known.prepared.labelled
         each = {
             name: assess(one, judged, labelled=labelled) for name, one in known.estimates.items()
         }

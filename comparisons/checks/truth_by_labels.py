@@ -37,7 +37,7 @@ def with_labels(known: Known, gap: TruthGap) -> TruthGap:
     if found is None:
         return gap
     poses, places, _ = found
-    judged, table = known.judged, known.prepared.log.truth.landmarks
+    judged, table = known.prepared.judged, known.prepared.log.truth.landmarks
     reached = assess_trajectory(known.timeline.epoch_time_s, poses, judged)
     errors = {"poses": None if reached is None else reached.ate_m}
     if table is not None:

@@ -20,7 +20,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, Information
 from comparisons.estimates.reference import Reference
 from comparisons.innovations import SensorInnovations
-from comparisons.logs.log import Log, Positions
+from comparisons.logs.log import Positions
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.gaps import Gaps
 from comparisons.pipeline.prepared import Prepared
@@ -62,7 +62,6 @@ class Known(Brief):
         called: What reports call S.
         ways: (K, 3) poses without covariances at S's epochs, by what reports call them; None for
             where the odometry alone leads.
-        reference: The log that errors are against; None for what no estimator was given.
         without: Why there is no filter.
         run: A filter with the events that it went through.
         chain: The gaps between that filter and S.
@@ -81,7 +80,6 @@ class Known(Brief):
     positions: Positions | None
     called: str = "smoother"
     ways: Mapping[str, Array] | None = None
-    reference: Log | None = None
     without: str = "the job runs no filter"
     run: EkfRun | None = None
     chain: Gaps | None = None
@@ -118,11 +116,6 @@ class Known(Brief):
         if self.given is not None:
             judged = {"estimate": self.given.estimate.padded()}
         return {**judged, self.called: self.smoothed}
-
-    @property
-    def judged(self) -> Log:
-        """The log with those positions only that no estimator was given, and its truth."""
-        return self.prepared.judged if self.reference is None else self.reference
 
     @cached_property
     def dead_reckoned(self) -> Array:

@@ -148,8 +148,6 @@ def run_front_end(
     wheels = None
     if len(log.odometry.time_s):
         wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
-    # Fused ones are counted among those that the scans reach.
-    reached = scanned.judged.positions if scanned.positions else prepared.judged.positions
     return FrontEnd(
         prepared=prepared,
         motion=motion,
@@ -170,7 +168,6 @@ def run_front_end(
             positions=scanned.positions,
             called="scan graph",
             ways={"scans": odometry} | ({} if wheels is None else {"wheels": wheels}),
-            reference=replace(log, positions=reached),
         ),
     )
 
