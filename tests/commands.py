@@ -1,7 +1,5 @@
 """The command line in this process: what a process of its own would print and end with."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -1,7 +1,5 @@
 """An environment with slamcheck's wheel and what it depends on, and nothing else."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

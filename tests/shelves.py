@@ -5,8 +5,6 @@ on `main` itself since the commit before. BASE in the environment names another 
 from, one at which every shelf has passed.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 from collections.abc import Collection

@@ -1,7 +1,5 @@
 """The house: who may import whom, no cycles, and limits that keep functions readable."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

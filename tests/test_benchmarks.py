@@ -1,7 +1,5 @@
 """The benchmarks run; what they measure is for people to read."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

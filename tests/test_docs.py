@@ -1,7 +1,5 @@
 """The documentation builds without network, has no dead link, and covers what is public."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The examples run, and print the figures they promise."""
 
-from __future__ import annotations
-
 import math
 import resource
 import runpy

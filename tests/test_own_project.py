@@ -3,8 +3,6 @@
 Commands, files and outputs are those of the pages; each step is a test, in the pages' order.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

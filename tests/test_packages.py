@@ -3,8 +3,6 @@
 The site of each test is made of slamcheck's own files and fakes; nothing of it is installed.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """`import slamcheck`: what it offers is what it says, and importing it loads nothing heavy."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import json

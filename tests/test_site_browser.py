@@ -1,7 +1,5 @@
 """The built pages in a headless Chromium: wide and narrow, light and dark."""
 
-from __future__ import annotations
-
 import functools
 import html
 import http.server

@@ -1,7 +1,5 @@
 """A headless Chromium that shows a page, with what it made of it."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

@@ -6,8 +6,6 @@ up beside the filter, by a filter that has the points in its state, by the truth
 layer, which has to say it beforehand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

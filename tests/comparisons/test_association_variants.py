@@ -1,7 +1,5 @@
 """An association is verified when other ways to make it end at the same place."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Points and pieces of scans in one filter, with Scan-SLAM itself in the loop."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """slamcheck check: estimates from elsewhere, right and wrong, as their makers hand them in."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The command line as a user meets it; in processes of its own what hangs on the process."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json

@@ -1,7 +1,5 @@
 """Sound filters stay green where numbers are awkward; broken ones are reported as such."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

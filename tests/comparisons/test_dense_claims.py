@@ -1,7 +1,5 @@
 """Nieto 2005, Figs. 3.17, 4.3 and 4.5: closing a loop corrects a dense map, and no other grid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A foreign filter's trace: the same gaps as from within, the same causes, damage in one line."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

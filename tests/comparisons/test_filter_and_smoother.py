@@ -1,7 +1,5 @@
 """The filter's models and estimates beside the smoother's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

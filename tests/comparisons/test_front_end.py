@@ -1,7 +1,5 @@
 """The scan front end and the three-way comparison, as a user meets them."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Logs at the edge of what the scan front end and the run on scans can serve."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """g2o files as logs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

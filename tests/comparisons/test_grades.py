@@ -1,7 +1,5 @@
 """Grades of external estimates: what is equal to a filter, like it, plausible, or wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """report.html: whole without a network, and safe whatever a log says."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """report.html at 1400 and 390 pixels, light and dark: nothing overflows, nothing is hard to see."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

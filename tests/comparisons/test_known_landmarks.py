@@ -1,7 +1,5 @@
 """Landmarks surveyed beforehand: absolute information through measurements (Guivant 2002, 4.2)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 `benchmarks/log_doctor.py` has more of each.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

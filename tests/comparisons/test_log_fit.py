@@ -1,7 +1,5 @@
 """Logs of a sensor that is scaled, offset or late: the number that would make them fit is named."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """slamcheck map and run --dense, as a user meets them."""
 
-from __future__ import annotations
-
 import json
 from html import unescape
 from pathlib import Path

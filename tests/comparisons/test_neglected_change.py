@@ -1,7 +1,5 @@
 """What dense regions neglect, on simulated drives that close a loop (Nieto 2005, section 3.6)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """A newcomer's filter, log and stamps: sound it passes, each fault is the first sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

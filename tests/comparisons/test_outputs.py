@@ -1,7 +1,5 @@
 """Every output goes through one door: nothing that stands is lost, nothing that never ends read."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The smoother with its own matcher of scan landmarks, beside the one that has the filter's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial

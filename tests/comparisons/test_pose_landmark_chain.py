@@ -1,7 +1,5 @@
 """Pose landmarks along the chain of estimates, and where these are compared, written and read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

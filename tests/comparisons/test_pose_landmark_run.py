@@ -1,7 +1,5 @@
 """A run with pose landmarks, from the log to the agreement of its estimates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

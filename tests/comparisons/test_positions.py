@@ -1,7 +1,5 @@
 """Absolute positions through both estimators and both frozen smoothers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`--posterior samples`: draws of the exact posterior judge both Gaussians."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The pytest plugin, and the workflow for continuous integration, in projects of their own."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Dense maps that anchored to scan landmarks, in the jobs (Nieto 2005, section 6.2)."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 
 import numpy as np

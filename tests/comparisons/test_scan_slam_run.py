@@ -1,7 +1,5 @@
 """Scan-SLAM over logs: a short drive through the whole chain, and what cannot be used."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path

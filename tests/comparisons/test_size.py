@@ -1,7 +1,5 @@
 """A log that is too large for the machine is refused before the work, and no other."""
 
-from __future__ import annotations
-
 import tracemalloc
 from contextlib import nullcontext
 from dataclasses import replace

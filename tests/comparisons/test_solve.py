@@ -1,7 +1,5 @@
 """The smoother alone, as a user meets it, and its own association beside the filter's."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

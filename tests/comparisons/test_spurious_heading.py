@@ -1,7 +1,5 @@
 """What a run says of its heading that nothing measured: cause, result.json, curve."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """What a command loads. Not times: `make bench` compares these."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from functools import cache

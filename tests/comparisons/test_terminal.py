@@ -1,7 +1,5 @@
 """What jobs print: the outcome first, then why, in full, in 80 columns, whatever the log."""
 
-from __future__ import annotations
-
 import io
 import json
 from dataclasses import replace

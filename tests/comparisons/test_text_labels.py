@@ -1,7 +1,5 @@
 """Landmarks that a log names by text keep their names: estimates, tables, map, causes."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

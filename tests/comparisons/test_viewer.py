@@ -1,7 +1,5 @@
 """A run's replay for rerun, and pictures as PDF."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from dataclasses import replace

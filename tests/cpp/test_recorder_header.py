@@ -1,7 +1,5 @@
 """The C++ header records what the Python recorder does, of the same filter."""
 
-from __future__ import annotations
-
 import math
 import os
 import random

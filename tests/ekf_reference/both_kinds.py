@@ -1,7 +1,5 @@
 """A drive past points and pose landmarks, the latter associated by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

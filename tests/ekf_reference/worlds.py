@@ -1,7 +1,5 @@
 """A vehicle that drives a circle among point landmarks, and the filter that follows it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The benchmark of planted faults judges as it says, and prints what it promises."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

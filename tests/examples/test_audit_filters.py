@@ -3,8 +3,6 @@
 The audit passes the sound traces, and finds five bugs of each filter by event, sensor and blocks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec

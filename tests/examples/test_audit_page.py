@@ -1,7 +1,5 @@
 """What docs/audit-third-parties.md shows is what its commands print, here in one process."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from io import StringIO

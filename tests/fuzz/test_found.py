@@ -1,7 +1,5 @@
 """What fuzzing, or thinking like it, has found: each is one line that names the file now."""
 
-from __future__ import annotations
-
 import gzip
 import importlib.util
 import io

@@ -1,7 +1,5 @@
 """What stands where an output is to go stays, whatever it is, unless it is an earlier output."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os

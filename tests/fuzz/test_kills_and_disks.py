@@ -1,7 +1,5 @@
 """Processes that are killed, and disks that are full: a target is whole, absent or the old one."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import signal

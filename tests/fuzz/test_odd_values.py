@@ -1,7 +1,5 @@
 """Whole commands with odd values of their settings, and with a disk that fills up."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os

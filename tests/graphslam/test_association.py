@@ -1,7 +1,5 @@
 """The smoother's own association: running estimate, joint decision, and logs without labels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

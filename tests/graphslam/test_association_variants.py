@@ -1,7 +1,5 @@
 """Other ways to associate: time reversed is the same problem, and a quiet world tells no ways."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

@@ -1,7 +1,5 @@
 """The covariance of what an error is beside some directions of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from graphslam.arrays import conditional_covariance

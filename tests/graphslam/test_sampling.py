@@ -1,7 +1,5 @@
 """Draws of the smoother's exact posterior, and whether chains converged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Components of variance: unbiased, as sure as they say, and silent where nothing can be told."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

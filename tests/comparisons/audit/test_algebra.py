@@ -1,7 +1,5 @@
 """The algebra of the reference EKF, event by event: in `run`, `check` and `audit` alike."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

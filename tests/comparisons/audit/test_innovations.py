@@ -1,7 +1,5 @@
 """Innovations by sensor: exact bands, gates that are undone, and faults that have a time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

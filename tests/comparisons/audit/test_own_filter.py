@@ -1,7 +1,5 @@
 """Runs of the reference EKF as events of an audit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

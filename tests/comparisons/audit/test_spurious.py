@@ -1,7 +1,5 @@
 """What a filter has learnt of directions that its sensors cannot tell."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Worlds in which something moves: where things are, and what is said of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Rawlogs that MRPT wrote: Debian's, where the package mrpt-common is installed."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

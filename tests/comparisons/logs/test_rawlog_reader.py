@@ -1,7 +1,5 @@
 """MRPT rawlogs: their layouts, on files written here."""
 
-from __future__ import annotations
-
 import gzip
 import struct
 from pathlib import Path

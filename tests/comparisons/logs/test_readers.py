@@ -1,7 +1,5 @@
 """Readers on small files made here; every fault names file, line, value and expectation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What bags hold besides scans: points of landmarks, fixes, covariances; and choosing topics."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

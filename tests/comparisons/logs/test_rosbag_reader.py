@@ -1,7 +1,5 @@
 """ROS bags written at test time; without the extra, one line says what to install."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Readers of raw scans on small files made here: the Victoria Park trio and CARMEN logs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scanners: exact without noise, and with noise as uncertain as they say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

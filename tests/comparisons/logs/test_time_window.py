@@ -1,7 +1,5 @@
 """A part of a log, by seconds from its start."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The waypoint run: what is simulated, and Misono's claim about it (Figs. 5 and 6)."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

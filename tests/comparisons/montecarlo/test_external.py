@@ -1,7 +1,5 @@
 """Filters of the user's in a study: a callable or a command, judged as ours are."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

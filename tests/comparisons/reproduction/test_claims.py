@@ -1,7 +1,5 @@
 """Each figure is drawn from its data; each claim says `does not hold` of data that break it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A recording, and its audit, load neither an estimator nor the planar harness."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

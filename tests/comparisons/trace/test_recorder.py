@@ -1,7 +1,5 @@
 """A recorder leaves a sound trace of what was committed, whatever happens to it."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Landmarks with a direction in the full and the compressed filter, beside points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

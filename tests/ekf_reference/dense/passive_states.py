@@ -5,8 +5,6 @@ each pair its own, but no covariance with each other. They take the place of the
 read every linearisation as it was used, and write nothing: the filter stays the same to the bit.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

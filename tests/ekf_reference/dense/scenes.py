@@ -1,7 +1,5 @@
 """Regions on a lattice of landmarks, and scans from known poses."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

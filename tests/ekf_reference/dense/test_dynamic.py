@@ -1,7 +1,5 @@
 """Dynamic regions: differencing, low pass, threshold, union (Nieto 2005, section 6.3)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What every layer of a dense map has in common."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Passive states are what they would be in the filter's own state (Nieto 2005, Example 3.3)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple

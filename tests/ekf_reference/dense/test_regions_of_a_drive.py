@@ -1,7 +1,5 @@
 """Regions that come up as the filter drives a loop (Nieto 2005, section 2.9's environment)."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

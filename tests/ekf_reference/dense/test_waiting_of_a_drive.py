@@ -1,7 +1,5 @@
 """Observations that wait as the filter drives a loop (Nieto 2005, section 3.7.3)."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 

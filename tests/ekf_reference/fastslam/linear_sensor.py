@@ -1,7 +1,5 @@
 """A sensor for which the Kalman filter is exact, and clouds that begin at the origin."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ekf_reference.core.geometry import Array

@@ -1,7 +1,5 @@
 """FastSLAM against the Kalman filter, plain loops, and itself."""
 
-from __future__ import annotations
-
 import math
 from copy import deepcopy
 from typing import NamedTuple

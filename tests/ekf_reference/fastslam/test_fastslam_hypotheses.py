@@ -1,7 +1,5 @@
 """Sampled associations against the exact posterior, all assignments enumerated."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 from typing import NamedTuple, get_args

@@ -1,7 +1,5 @@
 """One scan after the other into a filter: what is seen, gated, begun, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

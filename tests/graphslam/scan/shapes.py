@@ -1,7 +1,5 @@
 """Rooms as segments, and scans of them, for tests of what lays one scan onto another."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Covariances of matches against their errors, over seeds and rooms that no factor was found on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

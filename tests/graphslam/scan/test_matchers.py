@@ -1,7 +1,5 @@
 """What every matcher must do, whatever is inside."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

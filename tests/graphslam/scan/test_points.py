@@ -1,7 +1,5 @@
 """Where beams ended, and which clouds are none."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
