@@ -2,7 +2,6 @@
 
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,21 +17,14 @@ from benchmarks.timing import run as ran
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from comparisons.logs.simulate.scan_drive import dense_slam
 from tests.graphslam.skips import pass_on
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("ekf", "frozen", "smoother", "marginals", "checks")
 
 
 def run(*arguments: str) -> list[str]:
     """The lines that a benchmark prints."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": ""},
-    )
+    done = python(*arguments, cwd=ROOT)
     pass_on(done.stderr)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()

@@ -5,7 +5,6 @@ import inspect
 import json
 import re
 import shutil
-import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
@@ -20,6 +19,7 @@ import pytest
 
 import slamcheck
 from comparisons.report.html.shell import prose
+from tests.processes import printed, python
 from tests.release_check import ROOT, version
 
 SOURCE = Path(slamcheck.__file__)
@@ -90,8 +90,7 @@ def test_importing_it_loads_nothing_heavy() -> None:
         "import sys, slamcheck; "
         "print([m for m in ('numpy', 'gtsam', 'pydantic', 'comparisons') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert printed(code) == "[]"
 
 
 @pytest.mark.slow
@@ -475,7 +474,4 @@ def test_one_version() -> None:
     headings = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert headings[0] in (version(), "Unreleased")
     assert version() in headings
-    shown = subprocess.run(
-        [sys.executable, "-m", "slamcheck", "--version"], capture_output=True, text=True, check=True
-    )
-    assert shown.stdout == f"slamcheck {version()}\n"
+    assert python("-m", "slamcheck", "--version").stdout == f"slamcheck {version()}\n"

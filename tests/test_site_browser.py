@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from tests.test_docs import ROOT, built
+from tests.processes import ROOT
+from tests.test_docs import built
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 WIDTHS = (1400, 390)

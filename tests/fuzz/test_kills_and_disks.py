@@ -27,8 +27,8 @@ from comparisons.experiments.montecarlo.chunk_files import check_folder
 from tests.fuzz.damage import cases, counted
 from tests.fuzz.subjects import SUBJECTS
 from tests.fuzz.test_hostile_files import assert_one_line, outcome, run_main
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[2]
 HOUR_AGO_S = 3700.0
 WRITER = """
 import sys, time
@@ -449,13 +449,7 @@ program.main()
 @pytest.mark.parametrize("number", app.STOPS)
 @pytest.mark.parametrize("when", ["start-up", "shutdown"])
 def test_a_signal_has_its_code_and_no_traceback_whenever_it_comes(when: str, number: int) -> None:
-    done = subprocess.run(
-        (sys.executable, "-c", AT_ONCE, when, str(int(number))),
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = python("-c", AT_ONCE, when, str(int(number)))
     assert (done.returncode, done.stderr) == (128 + number, "")
 
 

@@ -1,13 +1,12 @@
 """A recording, and its audit, load neither an estimator nor the planar harness."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from comparisons.trace.recorder import Recorder
+from tests.processes import printed
 
 PLANAR = (
     *("ekf_reference", "comparisons.adapters", "comparisons.checks", "comparisons.config"),
@@ -32,13 +31,7 @@ except SystemExit as done:
 
 def _loaded(code: str) -> list[str]:
     """Modules of the house that a fresh process has loaded after some code."""
-    found = subprocess.run(
-        [sys.executable, "-c", f"import sys\n{code}\n{_LIST}"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return found.stdout.split()
+    return printed(f"import sys\n{code}\n{_LIST}").split()
 
 
 def planar(found: list[str]) -> list[str]:
