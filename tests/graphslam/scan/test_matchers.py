@@ -90,30 +90,26 @@ def assert_same(one: Registration, other: Registration) -> None:
     np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
-@pytest.mark.parametrize("which", ["source", "target"])
-def test_clouds_that_cannot_be_used(matcher: Matcher, which: str) -> None:
-    """Of what there is of them, test_points tells."""
-    clouds = {"source": cloud(2), "target": cloud(2), which: np.full((100, 3), np.nan)}
-    with pytest.raises(ScanError, match=f"{which}: .*0 of 100 points"):
-        matcher.match(clouds["source"], clouds["target"], np.zeros(3))
+NOTHING = np.full((100, 3), np.nan)
+"""Of what there is of clouds that cannot be used, test_points tells."""
+REFUSED: dict[str, tuple[Array, Array, Array, str]] = {
+    "no source": (NOTHING, cloud(2), np.zeros(3), "source: .*0 of 100 points"),
+    "no target": (cloud(2), NOTHING, np.zeros(3), "target: .*0 of 100 points"),
+    **{
+        f"{far} m apart": (cloud(2) + (far, 0.0, 0.0), cloud(2), np.zeros(3), "have a surface near")
+        for far in (30.0, 600.0, 8e3)
+    },
+    "in space and planar": (cloud(3), cloud(2), np.zeros(3), "planar"),
+    "guess is nan": (cloud(2), cloud(2), np.array((0.0, np.nan, 0.0)), "guess"),
+    "guess is no pose": (cloud(2), cloud(2), np.zeros(2), "guess"),
+}
 
 
-@pytest.mark.parametrize("far", [15.0, 300.0, 4e3])
-def test_clouds_that_do_not_meet(matcher: Matcher, far: float) -> None:
-    target = cloud(2)
-    with pytest.raises(ScanError, match="have a surface near"):
-        matcher.match(target + (2.0 * far, 0.0, 0.0), target, np.zeros(3))
-
-
-def test_a_cloud_in_space_is_not_laid_into_the_plane(matcher: Matcher) -> None:
-    with pytest.raises(ScanError, match="planar"):
-        matcher.match(cloud(3), cloud(2), np.zeros(3))
-
-
-@pytest.mark.parametrize("guess", [np.array((0.0, np.nan, 0.0)), np.zeros(2)])
-def test_a_guess_must_be_a_pose(matcher: Matcher, guess: Array) -> None:
-    with pytest.raises(ScanError, match="guess"):
-        matcher.match(cloud(2), cloud(2), guess)
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_matched_is_refused(matcher: Matcher, what: str) -> None:
+    source, target, guess, said = REFUSED[what]
+    with pytest.raises(ScanError, match=said):
+        matcher.match(source, target, guess)
 
 
 def corridor(rng: np.random.Generator, count: int, half_m: float, sigma_m: float) -> Array:
