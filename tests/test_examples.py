@@ -22,6 +22,7 @@ from comparisons.experiments.scenarios.scenario import read_scenario
 from comparisons.experiments.scenarios.world import build_world, log_of_run
 from comparisons.jobs.check import ExternalCheck, check
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from tests.helpers import present
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -157,15 +158,15 @@ def build(tmp_path: Path) -> Callable[..., str]:
     """A program of a source, with a piece of the header replaced."""
 
     def built(source: str, old: str = "", new: str = "") -> str:
-        assert COMPILER is not None
         header = (EXAMPLES / "cpp" / "estimate_writer.hpp").read_text()
         assert old in header
         (tmp_path / "estimate_writer.hpp").write_text(header.replace(old, new) if old else header)
         (tmp_path / "main.cpp").write_text(source)
         strict = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
-        words = (COMPILER, *strict, "-o", str(tmp_path / "main"), str(tmp_path / "main.cpp"))
+        program = str(tmp_path / "main")
+        words = (present(COMPILER), *strict, "-o", program, str(tmp_path / "main.cpp"))
         subprocess.run(words, check=True, timeout=120)
-        return str(tmp_path / "main")
+        return program
 
     return built
 
@@ -180,16 +181,12 @@ def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., str], tmp_path:
     assert np.array_equal(given.time_s, 1e9 + k + u)
     assert np.array_equal(given.pose[:, :2], np.column_stack((u, -1e5 * u)))
     assert given.pose[:, 2] == pytest.approx(0.25 * k, abs=1e-14)
-    assert given.pose_covariance is not None
-    assert given.pose_covariance[7].ravel().tolist() == [
+    assert present(given.pose_covariance)[7].ravel().tolist() == [
         1 + u[7], u[7], 0, u[7], 2, -u[7], 0, -u[7], 3 - u[7]
     ]  # fmt: skip
-    assert given.landmark_id is not None
-    assert given.landmark_id.tolist() == [9007199254740991, 0]
-    assert given.landmark is not None
-    assert given.landmark.tolist() == [[1.0 / 3.0, -2e-300], [1e9 + 0.1, 4.0]]
-    assert given.joint_covariance is not None
-    assert np.array_equal(given.joint_covariance.ravel(), 1.0 / np.arange(1.0, 50.0))
+    assert present(given.landmark_id).tolist() == [9007199254740991, 0]
+    assert present(given.landmark).tolist() == [[1.0 / 3.0, -2e-300], [1e9 + 0.1, 4.0]]
+    assert np.array_equal(present(given.joint_covariance).ravel(), 1.0 / np.arange(1.0, 50.0))
     assert given.information == "smoothed"
     assert sorted(path.name for path in tmp_path.iterdir() if "part" in path.name) == []
     for words, reported in (

@@ -362,8 +362,7 @@ def test_a_chi_square_that_no_chance_makes_so_low_qualifies_the_verdict(tmp_path
         report = SolutionReport.of(solve(open_log(str(path))))
         assert report.summary().headline == f"verdict: verified{words}"
     _, remark = report.result.remarks
-    times = re.search(r"the stated sigmas are about (\S+) times too large", remark)
-    assert times is not None
+    times = present(re.search(r"the stated sigmas are about (\S+) times too large", remark))
     assert float(times[1]) == pytest.approx(10.0, rel=0.25)
 
 
@@ -410,5 +409,4 @@ def test_an_estimate_that_uses_no_closure_is_told(tmp_path: Path) -> None:
     assert "no loop closure is used" in found.causes[0].evidence
     sound = check(log, ExternalEstimate(time_s=time_s, pose=solution.estimate.pose))
     assert sound.outcome == "agree"
-    assert sound.grade.by is not None
-    assert sound.grade.by.reference.smoothed
+    assert present(sound.grade.by).reference.smoothed

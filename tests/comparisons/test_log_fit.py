@@ -15,7 +15,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
 from graphslam.optimum import ChiSquareTest
-from tests.helpers import compared
+from tests.helpers import compared, present
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +52,7 @@ def test_the_number_is_named_first_thing(log: Log, name: str) -> None:
     assert first.gap == "log"
     named = re.split(r"(?:, or )?to \d+ with ", first.evidence)[1:]
     said = next(one for one in named if re.search(words, one))
-    fitted = re.search(r"[-+]?\d+\.?\d*(e-\d+)?", said)
-    assert fitted is not None
+    fitted = present(re.search(r"[-+]?\d+\.?\d*(e-\d+)?", said))
     assert float(fitted[0]) == pytest.approx(number, rel=0.15)
 
 
@@ -79,8 +78,7 @@ def test_a_clock_far_off_is_reached() -> None:
     """1.5 s; broken: Newton's method from zero."""
     found = examine(delayed(drive(12, "velocity"), 1.5))
     first = found.findings[0]
-    fitted = re.fullmatch(r"measurements (\S+) s later than the log says", first.what)
-    assert fitted is not None
+    fitted = present(re.fullmatch(r"measurements (\S+) s later than the log says", first.what))
     assert float(fitted[1]) == pytest.approx(-1.5, abs=0.05)
     mended = examine(first.change(delayed(drive(12, "velocity"), 1.5)))
     assert mended.test.reading == "plausible"

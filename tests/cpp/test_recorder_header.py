@@ -19,6 +19,7 @@ from comparisons.trace.events import Event, Snapshot, Update
 from comparisons.trace.reader import Trace
 from comparisons.trace.recorder import Recorder
 from comparisons.trace.wrapping import record
+from tests.helpers import present
 
 CPP = Path(__file__).resolve().parents[2] / "cpp"
 COMPILER = shutil.which("c++") or shutil.which("g++")
@@ -392,8 +393,7 @@ def test_a_cpp_filter_is_recorded_without_a_change_in_it(
     assert Trace(here).sensors == {"square": (0.99, ())}
     assert Trace(here).counts == Trace(other).counts == (52, 5, 26)
     audited = audit(here)
-    assert audited.largest is not None
-    assert audited.largest.worst < 1e-9
+    assert present(audited.largest).worst < 1e-9
     for one, of_members in zip(Trace(here), Trace(other), strict=True):
         assert of_members.time_s is None
         if isinstance(one, Snapshot):
@@ -593,8 +593,7 @@ def for_ever(build: Build) -> Path:
 def test_a_killed_cpp_recording_is_valid_to_its_last_commit(for_ever: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.trace"
     job = subprocess.Popen((for_ever, path), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert job.stdout is not None
-    assert job.stdout.readline() == b"half\n"
+    assert present(job.stdout).readline() == b"half\n"
     assert len(list(Trace(path))) == 4000, "while it is recorded"
     job.kill()
     job.communicate()

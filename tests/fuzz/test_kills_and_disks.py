@@ -27,6 +27,7 @@ from comparisons.experiments.montecarlo.chunk_files import check_folder
 from tests.fuzz.damage import cases, counted
 from tests.fuzz.subjects import SUBJECTS
 from tests.fuzz.test_hostile_files import assert_one_line, outcome, run_main
+from tests.helpers import present
 from tests.processes import ROOT, python
 
 HOUR_AGO_S = 3700.0
@@ -89,8 +90,7 @@ def writing(kind: str, target: Path, wait_s: float) -> Iterator[subprocess.Popen
         text=True,
     )
     try:
-        assert job.stdout is not None
-        assert job.stdout.readline() == "begins\n"
+        assert present(job.stdout).readline() == "begins\n"
         yield job
     finally:
         job.kill()
@@ -191,8 +191,7 @@ def test_no_process_outlives_a_killed_study(number: signal.Signals, delay_s: flo
             job = subprocess.Popen(
                 words, cwd=place, env=environment, stdout=subprocess.PIPE, stderr=said
             )
-            assert job.stdout is not None
-            assert job.stdout.readline() == b"begins\n"
+            assert present(job.stdout).readline() == b"begins\n"
             with suppress(subprocess.TimeoutExpired):
                 job.communicate(timeout=delay_s)
             job.send_signal(number)
@@ -391,8 +390,7 @@ time.sleep(60)
     job = subprocess.Popen((sys.executable, "-c", lost), stdout=subprocess.PIPE, text=True,
                            env={**os.environ, "PYTHONPATH": str(ROOT)})  # fmt: skip
     try:
-        assert job.stdout is not None
-        assert job.stdout.readline() == "begins\n"
+        assert present(job.stdout).readline() == "begins\n"
         job.send_signal(signal.SIGTERM)
         assert job.communicate(timeout=30)[0] == "lost\n"
     finally:
