@@ -156,3 +156,12 @@ def local_coordinates(seen: Watched, base: Index, landmark: Array) -> Watched:
     jacobian = np.concatenate((h.by_point @ seen.jacobian, h.by_landmarks), axis=-1)
     noise = h.by_point @ seen.noise @ h.by_point.transpose(0, 2, 1)
     return Watched(to_local(triangle, seen.value), base, jacobian, noise)
+
+
+class StaleCross(PassiveStates):
+    """Broken: what a measurement does to the covariance with the filter is forgotten."""
+
+    def _receive(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
+        kept = self.cross.copy()
+        super()._receive(columns, jacobian, innovation, noise)
+        self.cross = kept
