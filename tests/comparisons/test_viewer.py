@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.atomic import LIST, listed_files, write_whole
+from comparisons.atomic import LIST, listed_files
 from comparisons.config import ReportConfig
 from comparisons.errors import InputError
 from comparisons.jobs.run import Comparison
@@ -55,16 +55,6 @@ def test_a_replay_that_cannot_be_written_is_one_line(
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot be written into"):
         viewer.check_viewer(False, tmp_path / "file" / "a.rrd")
-
-
-def test_a_file_that_was_begun_does_not_stay(tmp_path: Path) -> None:
-    def write(part: Path) -> None:
-        part.write_text("half")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(InputError, match="No space left"):
-        write_whole(tmp_path / "a.json", write)
-    assert not list(tmp_path.iterdir())
 
 
 def test_without_rerun_one_line_says_what_to_install(
