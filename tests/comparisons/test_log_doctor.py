@@ -22,7 +22,7 @@ from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.transforms.calibration import delayed, driven, sensed
 from graphslam.optimum import ChiSquareTest
 from tests.commands import slamcheck
-from tests.helpers import compared, present
+from tests.helpers import compared, present, without_labels
 
 CASES = {
     "clockwise bearings": "velocity",
@@ -75,27 +75,25 @@ def test_a_sound_log_is_not_accused(kind: str) -> None:
     assert found.test.reading == "plausible"
 
 
+def three_times_noisier(log: Log) -> Log:
+    rng, seen = np.random.default_rng(0), log.measurements
+    more = 3.0 * seen.sigma_bearing_rad * rng.standard_normal(len(seen.time_s))
+    return replace(log, measurements=replace(seen, bearing_rad=seen.bearing_rad + more))
+
+
 @pytest.mark.slow
 def test_more_noise_than_stated_is_no_unit() -> None:
-    """Three times: no single change explains it, and nothing is named."""
-    log, rng = drive(9, "velocity"), np.random.default_rng(0)
-    seen = log.measurements
-    more = 3.0 * seen.sigma_bearing_rad * rng.standard_normal(len(seen.time_s))
-    noisy = replace(log, measurements=replace(seen, bearing_rad=seen.bearing_rad + more))
+    """No single change explains it, and nothing is named."""
+    noisy = three_times_noisier(drive(9, "velocity"))
     assert examine(noisy).test.reading == "too high"
     assert not examine(noisy).findings
-
-
-def unlabelled(log: Log) -> Log:
-    none = np.full(len(log.measurements.time_s), -1)
-    return replace(log, measurements=replace(log.measurements, landmark=none))
 
 
 def test_the_command_says_so(tmp_path: Path) -> None:
     change, words = EVERY["clockwise bearings"]
     for name, log in {"sound": drive(7, "velocity"), "wrong": change(drive(7, "velocity"))}.items():
         write_log_folder(log, tmp_path / name)
-    write_log_folder(unlabelled(drive(7, "velocity")), tmp_path / "none")
+    write_log_folder(without_labels(drive(7, "velocity")), tmp_path / "none")
     sound, wrong, none = (
         slamcheck("logs", name, cwd=tmp_path) for name in ("sound", "wrong", "none")
     )
@@ -171,9 +169,7 @@ def test_the_number_is_named_first_thing(log: Log, name: str) -> None:
 
 @pytest.mark.slow
 def test_noise_that_is_larger_than_stated_is_no_number(log: Log) -> None:
-    rng, seen = np.random.default_rng(0), log.measurements
-    more = 3.0 * seen.sigma_bearing_rad * rng.standard_normal(len(seen.time_s))
-    found = compared(replace(log, measurements=replace(seen, bearing_rad=seen.bearing_rad + more)))
+    found = compared(three_times_noisier(log))
     assert not found.smoother.optimality.verified
     assert not fits_of(found)
     assert any(one.gap == "noise" for one in found.verdict.causes)
