@@ -29,7 +29,7 @@ from comparisons.estimates.trajectory_files import (
 )
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.models import Result
-from tests.commands import flat, refused, slamcheck, works
+from tests.commands import files_in, flat, job_files, refused, slamcheck, works
 from tests.helpers import simulated
 from tests.processes import ROOT, python
 
@@ -39,17 +39,7 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     given = "run", "simulated-loop", "--seed", "3", "--out"
     assert "verdict: agree" in works(*given, "report", cwd=tmp_path)
     folder = tmp_path / "report"
-    names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
-    estimate = ["covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum"]
-    assert names == sorted(
-        [
-            "config.toml",
-            "files.sha256",
-            "report.html",
-            "result.json",
-            *(f"{e}/{n}" for e in ("ekf", "smoother") for n in estimate),
-        ]
-    )
+    assert files_in(folder) == job_files("result.json", estimates=("ekf", "smoother"))
     text = (folder / "result.json").read_text()
     result = Result.model_validate_json(text)
     assert result.verdict == "agree"

@@ -13,6 +13,7 @@ from comparisons.errors import InputError
 from comparisons.jobs.run import Comparison
 from comparisons.report import viewer
 from comparisons.report.run import RunReport
+from tests.commands import files_in
 from tests.helpers import compared, first_seconds, simulated
 
 PACKAGE = "rerun"
@@ -82,8 +83,7 @@ def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     )
     said = {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
     assert all(text.startswith(b"%PDF-") and b"/Type3" not in text for text in said.values())
-    files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    assert files == {*listed_files(folder), LIST}
+    assert files_in(folder) == {*listed_files(folder), LIST}
     RunReport(drawn, result).write(folder)
     assert said == {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
     RunReport(comparison, result).write(folder)

@@ -59,6 +59,12 @@ def field() -> tuple[Array, LocalRegions]:
     return lattice(np.array([0.0, -5.0]), np.array([20.0, 15.0]), 5.0)
 
 
+def place() -> RegionsAtMap:
+    """The field where its landmarks are."""
+    landmark, regions = field()
+    return regions.placed(landmark)
+
+
 def reported(
     placed: RegionsAtMap, scan: Scan, late: bool = False
 ) -> tuple[Hits, RegionsAtMap, Scan | None, Index]:
