@@ -43,11 +43,7 @@ EACH_TIME = _of_comparisons(
 """On no shelf."""
 SHELVES = {
     "the documents' figures": Shelf(
-        _of_comparisons(
-            "reproduction/",
-            "test_dense_claims.py",
-            "test_neglected_change.py",
-        ),
+        _of_comparisons("reproduction/", "test_dense_claims.py", "test_neglected_change.py"),
         ("comparisons/experiments/reproduction/", "comparisons/documented/"),
     ),
     "tutorials and examples": Shelf(

@@ -153,10 +153,7 @@ def test_a_job_takes_options_or_a_configuration(job: str, log: slamcheck.Log) ->
         ({"pose": [["a", "b", "c"]] * 3}, "pose must hold numbers"),
         ({"landmark": np.zeros((2, 2))}, "landmark and landmark_id both"),
         ({"landmark": np.zeros((2, 2)), "landmark_id": [1, 1]}, "whole numbers, each once"),
-        (
-            {"joint_covariance": np.eye(5)},
-            r"has shape \(5, 5\), expected \(3, 3\)",
-        ),
+        ({"joint_covariance": np.eye(5)}, r"has shape \(5, 5\), expected \(3, 3\)"),
     ],
 )
 def test_a_fault_in_own_arrays_is_named(

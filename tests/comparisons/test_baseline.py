@@ -1,5 +1,7 @@
 """Baselines, as a gate in continuous integration."""
 
+from __future__ import annotations
+
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -289,10 +289,7 @@ INCOMPLETE: dict[str, tuple[Callable[[Array], NDArray[np.bool_]], str]] = {
         "covers 64.6 of 85.0 s: it has no poses from 29.8 to 50.2 s",
     ),
     "starts late": (lambda t: t > 20.0, "covers 65.0 of 85.0 s: it begins at 20.2 s"),
-    "holes": (
-        lambda t: t % 20.0 > 5.0,
-        "it begins at 5.2 s, it ends at 79.8 s, it has 3 holes",
-    ),
+    "holes": (lambda t: t % 20.0 > 5.0, "it begins at 5.2 s, it ends at 79.8 s, it has 3 holes"),
 }
 
 
@@ -374,11 +371,7 @@ def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Est
     given = read_external(tmp_path)
     assert given.absent == []
     assert given.information == "filtered"
-    for name, absent in (
-        ("covariances.npz", 3),
-        ("estimate.toml", 3),
-        ("landmarks.csv", 4),
-    ):
+    for name, absent in (("covariances.npz", 3), ("estimate.toml", 3), ("landmarks.csv", 4)):
         (tmp_path / name).unlink()
         assert len(read_external(tmp_path).absent) == absent
     assert np.allclose(read_external(tmp_path / "trajectory.tum").pose, right.pose)

@@ -16,11 +16,7 @@ from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
 )
-from comparisons.checks.consistency.finding import (
-    consistency_line,
-    innovation_rows,
-    smoothed_rows,
-)
+from comparisons.checks.consistency.finding import consistency_line, innovation_rows, smoothed_rows
 from comparisons.checks.consistency.nees import distances, map_errors, pose_errors, spanning_tree
 from comparisons.innovations import SensorInnovations, whiten_alone
 from comparisons.statistics import (

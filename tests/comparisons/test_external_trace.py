@@ -349,10 +349,7 @@ def plain() -> Plain:
 
 @pytest.mark.parametrize("name", BAD)
 def test_damage_is_one_line(
-    tmp_path: Path,
-    plain: Plain,
-    name: str,
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, plain: Plain, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Before any reference filter runs."""
     monkeypatch.setattr("comparisons.jobs.check._references", pytest.fail)

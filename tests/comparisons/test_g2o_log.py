@@ -112,10 +112,7 @@ def test_closures_are_a_stream_of_the_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "why"),
     [
-        (
-            "",
-            "2 loop closures from pose to pose and no landmarks; .* EKF has nothing to obs",
-        ),
+        ("", "2 loop closures from pose to pose and no landmarks; .* EKF has nothing to obs"),
         (
             LANDMARK,
             "2 loop closures from pose to pose beside its measurements; .* a landmark EKF cannot",
@@ -309,9 +306,7 @@ def few_changed(path: Path, change: Callable[[Array], Array]) -> SlamProblem:
     closing = closed.covariance.copy()
     spread[STEPS], closing[CLOSURES] = change(spread[STEPS]), change(closing[CLOSURES])
     changed = replace(
-        problem,
-        increment_covariance=spread,
-        loop_closures=replace(closed, covariance=closing),
+        problem, increment_covariance=spread, loop_closures=replace(closed, covariance=closing)
     )
     write_g2o(path, G2oContents(changed, np.zeros((49, 3)), np.zeros((0, 2))))
     return problem

@@ -29,24 +29,11 @@ from comparisons.arrays import Array
 from comparisons.checks.agreement import Band, Gap
 from comparisons.checks.diagnosis.covariance_signatures import fit
 from comparisons.checks.external_agreement import _whole, compare_external
-from comparisons.checks.grade import (
-    GRADES,
-    Grade,
-    Part,
-    _missing,
-    eigenvalues,
-    joint_pair,
-)
+from comparisons.checks.grade import GRADES, Grade, Part, _missing, eigenvalues, joint_pair
 from comparisons.config import EkfConfig, RequiredGrade
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
-from comparisons.jobs.check import (
-    ExternalCheck,
-    Graded,
-    by_trace,
-    check_external,
-    outcome_of,
-)
+from comparisons.jobs.check import ExternalCheck, Graded, by_trace, check_external, outcome_of
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.references import reference_ekf

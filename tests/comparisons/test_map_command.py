@@ -14,13 +14,7 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.extension import Demand
 from comparisons.extensions.dense_maps.report import MapResult
 from comparisons.logs.bundled import open_log
-from comparisons.report.map_export import (
-    Raster,
-    rasterise,
-    window,
-    write_image,
-    write_ros_map,
-)
+from comparisons.report.map_export import Raster, rasterise, window, write_image, write_ros_map
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import Points

@@ -11,11 +11,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
 from tests.comparisons import neglected_change as check
-from tests.comparisons.neglected_change import (
-    NeglectedChange,
-    correlation,
-    neglected_change,
-)
+from tests.comparisons.neglected_change import NeglectedChange, correlation, neglected_change
 from tests.ekf_reference.dense.passive_states import StaleCross
 from tests.helpers import simulated
 

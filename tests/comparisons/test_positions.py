@@ -18,13 +18,7 @@ from comparisons.logs.log import Log, Positions
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import UpdateSplitter
-from tests.helpers import (
-    Array,
-    assert_followed,
-    compared,
-    present,
-    simulated,
-)
+from tests.helpers import Array, assert_followed, compared, present, simulated
 
 
 def with_fixes(log: Log, antenna: tuple[float, float], outlier: int | None = None) -> Log:

@@ -24,11 +24,7 @@ from comparisons.extensions.scan_landmarks.result import (
     rule_text,
     template_rule,
 )
-from comparisons.extensions.scan_landmarks.source import (
-    LogScans,
-    ScanSlamSource,
-    scan_slam_options,
-)
+from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource, scan_slam_options
 from comparisons.figures import stored
 from comparisons.jobs.run import Comparison, Modified, run_filter
 from comparisons.logs.log import Log
@@ -39,12 +35,7 @@ from comparisons.settings import configure, run_config, run_options
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.models.motion import MotionModel, MotionStep
-from ekf_reference.scan_landmarks.scan_slam import (
-    MOVES,
-    USED,
-    ScanLandmarks,
-    ScanSlamOptions,
-)
+from ekf_reference.scan_landmarks.scan_slam import MOVES, USED, ScanLandmarks, ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from ekf_reference.scan_landmarks.templates import BLANK
 from tests.helpers import (

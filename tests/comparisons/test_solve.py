@@ -12,10 +12,7 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows
 from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.association import (
-    compare_partitions,
-    score_association,
-)
+from comparisons.checks.association import compare_partitions, score_association
 from comparisons.config import EkfConfig, SmootherConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate

@@ -107,9 +107,7 @@ def build(
 
 
 def follow(
-    drive: Circuit,
-    ekf: Ekf | None = None,
-    predicted: Callable[[Ekf], object] = lambda ekf: None,
+    drive: Circuit, ekf: Ekf | None = None, predicted: Callable[[Ekf], object] = lambda ekf: None
 ) -> Iterator[tuple[int, Ekf]]:
     """Give a filter the drive's data; yield it after every scan, with the steps made until then.
 

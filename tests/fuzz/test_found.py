@@ -50,10 +50,10 @@ ENDLESS = "9" * 5000
 """More digits than Python turns into a number."""
 REPLACED = {
     ("estimate folder", "estimate.toml"): [
-        ("version = 1", f"version = {ENDLESS}", "not valid TOML"),
+        ("version = 1", f"version = {ENDLESS}", "not valid TOML")
     ],
     ("estimate folder", "landmarks.csv"): [
-        ("x_m,y_m\n", "x_m,y_m\n1234,1e200,0\n", "x_m is 1e+200, expected between"),
+        ("x_m,y_m\n", "x_m,y_m\n1234,1e200,0\n", "x_m is 1e+200, expected between")
     ],
     ("scenario", "small.toml"): [
         ("steps = 20", f"steps = {ENDLESS}", "not valid TOML"),

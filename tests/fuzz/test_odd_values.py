@@ -30,13 +30,7 @@ from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
 from tests.fuzz.damage import cases, counted
 from tests.fuzz.subjects import SCENARIO, SUBJECTS, Subject
-from tests.fuzz.test_hostile_files import (
-    QUIET,
-    assert_whole_or_absent,
-    outcome,
-    run_main,
-    words_in,
-)
+from tests.fuzz.test_hostile_files import QUIET, assert_whole_or_absent, outcome, run_main, words_in
 from tests.helpers import first_seconds, simulated
 
 SECONDS, MEMORY_BYTES = 60, 2 * 2**30

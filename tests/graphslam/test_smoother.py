@@ -7,13 +7,7 @@ import pytest
 
 from graphslam import elimination, marginals
 from graphslam.arrays import conditional_covariance
-from graphslam.graph_builder import (
-    LANDMARK_KEY,
-    POSE_KEY,
-    build_graph,
-    to_tangent,
-    to_values,
-)
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, build_graph, to_tangent, to_values
 from graphslam.layout import POINT, Layout
 from graphslam.linear_problem import solve
 from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global

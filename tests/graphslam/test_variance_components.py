@@ -6,12 +6,7 @@ import pytest
 from scipy.sparse import csr_matrix
 
 from graphslam.arrays import Array, Index
-from graphslam.graph_builder import (
-    COMPONENTS,
-    POSE_LANDMARK_KEY,
-    build_graph,
-    row_components,
-)
+from graphslam.graph_builder import COMPONENTS, POSE_LANDMARK_KEY, build_graph, row_components
 from graphslam.variance_components import Component, estimate_components
 from tests.graphslam import worlds
 

@@ -21,11 +21,7 @@ from comparisons.audit.consistency import (
     first_error,
 )
 from comparisons.audit.replay import Layout
-from comparisons.innovations import (
-    InnovationLog,
-    SensorInnovations,
-    _lengthened,
-)
+from comparisons.innovations import InnovationLog, SensorInnovations, _lengthened
 from comparisons.statistics import onset, rarity, stretch
 from comparisons.trace.events import Augment, Sensor, Snapshot, Update
 from comparisons.trace.recorder import Recorder

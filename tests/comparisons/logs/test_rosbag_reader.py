@@ -225,14 +225,8 @@ BAD: dict[str, tuple[list[Message], str]] = {
         clouds(width=4_000_000_000),
         "36 bytes in rows of 36, expected 1 times 4000000000 points of 12",
     ),
-    "height": (
-        clouds(height=2),
-        "36 bytes in rows of 36, expected 2 times 3 points of 12",
-    ),
-    "step": (
-        clouds(point_step=8),
-        "field z lies at byte 8, expected within point_step 8",
-    ),
+    "height": (clouds(height=2), "36 bytes in rows of 36, expected 2 times 3 points of 12"),
+    "step": (clouds(point_step=8), "field z lies at byte 8, expected within point_step 8"),
     "datatype": (
         clouds(fields=[replace(FIELD, datatype=4), *FIELDS]),
         "field x has datatype 4, expected floating point",

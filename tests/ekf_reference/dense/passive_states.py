@@ -14,13 +14,7 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import MeasurementModel
 from ekf_reference.core.state import KalmanState
-from ekf_reference.core.trace import (
-    VEHICLE,
-    MeasurementRecord,
-    RemovalRecord,
-    StepRecord,
-    Trace,
-)
+from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord, StepRecord, Trace
 from ekf_reference.dense.triangles import local_jacobians, to_local
 
 

@@ -209,11 +209,7 @@ def driven(*, dense: bool) -> Driven:
             offered[k] = axis, place, true[int(np.flatnonzero(number == k)[0])]
     state = ekf.state
     return Driven(
-        state.mean.copy(),
-        state.covariance.copy(),
-        regions,
-        room.counts,
-        np.concatenate(errors),
+        state.mean.copy(), state.covariance.copy(), regions, room.counts, np.concatenate(errors)
     )
 
 

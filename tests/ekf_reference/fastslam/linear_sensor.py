@@ -3,11 +3,7 @@
 import numpy as np
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.landmark_types import (
-    MeasurementModel,
-    NewLandmarks,
-    PredictedMeasurements,
-)
+from ekf_reference.core.landmark_types import MeasurementModel, NewLandmarks, PredictedMeasurements
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions
 from ekf_reference.models.motion import RelativePoseModel
 
