@@ -83,11 +83,6 @@ class NeglectedChange:
         """(R,) sizes of the observed changes over the error layer's sigma."""
         return self.observed_m / self.sigma_m
 
-    @property
-    def within_two_sigmas(self) -> float:
-        """Share of the regions whose observed change the error layer bounds."""
-        return float(np.mean(self.in_sigmas < 2.0))
-
 
 def correlation(first: Array, second: Array) -> float:
     """Correlation coefficient of changes (R, 2) and (R, 2), about zero: none is the null."""

@@ -20,7 +20,6 @@ from tests.helpers import compared, simulated
 from tests.processes import ROOT, python, run_pytest
 
 WORKFLOW = ROOT / "examples" / "ci" / "slamcheck.yml"
-PAGE = ROOT / "docs" / "regression-gates.md"
 STRICT = """\
 [pytest]
 slam_logs = logs
