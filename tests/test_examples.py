@@ -3,7 +3,6 @@
 import math
 import resource
 import runpy
-import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from comparisons.experiments.scenarios.world import build_world, log_of_run
 from comparisons.jobs.check import ExternalCheck, check
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from tests.helpers import present
+from tests.processes import compiled, ran, works
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -127,8 +127,6 @@ def test_a_broken_own_filter_is_wrong(
     assert reported in found.causes[len(gaps) - 1].hint
 
 
-COMPILER = shutil.which("c++") or shutil.which("g++")
-NEEDS_COMPILER = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler (c++ or g++)")
 WRITER = """
 #include "estimate_writer.hpp"
 #include <iostream>
@@ -154,28 +152,16 @@ int main(int count, char** words) try {
 
 
 @pytest.fixture
-def build(tmp_path: Path) -> Callable[..., str]:
+def build(tmp_path: Path) -> Callable[..., Path]:
     """A program of a source, with a piece of the header replaced."""
-
-    def built(source: str, old: str = "", new: str = "") -> str:
-        header = (EXAMPLES / "cpp" / "estimate_writer.hpp").read_text()
-        assert old in header
-        (tmp_path / "estimate_writer.hpp").write_text(header.replace(old, new) if old else header)
-        (tmp_path / "main.cpp").write_text(source)
-        strict = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
-        program = str(tmp_path / "main")
-        words = (present(COMPILER), *strict, "-o", program, str(tmp_path / "main.cpp"))
-        subprocess.run(words, check=True, timeout=120)
-        return program
-
-    return built
+    header = EXAMPLES / "cpp" / "estimate_writer.hpp"
+    return lambda source, old="", new="": compiled(tmp_path, source, header, old=old, new=new)
 
 
 @pytest.mark.slow
-@NEEDS_COMPILER
-def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., str], tmp_path: Path) -> None:
+def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., Path], tmp_path: Path) -> None:
     program, out = build(WRITER), tmp_path / "out"
-    subprocess.run((program, str(out)), check=True, timeout=60)
+    works(program, out)
     given, k = read_external(out), np.arange(50)
     u = 1.0 / (k + 3.0)
     assert np.array_equal(given.time_s, 1e9 + k + u)
@@ -193,7 +179,7 @@ def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., str], tmp_path:
         ((str(out),), "already exists: "),
         ((f"{out}2", "x"), "landmark: expect"),
     ):
-        done = subprocess.run((program, *words), capture_output=True, text=True, timeout=60)
+        done = ran(program, *words)
         assert done.returncode == 1
         assert reported in done.stderr
     assert not (tmp_path / "out2").exists()
@@ -206,10 +192,9 @@ def _little_room() -> None:
 
 
 @pytest.mark.slow
-@NEEDS_COMPILER
 @pytest.mark.parametrize("broken", [False, True])
 def test_a_killed_cpp_writer_leaves_no_half_folder(
-    build: Callable[..., str], tmp_path: Path, broken: bool
+    build: Callable[..., Path], tmp_path: Path, broken: bool
 ) -> None:
     part = 'target.parent_path() / ("." + target.filename().string() + ".part-" +'
     program = build(WRITER, part, f"true ? target : {part}") if broken else build(WRITER)
@@ -220,12 +205,10 @@ def test_a_killed_cpp_writer_leaves_no_half_folder(
 
 
 @pytest.mark.slow
-@NEEDS_COMPILER
-def test_the_cpp_example_runs(build: Callable[..., str], log_folder: Path, tmp_path: Path) -> None:
+def test_the_cpp_example_runs(build: Callable[..., Path], log_folder: Path, tmp_path: Path) -> None:
     program = build((EXAMPLES / "cpp" / "write_estimate.cpp").read_text())
     log = read_log_folder(log_folder)
-    words = (program, str(log_folder), str(tmp_path / "out"), *map(str, log.prior.pose.tolist()))
-    subprocess.run(words, check=True, timeout=60)
+    works(program, log_folder, tmp_path / "out", *map(str, log.prior.pose.tolist()))
     given = read_external(tmp_path / "out")
     assert np.array_equal(given.time_s, log.odometry.time_s)
     assert given.absent == ["landmarks", "landmark covariances", "joint covariance"]
