@@ -1,7 +1,5 @@
 """The command line in this process: what a process of its own would print and end with."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -63,3 +61,15 @@ def refused(*arguments: str, cwd: Path) -> str:
 def flat(text: str) -> str:
     """What rich has put into a box of several lines, as one."""
     return " ".join(re.sub("[\u2500-\u257f]", " ", text).split())
+
+
+def files_in(folder: Path) -> set[str]:
+    """Paths of all files, in the folder."""
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def job_files(*own: str, estimates: tuple[str, ...] = ()) -> set[str]:
+    """What a job writes: what every one does, its own files and folders of estimates."""
+    estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
+    each = {f"{name}/{file}" for name in estimates for file in estimate}
+    return {"config.toml", "files.sha256", "report.html", *own, *each}

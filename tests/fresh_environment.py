@@ -1,7 +1,5 @@
 """An environment with slamcheck's wheel and what it depends on, and nothing else."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -13,6 +11,7 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
+from tests.processes import ran
 from tests.release_check import ROOT as ROOT
 from tests.release_check import copy_source
 
@@ -65,12 +64,4 @@ def done(
     environment = {"PATH": os.defpath, "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "100"}
     if path is not None:
         environment["PYTHONPATH"] = str(path)
-    return subprocess.run(
-        [scripts / program, *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environment,
-        timeout=120,
-    )
+    return ran(scripts / program, *arguments, cwd=cwd, env=environment)

@@ -6,8 +6,6 @@ Without names it takes python3.11, python3.12 and python3.13 from PATH; a versio
 is a failure unless `--allow-missing` is given. Takes minutes, and a network for pip.
 """
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import subprocess

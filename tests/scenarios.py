@@ -1,7 +1,5 @@
 """Simulated logs that several tests share, made once each."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from comparisons.logs.bundled import SimulationChoices, open_log

@@ -5,8 +5,6 @@ on `main` itself since the commit before. BASE in the environment names another 
 from, one at which every shelf has passed.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 from collections.abc import Collection
@@ -45,11 +43,7 @@ EACH_TIME = _of_comparisons(
 """On no shelf."""
 SHELVES = {
     "the documents' figures": Shelf(
-        _of_comparisons(
-            "reproduction/",
-            "test_dense_claims.py",
-            "test_neglected_change.py",
-        ),
+        _of_comparisons("reproduction/", "test_dense_claims.py", "test_neglected_change.py"),
         ("comparisons/experiments/reproduction/", "comparisons/documented/"),
     ),
     "tutorials and examples": Shelf(

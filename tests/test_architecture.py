@@ -1,7 +1,5 @@
 """The house: who may import whom, no cycles, and limits that keep functions readable."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys
@@ -136,9 +134,7 @@ def for_types(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
 
 
-def graph(
-    found: Callable[[list[ast.stmt]], Iterator[str]] = loads,
-) -> dict[str, set[str]]:
+def graph(found: Callable[[list[ast.stmt]], Iterator[str]] = loads) -> dict[str, set[str]]:
     """Which modules of the house each one loads, or reaches."""
     known = modules()
     return {
@@ -434,10 +430,7 @@ def test_an_import_inside_a_function_is_one() -> None:
     hidden = (
         "def f():\n    if x:\n        with y:\n            from comparisons.report import rows\n"
     )
-    assert list(reaches(parsed(hidden).body)) == [
-        "comparisons.report",
-        "comparisons.report.rows",
-    ]
+    assert list(reaches(parsed(hidden).body)) == ["comparisons.report", "comparisons.report.rows"]
     assert list(loads(parsed(hidden).body)) == []
 
 

@@ -1,10 +1,7 @@
 """The benchmarks run; what they measure is for people to read."""
 
-from __future__ import annotations
-
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,21 +17,15 @@ from benchmarks.timing import run as ran
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from comparisons.logs.simulate.scan_drive import dense_slam
 from tests.graphslam.skips import pass_on
+from tests.helpers import present
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("ekf", "frozen", "smoother", "marginals", "checks")
 
 
 def run(*arguments: str) -> list[str]:
     """The lines that a benchmark prints."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": ""},
-    )
+    done = python(*arguments, cwd=ROOT)
     pass_on(done.stderr)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
@@ -126,13 +117,11 @@ def test_dense_maps_benchmark_rules() -> None:
 def test_more_landmarks_stand_clear_of_objects_and_path() -> None:
     usual, more = (dense_maps.log_among(dense_slam(), count, 0).truth for count in (0, 12))
     assert usual.landmarks is not None
-    assert usual.surfaces is not None
-    assert more.landmarks is not None
-    count, place = len(usual.landmarks.id), more.landmarks.position_m
+    count, place = len(usual.landmarks.id), present(more.landmarks).position_m
     assert np.array_equal(place[:count], usual.landmarks.position_m)
     new = place[count:]
     assert len(new) == 12
-    assert distance_to_segments(new, usual.surfaces.segment).min() > 1.0
+    assert distance_to_segments(new, present(usual.surfaces).segment).min() > 1.0
     assert (np.ptp(place, axis=0) < (103.0, 83.0)).all()
     apart = np.linalg.norm(new[:, None] - place[None, :count], axis=2)
     assert apart.min() > 2.0

@@ -1,12 +1,9 @@
 """The documentation builds without network, has no dead link, and covers what is public."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from html.parser import HTMLParser
@@ -19,8 +16,8 @@ from pydantic import BaseModel
 
 import slamcheck
 from comparisons.cli.app import COMMANDS
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.slow
 
 
@@ -35,13 +32,8 @@ def script(name: str) -> ModuleType:
 
 
 def built(project: Path, site: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "-f", project / "mkdocs.yml", "-d", site],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PATH": "", "PYTHONPATH": str(ROOT), "NO_MKDOCS_2_WARNING": "1"},
-    )
+    words = ("-m", "mkdocs", "build", "-f", project / "mkdocs.yml", "-d", site)
+    return python(*words, NO_MKDOCS_2_WARNING="1")
 
 
 @pytest.fixture(scope="module")

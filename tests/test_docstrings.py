@@ -7,8 +7,6 @@ DOC) and pydoclint do not know which functions are public, and let a docstring w
 section pass; hence this test.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

@@ -4,8 +4,6 @@ Each check takes the file's text or rows and returns complaints, so that a broke
 that the check rejects it.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re

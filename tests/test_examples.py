@@ -1,11 +1,8 @@
 """The examples run, and print the figures they promise."""
 
-from __future__ import annotations
-
 import math
 import resource
 import runpy
-import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +21,8 @@ from comparisons.experiments.scenarios.scenario import read_scenario
 from comparisons.experiments.scenarios.world import build_world, log_of_run
 from comparisons.jobs.check import ExternalCheck, check
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from tests.helpers import present
+from tests.processes import compiled, ran, works
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -128,8 +127,6 @@ def test_a_broken_own_filter_is_wrong(
     assert reported in found.causes[len(gaps) - 1].hint
 
 
-COMPILER = shutil.which("c++") or shutil.which("g++")
-NEEDS_COMPILER = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler (c++ or g++)")
 WRITER = """
 #include "estimate_writer.hpp"
 #include <iostream>
@@ -155,50 +152,34 @@ int main(int count, char** words) try {
 
 
 @pytest.fixture
-def build(tmp_path: Path) -> Callable[..., str]:
+def build(tmp_path: Path) -> Callable[..., Path]:
     """A program of a source, with a piece of the header replaced."""
-
-    def built(source: str, old: str = "", new: str = "") -> str:
-        assert COMPILER is not None
-        header = (EXAMPLES / "cpp" / "estimate_writer.hpp").read_text()
-        assert old in header
-        (tmp_path / "estimate_writer.hpp").write_text(header.replace(old, new) if old else header)
-        (tmp_path / "main.cpp").write_text(source)
-        strict = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
-        words = (COMPILER, *strict, "-o", str(tmp_path / "main"), str(tmp_path / "main.cpp"))
-        subprocess.run(words, check=True, timeout=120)
-        return str(tmp_path / "main")
-
-    return built
+    header = EXAMPLES / "cpp" / "estimate_writer.hpp"
+    return lambda source, old="", new="": compiled(tmp_path, source, header, old=old, new=new)
 
 
 @pytest.mark.slow
-@NEEDS_COMPILER
-def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., str], tmp_path: Path) -> None:
+def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., Path], tmp_path: Path) -> None:
     program, out = build(WRITER), tmp_path / "out"
-    subprocess.run((program, str(out)), check=True, timeout=60)
+    works(program, out)
     given, k = read_external(out), np.arange(50)
     u = 1.0 / (k + 3.0)
     assert np.array_equal(given.time_s, 1e9 + k + u)
     assert np.array_equal(given.pose[:, :2], np.column_stack((u, -1e5 * u)))
     assert given.pose[:, 2] == pytest.approx(0.25 * k, abs=1e-14)
-    assert given.pose_covariance is not None
-    assert given.pose_covariance[7].ravel().tolist() == [
+    assert present(given.pose_covariance)[7].ravel().tolist() == [
         1 + u[7], u[7], 0, u[7], 2, -u[7], 0, -u[7], 3 - u[7]
     ]  # fmt: skip
-    assert given.landmark_id is not None
-    assert given.landmark_id.tolist() == [9007199254740991, 0]
-    assert given.landmark is not None
-    assert given.landmark.tolist() == [[1.0 / 3.0, -2e-300], [1e9 + 0.1, 4.0]]
-    assert given.joint_covariance is not None
-    assert np.array_equal(given.joint_covariance.ravel(), 1.0 / np.arange(1.0, 50.0))
+    assert present(given.landmark_id).tolist() == [9007199254740991, 0]
+    assert present(given.landmark).tolist() == [[1.0 / 3.0, -2e-300], [1e9 + 0.1, 4.0]]
+    assert np.array_equal(present(given.joint_covariance).ravel(), 1.0 / np.arange(1.0, 50.0))
     assert given.information == "smoothed"
     assert sorted(path.name for path in tmp_path.iterdir() if "part" in path.name) == []
     for words, reported in (
         ((str(out),), "already exists: "),
         ((f"{out}2", "x"), "landmark: expect"),
     ):
-        done = subprocess.run((program, *words), capture_output=True, text=True, timeout=60)
+        done = ran(program, *words)
         assert done.returncode == 1
         assert reported in done.stderr
     assert not (tmp_path / "out2").exists()
@@ -211,10 +192,9 @@ def _little_room() -> None:
 
 
 @pytest.mark.slow
-@NEEDS_COMPILER
 @pytest.mark.parametrize("broken", [False, True])
 def test_a_killed_cpp_writer_leaves_no_half_folder(
-    build: Callable[..., str], tmp_path: Path, broken: bool
+    build: Callable[..., Path], tmp_path: Path, broken: bool
 ) -> None:
     part = 'target.parent_path() / ("." + target.filename().string() + ".part-" +'
     program = build(WRITER, part, f"true ? target : {part}") if broken else build(WRITER)
@@ -225,12 +205,10 @@ def test_a_killed_cpp_writer_leaves_no_half_folder(
 
 
 @pytest.mark.slow
-@NEEDS_COMPILER
-def test_the_cpp_example_runs(build: Callable[..., str], log_folder: Path, tmp_path: Path) -> None:
+def test_the_cpp_example_runs(build: Callable[..., Path], log_folder: Path, tmp_path: Path) -> None:
     program = build((EXAMPLES / "cpp" / "write_estimate.cpp").read_text())
     log = read_log_folder(log_folder)
-    words = (program, str(log_folder), str(tmp_path / "out"), *map(str, log.prior.pose.tolist()))
-    subprocess.run(words, check=True, timeout=60)
+    works(program, log_folder, tmp_path / "out", *map(str, log.prior.pose.tolist()))
     given = read_external(tmp_path / "out")
     assert np.array_equal(given.time_s, log.odometry.time_s)
     assert given.absent == ["landmarks", "landmark covariances", "joint covariance"]

@@ -1,7 +1,5 @@
 """slamcheck's wheel in an environment of its own, with what it depends on and nothing else."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The terms of rows and of the help stand in docs/glossary.md."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What benchmarks/mutants.py changes, and that a change is in place."""
 
-from __future__ import annotations
-
 import importlib.util
 import tomllib
 from pathlib import Path

@@ -3,8 +3,6 @@
 Commands, files and outputs are those of the pages; each step is a test, in the pages' order.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -16,6 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from tests.fresh_environment import ROOT
+from tests.processes import ran
 
 WAY = ROOT / "docs" / "your-own-filter.md"
 GATES = ROOT / "docs" / "regression-gates.md"
@@ -78,15 +77,8 @@ def project(scripts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(project: Path, command: str, **more: str) -> subprocess.CompletedProcess[str]:
     """A command as in a terminal in which `. .venv/bin/activate` was run."""
-    return subprocess.run(
-        ["bash", "-e", "-c", f". .venv/bin/activate\n{command}"],
-        cwd=project,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PATH": os.defpath, "OPENBLAS_NUM_THREADS": "1", **more},
-        timeout=120,
-    )
+    env = {"PATH": os.defpath, "OPENBLAS_NUM_THREADS": "1", **more}
+    return ran("bash", "-e", "-c", f". .venv/bin/activate\n{command}", cwd=project, env=env)
 
 
 def follow(project: Path, step: Step, code: int = 0) -> None:

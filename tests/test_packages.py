@@ -3,17 +3,15 @@
 The site of each test is made of slamcheck's own files and fakes; nothing of it is installed.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from slamcheck._packages import PACKAGES
+from tests.processes import python, run_pytest
 from tests.release_check import ROOT
 
 CHECK = "from slamcheck._packages import check_packages; check_packages(); print('ours')"
@@ -48,22 +46,15 @@ def foreign(folder: Path, name: str) -> Path:
     return path
 
 
-def python(*words: str, path: list[Path]) -> subprocess.CompletedProcess[str]:
+def bare(*words: str, path: list[Path]) -> subprocess.CompletedProcess[str]:
     """Run Python with a path and the standard library alone."""
-    return subprocess.run(
-        [sys.executable, "-S", *words],
-        cwd="/",
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": ":".join(map(str, path))},
-    )
+    return python("-S", *words, cwd="/", PYTHONPATH=":".join(map(str, path)))
 
 
 def fault(*path: Path) -> str:
     """Return the line that the command line ends with; the interface from Python has the same."""
-    shown = python("-m", "slamcheck", "--version", path=list(path))
-    raised = python("-c", CHECK, path=list(path))
+    shown = bare("-m", "slamcheck", "--version", path=list(path))
+    raised = bare("-c", CHECK, path=list(path))
     assert shown.returncode == 2
     assert shown.stdout == ""
     line = shown.stderr.removesuffix("\n").removeprefix("slamcheck: ")
@@ -76,7 +67,7 @@ AGAIN = "pip install --force-reinstall --no-deps '/src/my slamcheck'"
 
 
 def test_own_packages_pass(site: Path) -> None:
-    assert python("-c", CHECK, path=[site]).stdout == "ours\n"
+    assert bare("-c", CHECK, path=[site]).stdout == "ours\n"
 
 
 def test_a_package_that_another_distribution_wrote_over_is_named(site: Path) -> None:
@@ -120,14 +111,14 @@ def test_a_users_own_module_is_named(name: str, site: Path, tmp_path: Path) -> N
 
 def test_a_folder_without_code_hides_nothing(site: Path, tmp_path: Path) -> None:
     (tmp_path / "mine/comparisons").mkdir(parents=True)
-    assert python("-c", CHECK, path=[tmp_path / "mine", site]).stdout == "ours\n"
+    assert bare("-c", CHECK, path=[tmp_path / "mine", site]).stdout == "ours\n"
 
 
 def test_the_public_interface_says_so_at_its_first_use(tmp_path: Path) -> None:
     foreign(tmp_path, "comparisons")
     for use in ("load_log('simulated-loop')", "check(None, 'mine')", "RunConfig"):
         code = f"import slamcheck\nslamcheck.{use}\n"
-        shown = python("-c", code, path=[tmp_path, ROOT]).stderr
+        shown = bare("-c", code, path=[tmp_path, ROOT]).stderr
         assert "hides slamcheck's package comparisons" in shown.splitlines()[-1]
 
 
@@ -139,15 +130,8 @@ def test_pytest_runs_others_tests_and_fails_those_of_slamcheck(tmp_path: Path) -
         "def test_other():\n    pass\n"
         "def test_filter(slam_check):\n    slam_check('simulated-loop')\n"
     )
-    plugins = ["-p", "no:slamcheck", "-p", "no:cacheprovider", "-p", "no:dash"]
-    ran = subprocess.run(
-        [sys.executable, "-m", "pytest", *plugins, "-p", "slamcheck.pytest_plugin", "-q"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": f"{tmp_path / 'first'}:{ROOT}", "PATH": "", "COLUMNS": "300"},
-    )
+    path = f"{tmp_path / 'first'}:{ROOT}"
+    ran = run_pytest("-q", cwd=tmp_path, PYTHONPATH=path, COLUMNS="300")
     assert "1 failed, 1 passed" in ran.stdout, ran.stdout + ran.stderr
     assert "is another program's and hides slamcheck's package comparisons" in ran.stdout
     assert "Traceback" not in ran.stdout

@@ -1,13 +1,10 @@
 """`import slamcheck`: what it offers is what it says, and importing it loads nothing heavy."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import json
 import re
 import shutil
-import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
@@ -22,6 +19,7 @@ import pytest
 
 import slamcheck
 from comparisons.report.html.shell import prose
+from tests.processes import printed, python
 from tests.release_check import ROOT, version
 
 SOURCE = Path(slamcheck.__file__)
@@ -92,8 +90,7 @@ def test_importing_it_loads_nothing_heavy() -> None:
         "import sys, slamcheck; "
         "print([m for m in ('numpy', 'gtsam', 'pydantic', 'comparisons') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert printed(code) == "[]"
 
 
 @pytest.mark.slow
@@ -156,10 +153,7 @@ def test_a_job_takes_options_or_a_configuration(job: str, log: slamcheck.Log) ->
         ({"pose": [["a", "b", "c"]] * 3}, "pose must hold numbers"),
         ({"landmark": np.zeros((2, 2))}, "landmark and landmark_id both"),
         ({"landmark": np.zeros((2, 2)), "landmark_id": [1, 1]}, "whole numbers, each once"),
-        (
-            {"joint_covariance": np.eye(5)},
-            r"has shape \(5, 5\), expected \(3, 3\)",
-        ),
+        ({"joint_covariance": np.eye(5)}, r"has shape \(5, 5\), expected \(3, 3\)"),
     ],
 )
 def test_a_fault_in_own_arrays_is_named(
@@ -477,7 +471,4 @@ def test_one_version() -> None:
     headings = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert headings[0] in (version(), "Unreleased")
     assert version() in headings
-    shown = subprocess.run(
-        [sys.executable, "-m", "slamcheck", "--version"], capture_output=True, text=True, check=True
-    )
-    assert shown.stdout == f"slamcheck {version()}\n"
+    assert python("-m", "slamcheck", "--version").stdout == f"slamcheck {version()}\n"

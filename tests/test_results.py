@@ -1,7 +1,5 @@
 """Pages of results say what their records say, and a record that the code has left is marked."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Shelves hold tests that exist, cover files that exist, and are asked for where these change."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

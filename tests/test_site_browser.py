@@ -1,14 +1,10 @@
 """The built pages in a headless Chromium: wide and narrow, light and dark."""
 
-from __future__ import annotations
-
 import functools
 import html
 import http.server
 import json
 import re
-import shutil
-import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +12,9 @@ from typing import Any
 
 import pytest
 
-from tests.test_docs import ROOT, built
+from tests.comparisons.browser import browse
+from tests.processes import ROOT
+from tests.test_docs import built
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 WIDTHS = (1400, 390)
@@ -121,20 +119,13 @@ def served(folder: Path) -> Iterator[str]:
 
 def faults(folder: Path, pages: list[str], profile: Path) -> list[str]:
     """What is wrong with pages in a folder, by a browser that reaches nothing but this machine."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("no Chromium on this machine")
     look = LOOK.replace("PAGES", json.dumps(pages), 1).replace("WIDTHS", json.dumps(WIDTHS), 1)
     (folder / "look.html").write_text(look, encoding="utf-8")
     for address in served(folder):
-        done = subprocess.run(
-            [browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
-             "--disable-background-networking", "--disable-component-update", "--disable-sync",
-             "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", "--enable-logging=stderr",
-             f"--user-data-dir={profile}", f"--virtual-time-budget={4000 * len(pages) + 4000}",
-             "--window-size=1500,1000", "--dump-dom", f"{address}/look.html"],
-            capture_output=True, text=True, check=False, timeout=400,
-        )  # fmt: skip
+        alone = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+        shown = ("--enable-logging=stderr", "--window-size=1500,1000", "--dump-dom")
+        page, budget_ms = f"{address}/look.html", 4000 * len(pages) + 4000
+        done = browse(page, profile, alone, *shown, budget_ms=budget_ms)
     (folder / "look.html").unlink()
     noted = re.search(r'<pre id="found">(.*?)</pre>', done.stdout, re.DOTALL)
     assert noted is not None, done.stdout[-2000:] + done.stderr[-2000:]

@@ -1,7 +1,5 @@
 """What README, documentation and help show is what the program takes."""
 
-from __future__ import annotations
-
 import ast
 import builtins
 import inspect

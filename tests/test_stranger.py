@@ -1,7 +1,5 @@
 """A stranger's way from raw CSV files to a verdict, by the lines of docs/your-own-log.md alone."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

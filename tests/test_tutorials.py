@@ -1,7 +1,5 @@
 """The tutorials' commands, run as printed, print what the pages show."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

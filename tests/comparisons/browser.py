@@ -1,7 +1,5 @@
 """A headless Chromium that shows a page, with what it made of it."""
 
-from __future__ import annotations
-
 import html
 import json
 import re
@@ -15,22 +13,28 @@ import pytest
 _POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
 
-def look(url: str, profile: Path, *arguments: str, size: str = "1200,900") -> str:
-    """The document as the browser has it once the script has run; skips without a browser."""
+def browse(
+    url: str, profile: Path, *arguments: str, budget_ms: int = 2000
+) -> subprocess.CompletedProcess[str]:
+    """Have a browser show a page for some of its own time; skips without a browser."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser")
     if browser is None:
         pytest.skip("no Chromium on this machine")
-    done = subprocess.run(
+    return subprocess.run(
         [browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
          "--no-first-run", "--disable-background-networking", "--disable-component-update",
-         "--disable-sync", f"--user-data-dir={profile}", "--virtual-time-budget=2000",
-         f"--window-size={size}", *(arguments or ("--dump-dom",)), url],
+         "--disable-sync", f"--user-data-dir={profile}", f"--virtual-time-budget={budget_ms}",
+         *arguments, url],
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=400,
     )  # fmt: skip
-    return done.stdout
+
+
+def look(url: str, profile: Path, *arguments: str, size: str = "1200,900") -> str:
+    """The document as the browser has it once the script has run; skips without a browser."""
+    return browse(url, profile, f"--window-size={size}", *(arguments or ("--dump-dom",))).stdout
 
 
 def noted(

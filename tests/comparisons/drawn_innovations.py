@@ -1,7 +1,5 @@
 """Innovations drawn by hand, as those of a sensor."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

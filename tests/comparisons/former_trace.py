@@ -1,7 +1,5 @@
 """Writes `trace.npz` as slamcheck 0.2 did, which is still read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

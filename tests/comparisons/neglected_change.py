@@ -6,8 +6,6 @@ up beside the filter, by a filter that has the points in its state, by the truth
 layer, which has to say it beforehand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -84,11 +82,6 @@ class NeglectedChange:
     def in_sigmas(self) -> Array:
         """(R,) sizes of the observed changes over the error layer's sigma."""
         return self.observed_m / self.sigma_m
-
-    @property
-    def within_two_sigmas(self) -> float:
-        """Share of the regions whose observed change the error layer bounds."""
-        return float(np.mean(self.in_sigmas < 2.0))
 
 
 def correlation(first: Array, second: Array) -> float:

@@ -1,7 +1,5 @@
 """An association is verified when other ways to make it end at the same place."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -14,11 +12,7 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.smoother_association import Alternative
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array, Index
-from comparisons.checks.association_variants import (
-    APART,
-    AssociationCheck,
-    check_association,
-)
+from comparisons.checks.association_variants import APART, AssociationCheck, check_association
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.jobs.check import check_external

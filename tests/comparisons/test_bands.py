@@ -1,7 +1,5 @@
 """Each band that a run reports covers its nominal share of sound runs; wrong ones do not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

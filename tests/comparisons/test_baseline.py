@@ -1,7 +1,5 @@
 """Baselines, as a gate in continuous integration."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Work in a second process: the same result, the same errors, and nothing left behind."""
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import os

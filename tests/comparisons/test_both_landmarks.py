@@ -1,7 +1,5 @@
 """Points and pieces of scans in one filter, with Scan-SLAM itself in the loop."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -21,10 +19,11 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.prepare import prepare
 from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT, POSE, LandmarkKind, NewLandmarks
+from ekf_reference.core.geometry import Index
+from ekf_reference.core.landmark_types import POINT, LandmarkKind
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
+from tests.ekf_reference.both_kinds import NoRows
 from tests.helpers import compared, present, simulated, written
 from tests.scenarios import scenario
 
@@ -106,15 +105,6 @@ def apart(one: EkfRun, other: EkfRun) -> float:
     mean = np.abs((a.joint_mean - b.joint_mean) / sigma).max()
     spread = (a.joint_covariance - b.joint_covariance) / np.outer(sigma, sigma)
     return float(max(mean, np.abs(spread).max()))
-
-
-class NoRows(CompressedState):
-    """Broken: new pose landmarks know nothing of passive ones."""
-
-    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
-        super().augment(new, noise, kind)
-        if kind == POSE:
-            self._phi[-new.landmark.size :] = 0.0
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Causes beside the gaps: where linearising cost something, dropouts, noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The page of `slamcheck check`: as a run's, as far as what was handed in goes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

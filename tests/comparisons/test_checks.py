@@ -1,6 +1,5 @@
-from __future__ import annotations
-
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -218,20 +217,17 @@ def test_robust_alignment_leaves_outliers_aside() -> None:
     assert np.min(np.linalg.norm(plain, axis=1)) > 1.0
 
 
-def test_matching_is_one_to_one_and_near() -> None:
-    ours = np.array(((0.0, 0.0), (0.4, 0.0), (9.0, 9.0)))
-    theirs = np.array(((0.1, 0.0), (50.0, 0.0)))
-    rows, columns = match_by_distance(ours, theirs)
-    assert rows.tolist() == [0]
-    assert columns.tolist() == [0]
-
-
-def test_a_far_pairing_does_not_cost_a_near_one() -> None:
-    """Pairs beyond the limit must not compete with those within."""
-    ours, theirs = np.array(((0.0, 0.0), (2.3, 0.0))), np.array(((0.9, 0.0), (-1.4, 0.0)))
-    rows, columns = match_by_distance(ours, theirs)
-    assert rows.tolist() == [0]
-    assert columns.tolist() == [0]
+@pytest.mark.parametrize(
+    ("ours", "theirs"),
+    [
+        (((0.0, 0.0), (0.4, 0.0), (9.0, 9.0)), ((0.1, 0.0), (50.0, 0.0))),
+        # Pairs beyond the limit must not compete with those within.
+        (((0.0, 0.0), (2.3, 0.0)), ((0.9, 0.0), (-1.4, 0.0))),
+    ],
+)
+def test_matching_is_one_to_one_and_near(ours: tuple[Any, ...], theirs: tuple[Any, ...]) -> None:
+    rows, columns = match_by_distance(np.array(ours), np.array(theirs))
+    assert (rows.tolist(), columns.tolist()) == ([0], [0])
 
 
 def test_accuracy_of_the_truth_is_perfect_and_coverage_counts(comparison: Comparison) -> None:

@@ -1,7 +1,5 @@
 """Every check keeps its contract: it says what it asks and needs, and finds or says why not."""
 
-from __future__ import annotations
-
 import inspect
 import json
 from collections.abc import Callable

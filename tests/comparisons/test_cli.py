@@ -1,7 +1,5 @@
 """The command line as a user meets it; in processes of its own what hangs on the process."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json
@@ -31,26 +29,9 @@ from comparisons.estimates.trajectory_files import (
 )
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.models import Result
-from tests.commands import flat, refused, slamcheck, works
+from tests.commands import files_in, flat, job_files, refused, slamcheck, works
 from tests.helpers import simulated
-
-
-def python(
-    code: str, cwd: Path, *arguments: str, **environment: str
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={
-            "PYTHONPATH": str(Path(__file__).resolve().parents[2]),
-            "PATH": "",
-            "COLUMNS": "100",
-            **environment,
-        },
-    )
+from tests.processes import ROOT, python
 
 
 @pytest.mark.slow
@@ -58,17 +39,7 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     given = "run", "simulated-loop", "--seed", "3", "--out"
     assert "verdict: agree" in works(*given, "report", cwd=tmp_path)
     folder = tmp_path / "report"
-    names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
-    estimate = ["covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum"]
-    assert names == sorted(
-        [
-            "config.toml",
-            "files.sha256",
-            "report.html",
-            "result.json",
-            *(f"{e}/{n}" for e in ("ekf", "smoother") for n in estimate),
-        ]
-    )
+    assert files_in(folder) == job_files("result.json", estimates=("ekf", "smoother"))
     text = (folder / "result.json").read_text()
     result = Result.model_validate_json(text)
     assert result.verdict == "agree"
@@ -204,7 +175,7 @@ def test_a_closed_pipe_keeps_the_verdict(tmp_path: Path) -> None:
         "sys.argv[1:] = ['run', 'simulated-loop', '--out', 'report']\n"
         "from comparisons.cli.app import main\nmain()\n"
     )
-    assert python(code, tmp_path).returncode == 0
+    assert python("-c", code, cwd=tmp_path).returncode == 0
     assert (tmp_path / "report" / "result.json").exists()
 
 
@@ -285,8 +256,7 @@ def test_what_nobody_reads_changes_no_exit_code(
     """Streams closed before the start, or full, are neither a fault nor a disagreement."""
     program = f'exec {sys.executable} -c "$MAIN" {arguments} {redirected}'
     main = "from comparisons.cli import app; app.main()"
-    root = str(Path(__file__).resolve().parents[2])
-    environment = {**os.environ, "MAIN": main, "PYTHONPATH": root}
+    environment = {**os.environ, "MAIN": main, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(["sh", "-c", program], cwd=tmp_path, env=environment, check=False)
     assert done.returncode == code
 
@@ -382,9 +352,10 @@ def test_warnings_go_to_a_log_that_is_asked_for(tmp_path: Path) -> None:
         "support.QUIET_S = 1e9  # however long a stage takes on this machine\n"
         "app.main()\n"
     )
-    quiet = python(code, tmp_path, "solve", "simulated-loop", "--out", "a")
+    quiet = python("-c", code, "solve", "simulated-loop", "--out", "a", cwd=tmp_path)
     assert (quiet.returncode, quiet.stderr) == (0, "")
-    kept = python(code, tmp_path, "solve", "simulated-loop", "--out", "b", "--log", "log.txt")
+    logged = ("--out", "b", "--log", "log.txt")
+    kept = python("-c", code, "solve", "simulated-loop", *logged, cwd=tmp_path)
     assert (kept.returncode, kept.stderr) == (0, "")
     lines = (tmp_path / "log.txt").read_text()
     assert "planted" in lines
@@ -430,7 +401,7 @@ def on_a_terminal(code: str, cwd: Path) -> str:
     """What a program shows on a terminal of 80 columns."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    environment = {"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "TERM": "xterm"}
+    environment = {"PYTHONPATH": str(ROOT), "TERM": "xterm"}
     child = subprocess.Popen(
         [sys.executable, "-c", code],
         cwd=cwd, stdin=theirs, stdout=theirs, stderr=theirs, env=environment,
@@ -486,16 +457,16 @@ def test_a_run_shows_that_it_reads(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_terminal_a_long_job_has_a_line_per_stage(tmp_path: Path) -> None:
-    long = python(STAGES.format(quiet_s=0.5, rest_s=0.5), tmp_path)
+def test_without_a_terminal_a_long_job_has_a_line_per_stage() -> None:
+    long = python("-c", STAGES.format(quiet_s=0.5, rest_s=0.5))
     assert long.stdout == "done\n"
     lines = [re.sub(r"[\d.]+ s$", "N s", line) for line in long.stderr.splitlines()]
     assert lines == [f"slamcheck: {stage} N s" for stage in ("reading", "first", "second")]
     closed = (
         f"import os, sys\nos.close(2)\nsys.stderr = None\n{STAGES.format(quiet_s=0.5, rest_s=0.5)}"
     )
-    assert python(closed, tmp_path).stdout == "done\n"
-    short = python(STAGES.format(quiet_s=60.0, rest_s=0.0), tmp_path)
+    assert python("-c", closed).stdout == "done\n"
+    short = python("-c", STAGES.format(quiet_s=60.0, rest_s=0.0))
     assert (short.stdout, short.stderr) == ("done\n", "")
 
 
@@ -504,7 +475,7 @@ def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Pat
     without = (
         "import sys; sys.modules['open3d'] = None; from comparisons.cli import app; app.main()"
     )
-    done = python(without, tmp_path, "odometry", "no-such-log", "--cloud", "pcd")
+    done = python("-c", without, "odometry", "no-such-log", "--cloud", "pcd", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr == "slamcheck: --cloud needs Open3D: pip install 'slamcheck[scans]'\n"
     said = refused("odometry", "no-such-log", "--cloud", "", cwd=tmp_path)
@@ -513,11 +484,12 @@ def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Pat
 
 def test_without_gtsam_one_line_says_where_it_is_to_be_had(tmp_path: Path) -> None:
     without = "import sys; sys.modules['gtsam'] = None; "
-    done = python(f"{without}from comparisons.cli import app; app.main()", tmp_path, "run")
+    main = f"{without}from comparisons.cli import app; app.main()"
+    done = python("-c", main, "run", cwd=tmp_path)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert done.stderr.startswith("slamcheck: graphslam needs gtsam 4.3")
-    done = python(f"{without}import graphslam.smoother", tmp_path)
+    done = python("-c", f"{without}import graphslam.smoother")
     assert done.stderr.splitlines()[-1].startswith("ModuleNotFoundError: graphslam needs gtsam")
 
 

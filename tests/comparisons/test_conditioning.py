@@ -1,7 +1,6 @@
 """Sound filters stay green where numbers are awkward; broken ones are reported as such."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -179,21 +178,6 @@ def test_a_long_stand_still_is_no_fault_of_the_filter(still_s: float) -> None:
     assert c.agreement.algebra.explained_by(c.gaps.algebra_rounding)
 
 
-@pytest.mark.slow
-def test_a_wrong_update_shows_behind_a_long_stand_still() -> None:
-    class TooSure(Corrupted):
-        updates = -60
-
-        def corrupt(self) -> None:
-            self._covariance *= 0.98
-
-    log = standing_still(simulated(loop_s=20.0), 10.0, 3e4)
-    c = compared(log, Modified(with_state(TooSure)))
-    assert c.verdict.outcome == "disagree"
-    assert c.verdict.causes[0].gap == "algebra"
-    assert c.gaps.algebra_rounding.covariance < 0.1 * c.agreement.algebra.covariance
-
-
 @pytest.mark.parametrize("far_m", [5e6, 1e8, 1e9])
 def test_an_origin_far_away_is_no_fault_of_the_filter(far_m: float) -> None:
     """Positions are rounded to their distance from the origin; UTM's lose nothing that counts."""
@@ -219,17 +203,6 @@ def test_sigmas_near_the_last_place_are_no_fault_of_the_filter(seed: int) -> Non
     assert c.gaps.algebra_rounding.sigma < 1.0
 
 
-@pytest.mark.slow
-def test_a_wrong_update_shows_beside_sigmas_near_the_last_place() -> None:
-    class TooSure(Corrupted):
-        def corrupt(self) -> None:
-            self._covariance *= 0.99
-
-    c = compared(fine(simulated(5002, loop_s=12.0)), Modified(with_state(TooSure)))
-    assert c.verdict.outcome == "disagree"
-    assert c.verdict.causes[0].gap == "algebra"
-
-
 def test_a_filter_that_rounding_breaks_down_is_not_blamed() -> None:
     """After a day without a measurement sigmas of 1e-7 are lost to rounding: nothing is told."""
     c = compared(fine(standing_still(simulated(5004, loop_s=20.0), 5.0, 86_400.0)))
@@ -239,16 +212,30 @@ def test_a_filter_that_rounding_breaks_down_is_not_blamed() -> None:
     assert c.ekf.breakdown in c.verdict.remarks[0]
 
 
-def test_a_wrong_update_shows_beside_a_wide_prior() -> None:
-    """A thousandth too much of the covariance is not rounding."""
+WRONG: dict[str, tuple[Callable[[], Log], float, int]] = {
+    "behind a long stand still": (
+        lambda: standing_still(simulated(loop_s=20.0), 10.0, 3e4), 0.98, -60
+    ),
+    "beside sigmas near the last place": (lambda: fine(simulated(5002, loop_s=12.0)), 0.99, 0),
+    "beside a wide prior": (lambda: with_prior_of(1e3), 0.999, 0),
+}  # fmt: skip
+"""Logs, what is kept of the covariance at an update, and which update it is."""
+
+
+@pytest.mark.parametrize("where", WRONG)
+def test_a_wrong_update_shows(where: str) -> None:
+    log, kept, first = WRONG[where]
 
     class TooSure(Corrupted):
-        def corrupt(self) -> None:
-            self._covariance *= 0.999
+        updates = first
 
-    c = compared(with_prior_of(1e3), Modified(with_state(TooSure)))
+        def corrupt(self) -> None:
+            self._covariance *= kept
+
+    c = compared(log(), Modified(with_state(TooSure)))
     assert c.verdict.outcome == "disagree"
     assert c.verdict.causes[0].gap == "algebra"
+    assert c.gaps.algebra_rounding.covariance < 0.1 * c.agreement.algebra.covariance
 
 
 def test_ordinary_priors_leave_the_limit_where_it_is() -> None:

@@ -1,7 +1,5 @@
 """Configurations: from flags, files and single settings, to TOML and back, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

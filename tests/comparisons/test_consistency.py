@@ -1,7 +1,5 @@
 """Simulation: exact without noise, consistent with it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """NEES, NIS, whiteness and the filter-smoother identity, on Gaussians made by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

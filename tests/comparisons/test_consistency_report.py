@@ -1,7 +1,5 @@
 """Consistency in a run: its trace, its JSON, its rows and its picture."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

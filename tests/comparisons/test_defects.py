@@ -1,7 +1,5 @@
 """Planted defects: every one is caught, and named; a sound filter is not."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

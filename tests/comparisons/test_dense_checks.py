@@ -1,7 +1,5 @@
 """Dense maps against true surfaces and against the smoother's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from types import ModuleType

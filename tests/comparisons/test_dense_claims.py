@@ -1,7 +1,5 @@
 """Nieto 2005, Figs. 3.17, 4.3 and 4.5: closing a loop corrects a dense map, and no other grid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -26,9 +24,7 @@ def maps() -> list[DenseMapping]:
 
 
 @pytest.mark.slow
-def test_closing_the_loop_brings_the_map_to_where_the_objects_are(
-    maps: list[DenseMapping],
-) -> None:
+def test_closing_the_loop_brings_the_map_to_where_the_objects_are(maps: list[DenseMapping]) -> None:
     """With no call to any layer: what moves are the landmarks. Half of the map was right before."""
     closings = [m for m in maps if m.dense.before is not None and m.dense.before.shift_m > 0.3]
     assert closings

@@ -1,7 +1,5 @@
 """A dense map beside the filter: it is fed all scans, and the filter does not feel it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """Every constant of a document has a row: its value, or why runs use another."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Dynamic regions of whole drives (Nieto 2005, section 6.3.3), and a filter that keeps off them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The driver of filters, with the compressed filter on real logs and a boundless prior."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

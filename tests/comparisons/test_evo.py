@@ -1,7 +1,5 @@
 """Against evo, where it is installed: it reads our trajectories and finds the same errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

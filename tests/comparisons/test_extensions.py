@@ -1,7 +1,5 @@
 """Extensions: one that is asked for takes part, one that is not costs nothing."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

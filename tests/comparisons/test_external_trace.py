@@ -1,7 +1,5 @@
 """A foreign filter's trace: the same gaps as from within, the same causes, damage in one line."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -46,6 +44,8 @@ from tests.comparisons.former_trace import write_trace
 from tests.helpers import Array, compared, first_seconds, present
 
 Arrays = dict[str, Array]
+Plain = tuple[Log, EkfConfig, EkfRun]
+Case = tuple[Log, EkfConfig, Comparison]
 NEW_EVERY = 4
 """So many of the catalogue's defects pass for each that is planted here."""
 UNSAID = ("landmark initialised again",)
@@ -83,7 +83,7 @@ def checked(folder: Path, log: Log, choices: EkfConfig) -> ExternalCheck:
 
 
 @pytest.fixture(scope="module", params=["loop", "positions"])
-def case(request: pytest.FixtureRequest) -> tuple[Log, EkfConfig, Comparison]:
+def case(request: pytest.FixtureRequest) -> Case:
     log, choices = open_case(request.param, seed=4)
     return log, choices, compared(log, ekf=choices)
 
@@ -104,9 +104,7 @@ def assert_as_from_within(check: ExternalCheck, comparison: Comparison) -> None:
 
 
 @pytest.mark.slow
-def test_gaps_are_those_from_within(
-    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
-) -> None:
+def test_gaps_are_those_from_within(tmp_path: Path, case: Case) -> None:
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
     found = checked(tmp_path, log, choices)
@@ -126,9 +124,7 @@ def without_trace(found: ExternalCheck) -> Answers:
 
 
 @pytest.mark.slow
-def test_a_right_trace_does_not_stand_for_a_path(
-    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
-) -> None:
+def test_a_right_trace_does_not_stand_for_a_path(tmp_path: Path, case: Case) -> None:
     """Of a path of one pose, the last."""
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
@@ -237,7 +233,7 @@ def test_estimates_of_earlier_versions_are_read(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("edit", [wrapped, coarse, bare])
 def test_other_habits_make_no_difference(
-    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison], edit: Callable[[Arrays], None]
+    tmp_path: Path, case: Case, edit: Callable[[Arrays], None]
 ) -> None:
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
@@ -265,9 +261,7 @@ def test_a_planted_defect_has_its_cause(tmp_path: Path, defect: Fault) -> None:
 
 
 @pytest.mark.slow
-def test_a_coarse_filter_that_fuses_late_is_told(
-    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
-) -> None:
+def test_a_coarse_filter_that_fuses_late_is_told(tmp_path: Path, case: Case) -> None:
     """No step ends when the measurements are taken: each is fused 25 ms later."""
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
@@ -283,9 +277,7 @@ def test_a_coarse_filter_that_fuses_late_is_told(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", ["the measurements are fused one odometry", "cosine and sine"])
-def test_what_follows_from_a_fault_is_none(
-    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], words: str
-) -> None:
+def test_what_follows_from_a_fault_is_none(tmp_path: Path, plain: Plain, words: str) -> None:
     """Measurements of another time: no algebra, no model. A wrong F: no Q, though composed."""
     log, choices, _ = plain
     log = first_seconds(log, 12.0)
@@ -323,9 +315,7 @@ def test_a_late_path_is_not_moved_back_beside_its_trace(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_without_the_joint_covariance_the_model_is_still_judged(
-    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
-) -> None:
+def test_without_the_joint_covariance_the_model_is_still_judged(tmp_path: Path, case: Case) -> None:
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
     (tmp_path / "covariances.npz").unlink()
@@ -367,17 +357,14 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
 
 
 @pytest.fixture(scope="module")
-def plain() -> tuple[Log, EkfConfig, EkfRun]:
+def plain() -> Plain:
     log, choices = open_case("loop", seed=4)
     return log, choices, filtered(log, choices)
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_damage_is_one_line(
-    tmp_path: Path,
-    plain: tuple[Log, EkfConfig, EkfRun],
-    name: str,
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, plain: Plain, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Before any reference filter runs."""
     monkeypatch.setattr("comparisons.jobs.check._references", pytest.fail)
@@ -393,7 +380,7 @@ def test_damage_is_one_line(
 @pytest.mark.slow
 @pytest.mark.parametrize("steps", [False, True])
 def test_each_kind_of_record_that_differs_is_named(
-    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], steps: bool
+    tmp_path: Path, plain: Plain, steps: bool
 ) -> None:
     """A wrong F is not lost beside three differences of landmark initialisation, nor invented."""
     log, choices, run = plain
@@ -420,7 +407,7 @@ def test_each_kind_of_record_that_differs_is_named(
 @pytest.mark.slow
 @pytest.mark.parametrize("former", [False, True])
 def test_a_noise_that_is_no_covariance_is_the_first_cause(
-    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], former: bool
+    tmp_path: Path, plain: Plain, former: bool
 ) -> None:
     """Though the estimate equals the reference; with the sound noise it agrees."""
     log, choices, run = plain
@@ -442,9 +429,7 @@ def test_a_noise_that_is_no_covariance_is_the_first_cause(
     assert checked(tmp_path / "right", log, choices).outcome == "agree"
 
 
-def test_a_start_and_a_step_may_be_known_exactly_in_some_direction(
-    plain: tuple[Log, EkfConfig, EkfRun],
-) -> None:
+def test_a_start_and_a_step_may_be_known_exactly_in_some_direction(plain: Plain) -> None:
     """Its equations, filtered, are its equations, solved; what stands for nothing is not."""
     run = plain[2]
     along = run.trace.q[0] @ np.array((1.0, 0.0, 0.0))
@@ -466,9 +451,7 @@ def test_a_start_and_a_step_may_be_known_exactly_in_some_direction(
 
 
 @pytest.mark.slow
-def test_steps_without_noise_are_a_difference_of_the_models(
-    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]
-) -> None:
+def test_steps_without_noise_are_a_difference_of_the_models(tmp_path: Path, plain: Plain) -> None:
     log, choices, run = plain
     hand_in(run, tmp_path)
     change(tmp_path, run, lambda a: a.update(step_q=0.0 * a["step_q"]))
@@ -527,7 +510,7 @@ def test_events_of_another_filter_are_one_line(tmp_path: Path, name: str) -> Non
         read_trace(tmp_path / TRACE, np.array([1, 2]))
 
 
-def test_a_trace_stands_anywhere(tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]) -> None:
+def test_a_trace_stands_anywhere(tmp_path: Path, plain: Plain) -> None:
     hand_in(plain[2], tmp_path)
     beside, elsewhere = read_external(tmp_path), tmp_path.parent / "elsewhere.trace"
     (tmp_path / TRACE).rename(elsewhere)
@@ -539,7 +522,7 @@ def test_a_trace_stands_anywhere(tmp_path: Path, plain: tuple[Log, EkfConfig, Ek
         read_external(tmp_path / "trajectory.tum", trace=elsewhere)
 
 
-def test_a_trace_needs_landmarks(tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]) -> None:
+def test_a_trace_needs_landmarks(tmp_path: Path, plain: Plain) -> None:
     hand_in(plain[2], tmp_path)
     (tmp_path / "landmarks.csv").unlink()
     (tmp_path / "covariances.npz").unlink()

@@ -1,7 +1,5 @@
 """FastSLAM beside the filter and the smoother."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace

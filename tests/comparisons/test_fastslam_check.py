@@ -1,7 +1,5 @@
 """The energy test of FastSLAM's clouds against the smoother's posterior."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import erf

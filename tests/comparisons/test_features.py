@@ -1,7 +1,5 @@
 """Measurements made from raw scans."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The filter's models and estimates beside the smoother's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,9 +84,6 @@ def test_tracking_solves_the_raw_detections(shared_data: Path) -> None:
     seen = np.unique(given.measurement_landmark)
     errors = [
         graph.error(optimise(graph, start)[0])
-        for start in (
-            track(given, graph)[0],
-            to_values(run.departed, run.estimate.landmark, seen),
-        )
+        for start in (track(given, graph)[0], to_values(run.departed, run.estimate.landmark, seen))
     ]
     assert abs(errors[0] - errors[1]) < 1e-3

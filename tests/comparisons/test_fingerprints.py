@@ -1,7 +1,5 @@
 """Faults without a trace: each planted one is named, and a sound filter has none."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A foreign filter's faults are named with their figures, and single precision by its name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Logs at the edge of what the scan front end and the run on scans can serve."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -270,8 +268,7 @@ def test_increments_of_the_wheels_are_not_judged_as_those_of_scans() -> None:
     check = check_increments(
         replace(motion, bridged=bridged, displacement=moved), replace(log, truth=Truth())
     )
-    assert check is not None
-    assert check.nees < 3.0
+    assert present(check).nees < 3.0
 
 
 def test_a_stream_of_no_positions_cannot_be_fused() -> None:

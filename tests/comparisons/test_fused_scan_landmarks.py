@@ -1,7 +1,5 @@
 """Scan landmarks fused while driving: told to the smoother, and right in every filter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 from types import ModuleType

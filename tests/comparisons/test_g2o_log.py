@@ -1,7 +1,5 @@
 """g2o files as logs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -114,10 +112,7 @@ def test_closures_are_a_stream_of_the_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "why"),
     [
-        (
-            "",
-            "2 loop closures from pose to pose and no landmarks; .* EKF has nothing to obs",
-        ),
+        ("", "2 loop closures from pose to pose and no landmarks; .* EKF has nothing to obs"),
         (
             LANDMARK,
             "2 loop closures from pose to pose beside its measurements; .* a landmark EKF cannot",
@@ -311,9 +306,7 @@ def few_changed(path: Path, change: Callable[[Array], Array]) -> SlamProblem:
     closing = closed.covariance.copy()
     spread[STEPS], closing[CLOSURES] = change(spread[STEPS]), change(closing[CLOSURES])
     changed = replace(
-        problem,
-        increment_covariance=spread,
-        loop_closures=replace(closed, covariance=closing),
+        problem, increment_covariance=spread, loop_closures=replace(closed, covariance=closing)
     )
     write_g2o(path, G2oContents(changed, np.zeros((49, 3)), np.zeros((0, 2))))
     return problem
@@ -365,8 +358,7 @@ def test_a_chi_square_that_no_chance_makes_so_low_qualifies_the_verdict(tmp_path
         assert report.summary().headline == f"verdict: verified{words}"
     _, remark, odometry = report.result.remarks
     assert odometry.startswith("the noise of the odometry is 0.1")
-    times = re.search(r"the stated sigmas are about (\S+) times too large", remark)
-    assert times is not None
+    times = present(re.search(r"the stated sigmas are about (\S+) times too large", remark))
     assert float(times[1]) == pytest.approx(10.0, rel=0.25)
 
 
@@ -413,5 +405,4 @@ def test_an_estimate_that_uses_no_closure_is_told(tmp_path: Path) -> None:
     assert "no loop closure is used" in found.causes[0].evidence
     sound = check(log, ExternalEstimate(time_s=time_s, pose=solution.estimate.pose))
     assert sound.outcome == "agree"
-    assert sound.grade.by is not None
-    assert sound.grade.by.reference.smoothed
+    assert present(sound.grade.by).reference.smoothed

@@ -1,7 +1,5 @@
 """Positions beyond the gate: what is said of them, and how a filter that is locked out recovers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

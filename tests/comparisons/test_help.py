@@ -1,7 +1,5 @@
 """What the program says of itself: help, the list of settings, and earlier spellings."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import tomllib

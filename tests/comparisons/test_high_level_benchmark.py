@@ -1,7 +1,5 @@
 """What benchmarks/high_level.py concludes from paired drives."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """High level landmarks in a whole run: found, kept, told to the smoother, and worth having."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

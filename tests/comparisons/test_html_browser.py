@@ -1,7 +1,5 @@
 """report.html in a headless Chromium: the script runs, and does what it says."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

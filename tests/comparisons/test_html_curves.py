@@ -1,7 +1,5 @@
 """Curves and matrices on the page: few points, nothing extreme lost, no number that is none."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

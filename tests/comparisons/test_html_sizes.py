@@ -1,16 +1,13 @@
 """report.html at 1400 and 390 pixels, light and dark: nothing overflows, nothing is hard to see."""
 
-from __future__ import annotations
-
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from comparisons.report.run import RunReport
 from comparisons.words import Cause
-from tests.comparisons.browser import noted
+from tests.comparisons.browser import look, noted
 from tests.helpers import compared, simulated, written
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -163,16 +160,7 @@ def test_many_landmarks_open_quickly(report: Path, tmp_path: Path) -> None:
 
 def test_it_prints(report: Path, tmp_path: Path) -> None:
     """Chromium makes pages of it, more than one and not hundreds."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("no Chromium on this machine")
     paper = tmp_path / "report.pdf"
-    subprocess.run(
-        [browser, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=2000",
-         f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={paper}", report.as_uri()],
-        capture_output=True,
-        check=True,
-        timeout=120,
-    )  # fmt: skip
+    look(report.as_uri(), tmp_path / "profile", f"--print-to-pdf={paper}")
     pages = paper.read_bytes().count(b"/Type /Page\n")
     assert 3 <= pages <= 30

@@ -1,7 +1,5 @@
 """Landmarks surveyed beforehand: absolute information through measurements (Guivant 2002, 4.2)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,15 +9,14 @@ import pytest
 from comparisons.logs.log import Landmarks, Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.transforms.known_landmarks import SURVEYED, join_known_measurements
-from tests.helpers import assert_followed, compared, simulated
+from tests.helpers import assert_followed, compared, present, simulated
 
 SIGMA = 0.05
 
 
 def with_survey(log: Log, every: int = 6) -> Log:
     """Every sixth landmark is surveyed to 5 cm, and its measurements refer to the survey."""
-    truth = log.truth.landmarks
-    assert truth is not None
+    truth = present(log.truth.landmarks)
     rng = np.random.default_rng(1)
     ids = truth.id[::every]
     place = truth.position_m[::every] + SIGMA * rng.standard_normal((len(ids), 2))
@@ -58,9 +55,10 @@ def test_the_survey_bounds_the_error() -> None:
 def test_a_surveyed_landmark_never_seen_keeps_its_prior() -> None:
     log = with_survey(simulated(seed=2, loop_s=10.0))
     c = compared(log)
-    assert log.known_measurements is not None
     assert log.known_landmarks is not None
-    unseen = np.flatnonzero(~np.isin(log.known_landmarks.id, log.known_measurements.landmark))
+    unseen = np.flatnonzero(
+        ~np.isin(log.known_landmarks.id, present(log.known_measurements).landmark)
+    )
     assert len(unseen)
     for estimate in (c.ekf.estimate, c.smoothed):
         k = 3 + 2 * int(unseen[0])
@@ -72,8 +70,7 @@ def test_a_surveyed_landmark_never_seen_keeps_its_prior() -> None:
 @pytest.mark.slow
 def test_a_wrong_measurement_of_a_surveyed_landmark_is_rejected() -> None:
     log = with_survey(simulated(seed=2))
-    known = log.known_measurements
-    assert known is not None
+    known = present(log.known_measurements)
     distance = known.range_m.copy()
     distance[40] += 8.0
     c = compared(replace(log, known_measurements=replace(known, range_m=distance)))

@@ -1,7 +1,5 @@
 """The ladder of gaps: which estimates it joins, what passes, and the picture of it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The main job on gtsam's Victoria Park, and the real logs beside the project."""
 
-from __future__ import annotations
-
 from io import StringIO
 from pathlib import Path
 

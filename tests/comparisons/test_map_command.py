@@ -1,7 +1,5 @@
 """slamcheck map and run --dense, as a user meets them."""
 
-from __future__ import annotations
-
 import json
 from html import unescape
 from pathlib import Path
@@ -16,18 +14,12 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.extension import Demand
 from comparisons.extensions.dense_maps.report import MapResult
 from comparisons.logs.bundled import open_log
-from comparisons.report.map_export import (
-    Raster,
-    rasterise,
-    window,
-    write_image,
-    write_ros_map,
-)
+from comparisons.report.map_export import Raster, rasterise, window, write_image, write_ros_map
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions_at_map import RegionsAtMap
-from tests.commands import refused, works
+from tests.commands import files_in, refused, works
 
 
 @pytest.mark.slow
@@ -36,7 +28,7 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     printed = works("map", "occupancy-loop", *arguments, "--out", "map", cwd=tmp_path)
     assert printed.startswith("map: ")
     folder = tmp_path / "map"
-    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    names = files_in(folder)
     each = {f"{n}.{s}" for n in ("points", "occupancy") for s in ("png", "pgw", "pgm", "yaml")}
     assert each | {"map.json", "map.png", "ekf/trajectory.tum"} <= names
     result = MapResult.model_validate_json((folder / "map.json").read_text())

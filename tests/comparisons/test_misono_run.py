@@ -1,7 +1,5 @@
 """Misono's filter, as published and with all of its Jacobian, as the comparison sees it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """What dense regions neglect, on simulated drives that close a loop (Nieto 2005, section 3.6)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache
@@ -12,15 +10,10 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
-from ekf_reference.core.geometry import Index
 from tests.comparisons import neglected_change as check
-from tests.comparisons.neglected_change import (
-    NeglectedChange,
-    correlation,
-    neglected_change,
-)
-from tests.ekf_reference.dense.passive_states import PassiveStates
-from tests.helpers import Array, simulated
+from tests.comparisons.neglected_change import NeglectedChange, correlation, neglected_change
+from tests.ekf_reference.dense.passive_states import StaleCross
+from tests.helpers import simulated
 
 SEEDS = range(4)
 SICK = (0.02, math.radians(0.1))
@@ -82,16 +75,9 @@ def test_the_error_layer_bounds_the_change_beforehand(name: str) -> None:
     assert 0.4 < np.median(found.in_sigmas) < 1.0
 
 
-class Stale(PassiveStates):
-    def _receive(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
-        kept = self.cross.copy()
-        super()._receive(columns, jacobian, innovation, noise)
-        self.cross = kept
-
-
 @pytest.mark.slow
 def test_the_agreement_rejects_a_stale_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(check, "PassiveStates", Stale)
+    monkeypatch.setattr(check, "PassiveStates", StaleCross)
     broken = neglected_change(drive("landmarks", 0), SICK, np.random.default_rng(100))
     assert broken.agreement < 0.8
 

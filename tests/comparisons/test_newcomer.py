@@ -1,7 +1,5 @@
 """A newcomer's filter, log and stamps: sound it passes, each fault is the first sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -75,27 +73,25 @@ def test_a_sound_filter_is_equal_on_its_own_arc(folder: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("traced", [True, False])
-def test_a_filter_of_short_euler_steps_is_equal(folder: Path, tmp_path: Path, traced: bool) -> None:
+@pytest.mark.parametrize("apart", [True, False])
+def test_a_filter_of_short_euler_steps_is_equal(
+    folder: Path, tmp_path: Path, apart: bool, traced: bool
+) -> None:
     """Steps of at most 10 ms, some to a sample: neither Euler's step nor an arc.
 
-    Without a trace, poses between which nothing is fused tell how many.
+    Scans apart from the samples split these into parts of any length. Without a trace, poses
+    between which nothing is fused tell how many.
     """
+    if apart:
+        folder = tmp_path / "log"
+        simulate(Course("apart", duration_s=20.0, apart=True), SEED, folder)
     log = slamcheck.load_log(folder)
     Euler(read_log(folder)).run().write(tmp_path / "mine", traced=traced)
     found = slamcheck.check(log, tmp_path / "mine", require="like")
     assert (found.outcome, found.grade.value) == ("agree", "equal"), found.causes
     count = int(np.ceil(np.median(np.diff(log.odometry.time_s)) / 0.01))
-    assert f"in {count} steps each" in found.remarks[0]
-
-
-@pytest.mark.parametrize("traced", [True, False])
-def test_euler_steps_may_differ_in_number(tmp_path: Path, traced: bool) -> None:
-    """Scans between the samples split these into parts of any length."""
-    simulate(Course("apart", duration_s=20.0, apart=True), SEED, tmp_path / "log")
-    Euler(read_log(tmp_path / "log")).run().write(tmp_path / "mine", traced=traced)
-    found = slamcheck.check(slamcheck.load_log(tmp_path / "log"), tmp_path / "mine", require="like")
-    assert (found.outcome, found.grade.value) == ("agree", "equal"), found.causes
-    assert "in steps of at most 0.01 s" in found.remarks[0]
+    said = "in steps of at most 0.01 s" if apart else f"in {count} steps each"
+    assert said in found.remarks[0]
 
 
 def apart_from_the_map(own: Method, ekf: Ekf, k: int) -> None:

@@ -1,7 +1,5 @@
 """NIS by sensor is one figure: of a run, of its trace as it is checked, and as it is audited."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path

@@ -1,12 +1,11 @@
 """Every output goes through one door: nothing that stands is lost, nothing that never ends read."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -57,7 +56,7 @@ STRANGE: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.mark.parametrize("kind", STRANGE)
-@pytest.mark.parametrize("name", [MARK, LIST, "audit.json", "ekf/map.png"])
+@pytest.mark.parametrize("name", [MARK, LIST, "audit.json", "ekf/map.png", "ekf/thesis.tex"])
 @pytest.mark.parametrize("listed", [False, True])
 def test_what_is_not_an_earlier_output_stays(
     kind: str, name: str, listed: bool, tmp_path: Path
@@ -128,16 +127,55 @@ def test_all_is_on_the_disk_before_it_takes_its_place(
     assert done[at + 1 :] == [tmp_path.name]
 
 
-def test_a_disk_that_cannot_keep_a_file_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(file: int) -> None:
-        raise OSError(5, "Input/output error")
+NO_SPACE, BROKEN = OSError(28, "No space left on device"), OSError(5, "Input/output error")
+FAILURES: dict[str, tuple[str, BaseException]] = {
+    "while it is written": ("", NO_SPACE),
+    "by an interrupt": ("", KeyboardInterrupt("stopped")),
+    "as the disk keeps it": ("fsync", BROKEN),
+    "as it takes its place": ("replace", BROKEN),
+}
+"""What fails, of the module os where it is no error of the writer, and how."""
 
-    monkeypatch.setattr("comparisons.atomic.os.fsync", fails)
-    with pytest.raises(InputError, match=r"cannot be written \(Input/output error"):
-        an_output(tmp_path / "out")
-    assert not list(tmp_path.iterdir())
+
+@pytest.mark.parametrize("name", FAILURES)
+@pytest.mark.parametrize("kind", ["file", "folder", "earlier folder"])
+def test_what_ends_early_leaves_what_was_there(
+    name: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    call, fault = FAILURES[name]
+    target = tmp_path / "a" / "out"
+
+    def put(text: str, fault: BaseException | None = None) -> None:
+        def write(part: Path) -> None:
+            part.write_text(text)
+            if fault is not None:
+                raise fault
+
+        if kind == "file":
+            write_whole(target, write)
+        else:
+            with fresh_folder(target, MARK) as work:
+                write(work / MARK)
+
+    real = getattr(os, call or "replace")
+
+    def fails(*given: Any) -> None:
+        if call == "fsync" or (target == Path(given[-1]) and "old" not in Path(given[0]).parts):
+            raise fault
+        real(*given)
+
+    if kind == "earlier folder":
+        put("first")
+    with monkeypatch.context() as patched:
+        if call:
+            patched.setattr(f"comparisons.atomic.os.{call}", fails)
+        with pytest.raises((InputError, KeyboardInterrupt), match=fault.args[-1]):
+            put("second", None if call else fault)
+    kept = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*")} - {"a"}
+    assert kept == ({"a/out", f"a/out/{MARK}", f"a/out/{LIST}"} if "earlier" in kind else set())
+    assert not kept or (target / MARK).read_text() == "first"
+    put("third")
+    assert (target if kind == "file" else target / MARK).read_text() == "third"
 
 
 def test_what_came_meanwhile_stays(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The smoother with its own matcher of scan landmarks, beside the one that has the filter's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -42,14 +40,16 @@ MOVED_M = 0.5
 log = partial(scenario, "scan-slam", seed=3, seconds=14.0)
 
 
-@cache
-def matched() -> Comparison:
+def run() -> Comparison:
     return compared(
         log(),
         landmarks="scans",
         template_extraction="per-segment",
         smoother_matcher="generalised-icp",
     )
+
+
+matched = cache(run)
 
 
 def planted(
@@ -64,12 +64,7 @@ def planted(
         return replace(found, pose=found.pose + shift) if chosen(first) else found
 
     monkeypatch.setattr("ekf_reference.scan_landmarks.templates.scan_align", wrong)
-    return compared(
-        log(),
-        landmarks="scans",
-        template_extraction="per-segment",
-        smoother_matcher="generalised-icp",
-    )
+    return run()
 
 
 def best_seen() -> tuple[int, Array]:

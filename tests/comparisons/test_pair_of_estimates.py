@@ -1,7 +1,5 @@
 """Two estimates beside each other without a log: differences, and their NEES."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

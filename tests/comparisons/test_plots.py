@@ -1,7 +1,5 @@
 """Plot functions draw the result's figures on the axes that they are given."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

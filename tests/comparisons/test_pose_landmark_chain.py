@@ -1,7 +1,5 @@
 """Pose landmarks along the chain of estimates, and where these are compared, written and read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +26,6 @@ from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.model_system import LinearisationPoints, model_system
 from graphslam.problem import Merges, PoseLandmarkMeasurements, SlamProblem
-from graphslam.smoother import SmootherOptions, smooth
 from tests.ekf_reference.both_kinds import (
     CONTROL,
     PRIOR,
@@ -43,7 +40,7 @@ from tests.ekf_reference.both_kinds import (
     build,
     drive,
 )
-from tests.helpers import Array, present, random_covariance, relative_error
+from tests.helpers import Array, present, random_covariance
 
 SCRIPT = Script(steps=120, order="in turn", fuse_at=60, remove_at=75)
 
@@ -215,35 +212,6 @@ def test_wrong_algebra_shows_as_an_algebra_gap_alone(
     f1 = chain.recorded()
     assert gap(chain.expected, f1) > 1e-3
     assert gap(f1, chain.own()) < 1e-9
-
-
-def test_the_smoother_is_near_and_its_marginal_has_both_kinds() -> None:
-    """F2 and S differ by linearisation only; the batch and the fixed lag of all poses agree."""
-    chain = run(script=Script(steps=110, order="in turn", fuse_at=60))
-    problem = problem_of(chain.made)
-    result = smooth(problem, {"ekf": (np.vstack((chain.trace.departed, chain.ekf.state.pose)),
-                                      chain.ekf.state.landmarks)})  # fmt: skip
-    assert result.optimality.verified
-    assert {start.name for start in result.starts if np.isfinite(start.error)} >= {"ekf"}
-    mean, covariance = result.marginal()
-    points, frames = problem.landmark_count, problem.pose_landmarks.count
-    assert len(mean) == 3 + 2 * points + 3 * frames == len(covariance)
-    removed = problem.pose_landmarks.merges.second[0]
-    kept = np.setdiff1d(np.arange(len(mean)), 3 + 2 * points + 3 * removed + np.arange(3))
-    own = chain.own()
-    sigma = np.sqrt(np.diag(own.covariance))
-    apart = mean[kept] - own.mean
-    headings = np.concatenate(([2], np.arange(3 + 2 * points + 2, len(kept), 3)))
-    apart[headings] = np.angle(np.exp(1j * apart[headings]))
-    assert np.abs(apart / sigma).max() < 0.5
-    ratio = np.diag(covariance)[kept] / sigma**2
-    assert ratio.min() > 0.8
-    assert ratio.max() < 1.25
-    joint = result.joint([problem.pose_count - 1], list(range(points)), list(range(frames)))
-    assert relative_error(joint, covariance) < 1e-9
-    lagged = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=len(result.poses)))
-    scale = np.sqrt(np.diag(covariance))
-    assert np.abs((lagged.marginal().covariance - covariance) / np.outer(scale, scale)).max() < 0.05
 
 
 def estimate() -> Estimate:

@@ -1,7 +1,5 @@
 """A run with pose landmarks, from the log to the agreement of its estimates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -33,13 +31,12 @@ from comparisons.faults.fault import with_state
 from comparisons.jobs.run import Modified
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Index
-from ekf_reference.core.landmark_types import POSE, PredictedMeasurements
+from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
-from ekf_reference.models.relative_pose import RelativePose
 from graphslam.smoother import SmootherOptions
 from tests.comparisons.test_pose_landmark_chain import Conditioned, NoCross
-from tests.ekf_reference.both_kinds import relative
+from tests.ekf_reference.both_kinds import Flipped, relative
 from tests.helpers import Array, Source, compared, present
 from tests.scenarios import scenario
 
@@ -124,12 +121,6 @@ def test_the_estimates_agree_along_the_chain(
     assert found.algebra.within(1e-6)
     assert found.model.within(1e-6)
     assert max(block.distance_sigma for block in found.pose_landmarks) < 1.0
-
-
-class Flipped(RelativePose):
-    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        at = super().predict(pose, landmarks)
-        return at._replace(jacobian_pose=at.jacobian_pose * (1.0, 1.0, -1.0))
 
 
 def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:

@@ -1,7 +1,5 @@
 """Absolute positions through both estimators and both frozen smoothers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,13 +18,7 @@ from comparisons.logs.log import Log, Positions
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import UpdateSplitter
-from tests.helpers import (
-    Array,
-    assert_followed,
-    compared,
-    present,
-    simulated,
-)
+from tests.helpers import Array, assert_followed, compared, present, simulated
 
 
 def with_fixes(log: Log, antenna: tuple[float, float], outlier: int | None = None) -> Log:
@@ -57,8 +49,7 @@ def test_gaps_stay_at_rounding_with_positions(antenna: tuple[float, float], name
 
 
 def moved(log: Log, change: Callable[[Positions], Positions]) -> Log:
-    assert log.positions is not None
-    return replace(log, positions=change(log.positions))
+    return replace(log, positions=change(present(log.positions)))
 
 
 def rotated(positions: Positions) -> Positions:
@@ -172,8 +163,7 @@ def test_held_back_positions_judge(antenna: tuple[float, float]) -> None:
     log = with_fixes(simulated(seed=3, loop_s=30.0), antenna)
     c = compared(log, association="known", gps="half")
     for accuracy in (c.accuracy.ekf, c.accuracy.smoother):
-        assert accuracy is not None
-        assert present(accuracy.gps_median_m) < 0.6
+        assert present(present(accuracy).gps_median_m) < 0.6
 
 
 def test_no_position_judges_what_it_was_given_to() -> None:

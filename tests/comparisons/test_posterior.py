@@ -1,7 +1,5 @@
 """`--posterior samples`: draws of the exact posterior judge both Gaussians."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -9,7 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.extensions.posterior.extension import (
@@ -26,8 +23,6 @@ from comparisons.settings import run_config
 from graphslam.chain_diagnostics import Estimated, chain_evidence
 from graphslam.sampling import Judgement, PosteriorDraws
 from tests.helpers import first_seconds, present, simulated
-
-Array = NDArray[np.float64]
 
 
 @cache

@@ -1,7 +1,5 @@
 """Simulation-based calibration of the draws, as benchmarks/posterior_sampling.py does it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What qualifies a verdict: truth, labels, and an association that nobody has checked."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,10 +1,6 @@
 """The pytest plugin, and the workflow for continuous integration, in projects of their own."""
 
-from __future__ import annotations
-
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,12 +16,10 @@ from comparisons.jobs.check import check
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.check import CheckReport
-from tests.comparisons.test_cli import python
 from tests.helpers import compared, simulated
+from tests.processes import ROOT, python, run_pytest
 
-ROOT = Path(__file__).resolve().parents[2]
 WORKFLOW = ROOT / "examples" / "ci" / "slamcheck.yml"
-PAGE = ROOT / "docs" / "regression-gates.md"
 STRICT = """\
 [pytest]
 slam_logs = logs
@@ -103,18 +97,6 @@ def project(folder: Path, log: Log, right: Estimate) -> None:
     write_baseline(build_baseline([result], CheckConfig()), folder / "mine.json")
 
 
-def run_pytest(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:slamcheck", "-p", "no:cacheprovider",
-         "-p", "no:dash", "-p", "slamcheck.pytest_plugin", *words],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "", "OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
-
-
 @pytest.mark.slow
 def test_a_failure_shows_verdict_causes_and_report(
     tmp_path: Path, log: Log, right: Estimate
@@ -123,7 +105,7 @@ def test_a_failure_shows_verdict_causes_and_report(
     (tmp_path / "pytest.ini").write_text(STRICT)
     (tmp_path / "conftest.py").write_text(COUNTING)
     (tmp_path / "test_gate.py").write_text(TESTS)
-    done = run_pytest(tmp_path)
+    done = run_pytest(cwd=tmp_path)
     assert "3 failed, 2 passed, 1 xfailed" in done.stdout, done.stdout + done.stderr
     for line in (
         "assert 'disagree' == 'agree'",
@@ -161,7 +143,7 @@ def test_the_plugin_judges_every_log_of_a_folder_and_under_xdist(tmp_path: Path,
         "    expected = 'agree' if slam_log.name == 'short' else 'unverified'\n"
         "    assert slam_check(slam_log).outcome == expected\n"
     )
-    done = run_pytest(tmp_path, "-v", "-n", "2", "--slam-reports", "kept")
+    done = run_pytest("-v", "-n", "2", "--slam-reports", "kept", cwd=tmp_path)
     assert "1 failed, 1 passed" in done.stdout, done.stdout + done.stderr
     assert "PASSED test_gate.py::test_log[short]" in done.stdout
     assert "assert 'agree' == 'unverified'" in done.stdout
@@ -190,7 +172,7 @@ def test_a_log_by_name_path_or_nothing_that_is_one(
         "def test_read(slam_log, slam_check):\n"
         "    slam_check(slam_log, seed=5)\n"
     )
-    done = run_pytest(tmp_path)
+    done = run_pytest(cwd=tmp_path)
     assert "2 failed, 2 passed" in done.stdout, done.stdout + done.stderr
     assert "InputError: log: is a int, expected slam_log, a name or a path" in done.stdout
     assert "InputError: option seed: is unknown" in done.stdout
@@ -198,15 +180,15 @@ def test_a_log_by_name_path_or_nothing_that_is_one(
 
 
 @pytest.mark.slow
-def test_the_plugin_loads_nothing_before_a_test_asks(tmp_path: Path) -> None:
+def test_the_plugin_loads_nothing_before_a_test_asks() -> None:
     """Broken variant: the module of the fixtures' work, which does load it."""
     code = (
         "import sys, pytest, {}\n"
         "heavy = {{'numpy', 'gtsam', 'scipy', 'matplotlib', 'pydantic', 'rich'}}\n"
         "assert not heavy & set(sys.modules), sorted(heavy & set(sys.modules))\n"
     )
-    assert python(code.format("slamcheck.pytest_plugin"), tmp_path).returncode == 0
-    assert python(code.format("comparisons.baseline"), tmp_path).returncode == 1
+    assert python("-c", code.format("slamcheck.pytest_plugin")).returncode == 0
+    assert python("-c", code.format("comparisons.baseline")).returncode == 1
 
 
 def steps() -> list[dict[str, Any]]:

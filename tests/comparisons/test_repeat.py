@@ -1,7 +1,5 @@
 """A run's folder can be run again: the same files, byte for byte but for the seconds."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Motion from scans: honest increments, little drift, logs that move by their scans."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise

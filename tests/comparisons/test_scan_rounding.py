@@ -4,8 +4,6 @@ What depended on it were ties: recorded ranges and bearings are multiples of a s
 lie on bounds exactly, and the last digit decided on which side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

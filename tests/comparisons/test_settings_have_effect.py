@@ -1,7 +1,5 @@
 """Every setting of every job and extension has an effect: what runs holds or refuses its value."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """`slamcheck compare`: results of several jobs in one table, on a terminal and in files."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

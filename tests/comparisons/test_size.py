@@ -1,7 +1,5 @@
 """A log that is too large for the machine is refused before the work, and no other."""
 
-from __future__ import annotations
-
 import tracemalloc
 from contextlib import nullcontext
 from dataclasses import replace
@@ -23,7 +21,7 @@ from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.size import GIB, announce_time, check_size, needed, seconds
 from comparisons.pipeline.solve import Solution, solve
-from tests.helpers import present, simulated
+from tests.helpers import present, simulated, without_labels
 
 
 def prepared(kind: str = "compressed", loop_s: float = 20.0) -> Prepared[RunConfig]:
@@ -137,10 +135,7 @@ def test_a_long_check_is_announced_before_its_work(
 @pytest.mark.parametrize("labelled", [True, False])
 def test_landmarks_without_labels_are_counted_by_scans(labelled: bool) -> None:
     log = simulated(loop_s=20.0)
-    if not labelled:
-        log = replace(log, measurements=replace(log.measurements, landmark=np.full_like(
-            log.measurements.landmark, -1)))  # fmt: skip
-    one = prepare(log, RunConfig(), required=REQUIRED)
+    one = prepare(log if labelled else without_labels(log), RunConfig(), required=REQUIRED)
     _, _, found = size.counts(one)
     most = np.bincount(one.timeline.measurement_epoch).max()
     assert found == (len(np.unique(log.measurements.landmark)) if labelled else most)

@@ -1,7 +1,5 @@
 """The smoother alone, as a user meets it, and its own association beside the filter's."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +12,7 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows
 from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.association import (
-    compare_partitions,
-    score_association,
-)
+from comparisons.checks.association import compare_partitions, score_association
 from comparisons.config import EkfConfig, SmootherConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
@@ -35,7 +30,7 @@ from comparisons.report.models import Result, SolutionResult
 from comparisons.report.run import RunReport
 from comparisons.report.solution import SolutionReport
 from graphslam.g2o import read_g2o
-from tests.commands import slamcheck, works
+from tests.commands import files_in, job_files, slamcheck, works
 from tests.comparisons.test_known_landmarks import with_survey
 from tests.helpers import compared, first_seconds, present, simulated, without_labels
 
@@ -44,17 +39,8 @@ from tests.helpers import compared, first_seconds, present, simulated, without_l
 def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert "verdict: verified" in works("solve", "simulated-loop", "--out", "solved", cwd=tmp_path)
     folder = tmp_path / "solved"
-    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
-    assert names == {
-        "config.toml",
-        "files.sha256",
-        "solution.json",
-        "map.png",
-        "report.html",
-        "graph.g2o",
-        *(f"smoother/{name}" for name in estimate),
-    }
+    names = job_files("solution.json", "map.png", "graph.g2o", estimates=("smoother",))
+    assert files_in(folder) == names
     result = SolutionResult.model_validate_json((folder / "solution.json").read_text())
     assert set(result.files) == names
     assert result.smoother.verified

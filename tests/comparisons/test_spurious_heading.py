@@ -1,7 +1,5 @@
 """What a run says of its heading that nothing measured: cause, result.json, curve."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache
@@ -126,13 +124,11 @@ def test_run_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
     c, trace = GOLDEN[name](), tmp_path / "run.trace"
     said = learnt(c).of(HEADING).sigma
     write_run(c.ekf, trace)
-    found = audit(trace).spurious
-    assert found is not None
+    found = present(audit(trace).spurious)
     assert 0.0 < said < 180.0
     assert found.of(HEADING).sigma == pytest.approx(said, rel=1e-6)
     for broken in (half_of_the_updates, first_estimates):
-        wrong = spurious.learnt(broken(Trace(trace)))
-        assert wrong is not None
+        wrong = present(spurious.learnt(broken(Trace(trace))))
         assert wrong.of(HEADING).sigma != pytest.approx(said, rel=1e-6)
 
 

@@ -1,7 +1,5 @@
 """Logs without stabilisation noise: used where the motion has full rank, else refused."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

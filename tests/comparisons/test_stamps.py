@@ -1,7 +1,5 @@
 """Stamps of a stranger's log: to the nanosecond, jittered, since 1970, with fewer decimals."""
 
-from __future__ import annotations
-
 import math
 import runpy
 import sys

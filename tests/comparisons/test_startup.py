@@ -1,9 +1,5 @@
 """What a command loads. Not times: `make bench` compares these."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -13,8 +9,8 @@ from scipy import stats
 from scipy.special import bdtrc
 
 from comparisons.statistics import chi2_quantile, chi2_tail, f_quantile
+from tests.processes import printed, python
 
-ROOT = Path(__file__).resolve().parents[2]
 SCIPY = {f"scipy.{name}" for name in ("stats", "optimize", "interpolate", "ndimage", "spatial")}
 """Parts that a plain run does not need; scipy.stats alone loads all of them."""
 HEAVY = {"numpy", "scipy", "gtsam", "matplotlib", "pydantic", "rich", "PIL", "open3d"}
@@ -41,14 +37,7 @@ def loaded(words: str, folder: Path, before: str = "") -> set[str]:
         "try:\n    main()\nexcept SystemExit as stop:\n    assert stop.code in (0, 1, 2), stop\n"
         "open('loaded', 'w').write('\\n'.join(sys.modules))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "", "COLUMNS": "100"},
-    )
+    done = python("-c", code, cwd=folder)
     assert done.returncode == 0, done.stderr
     return set((folder / "loaded").read_text().splitlines())
 
@@ -56,9 +45,8 @@ def loaded(words: str, folder: Path, before: str = "") -> set[str]:
 @cache
 def of_scipy_special() -> set[str]:
     """Parts of scipy that scipy.special loads: linalg, too, from 1.18 on."""
-    code = "import sys; import scipy.special; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-    return {name for name in done.stdout.decode().split() if name.startswith("scipy.")}
+    names = printed("import sys; import scipy.special; print(*sys.modules)").split()
+    return {name for name in names if name.startswith("scipy.")}
 
 
 @pytest.mark.parametrize("words", NEVER)

@@ -1,7 +1,5 @@
 """What jobs print: the outcome first, then why, in full, in 80 columns, whatever the log."""
 
-from __future__ import annotations
-
 import io
 import json
 from dataclasses import replace
@@ -21,16 +19,7 @@ from comparisons.report.ladder import Step
 from comparisons.report.rows import gap_rows
 from comparisons.report.run import RunReport
 from comparisons.report.solution import SolutionReport
-from comparisons.report.terminal import (
-    MOST,
-    WIDTH,
-    Line,
-    Summary,
-    brief,
-    fit,
-    print_summary,
-    table,
-)
+from comparisons.report.terminal import MOST, WIDTH, Line, Summary, brief, fit, print_summary, table
 from comparisons.words import Cause, Row
 from tests.commands import Done, slamcheck
 from tests.helpers import compared, first_seconds, simulated

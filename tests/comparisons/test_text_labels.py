@@ -1,7 +1,5 @@
 """Landmarks that a log names by text keep their names: estimates, tables, map, causes."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -75,8 +73,7 @@ def test_an_estimate_is_checked_by_names(log: Log, run: Comparison, tmp_path: Pa
     found = check(log, given)
     assert found.grade.value == "equal"
     assert not found.agreement.unmatched
-    assert given.landmark is not None
-    moved = given.landmark + np.eye(len(rows))[:, :1] * 3.0
+    moved = present(given.landmark) + np.eye(len(rows))[:, :1] * 3.0
     wrong = check(log, replace(given, landmark=moved))
     assert any(f"landmark {estimate.names[-1]}" in one.evidence for one in wrong.causes)
     with pytest.raises(InputError, match=r"names landmarks by text .*, the log by numbers"):
@@ -88,13 +85,12 @@ def test_causes_and_departure_say_names(log: Log, run: Comparison) -> None:
     estimate = run.ekf.estimate
     given = ExternalEstimate.of(estimate)
     assert given.landmark is not None
-    assert given.landmark_covariance is not None
     rows = np.arange(len(given.landmark))
     wrong = replace(
         given,
         pose=given.pose + (0.1, 0.0, 0.0) * (given.time_s >= 5.0)[:, None],
         landmark=given.landmark + (rows == 0)[:, None] * 3.0,
-        landmark_covariance=given.landmark_covariance * (2.0 + rows)[:, None, None],
+        landmark_covariance=present(given.landmark_covariance) * (2.0 + rows)[:, None, None],
     )
     for named, said in ((log, NAMES), (replace(log, provenance={}), [str(k) for k in rows])):
         found = check_external(replace(wrong, labels=named.labels), solve(named))

@@ -1,7 +1,5 @@
 """Trajectories as single files: what is written is read again, damage is named."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

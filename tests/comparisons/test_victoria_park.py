@@ -1,7 +1,5 @@
 """The smoother's oracle on gtsam's real log, without any help from the EKF."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

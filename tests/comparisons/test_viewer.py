@@ -1,7 +1,5 @@
 """A run's replay for rerun, and pictures as PDF."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from dataclasses import replace
@@ -9,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.atomic import LIST, listed_files, write_whole
+from comparisons.atomic import LIST, listed_files
 from comparisons.config import ReportConfig
 from comparisons.errors import InputError
 from comparisons.jobs.run import Comparison
 from comparisons.report import viewer
 from comparisons.report.run import RunReport
+from tests.commands import files_in
 from tests.helpers import compared, first_seconds, simulated
 
 PACKAGE = "rerun"
@@ -59,16 +58,6 @@ def test_a_replay_that_cannot_be_written_is_one_line(
         viewer.check_viewer(False, tmp_path / "file" / "a.rrd")
 
 
-def test_a_file_that_was_begun_does_not_stay(tmp_path: Path) -> None:
-    def write(part: Path) -> None:
-        part.write_text("half")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(InputError, match="No space left"):
-        write_whole(tmp_path / "a.json", write)
-    assert not list(tmp_path.iterdir())
-
-
 def test_without_rerun_one_line_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,8 +83,7 @@ def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     )
     said = {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
     assert all(text.startswith(b"%PDF-") and b"/Type3" not in text for text in said.values())
-    files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    assert files == {*listed_files(folder), LIST}
+    assert files_in(folder) == {*listed_files(folder), LIST}
     RunReport(drawn, result).write(folder)
     assert said == {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
     RunReport(comparison, result).write(folder)

@@ -1,7 +1,5 @@
 """What a user reads: every kind of cause is explained, and no text has a word of the old idiom."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,11 +1,7 @@
 """The C++ header records what the Python recorder does, of the same filter."""
 
-from __future__ import annotations
-
 import math
-import os
 import random
-import shutil
 import signal
 import subprocess
 from collections.abc import Callable
@@ -21,10 +17,10 @@ from comparisons.trace.events import Event, Snapshot, Update
 from comparisons.trace.reader import Trace
 from comparisons.trace.recorder import Recorder
 from comparisons.trace.wrapping import record
+from tests.helpers import present
+from tests.processes import compiled, ran, works
 
 CPP = Path(__file__).resolve().parents[2] / "cpp"
-COMPILER = shutil.which("c++") or shutil.which("g++")
-STRICT = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 GATE = 9.2103403719761836
 """Of the example: 99 % of two degrees of freedom."""
 
@@ -34,23 +30,17 @@ Build = Callable[..., Path]
 @pytest.fixture(scope="module")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Compile a program beside the header, with a piece of the header replaced."""
-    if COMPILER is None:
-        pytest.skip("no C++ compiler (c++ or g++)")
-    asked = (COMPILER, "-x", "c++", "-E", "-include", "sqlite3.h", os.devnull)
-    if subprocess.run(asked, capture_output=True, check=False, timeout=60).returncode != 0:
+    folder, uses = tmp_path_factory.mktemp("probe"), "#include <sqlite3.h>\nint main() {}\n"
+    header = CPP / "slamcheck_recorder.hpp"
+    try:
+        compiled(folder, uses, header)
+    except AssertionError:
         pytest.skip("no sqlite3.h (Debian: libsqlite3-dev)")
 
     def built(source: str, old: str = "", new: str = "", *, raw: bool = False) -> Path:
-        folder = tmp_path_factory.mktemp("cpp")
-        header = (CPP / "slamcheck_recorder.hpp").read_text()
-        assert old in header
-        (folder / "slamcheck_recorder.hpp").write_text(header.replace(old, new) if old else header)
-        (folder / "main.cpp").write_text(source)
         how = "-DSLAMCHECK_NO_SQLITE" if raw else "-lsqlite3"
-        words = (COMPILER, *STRICT, "main.cpp", "-o", "main", how)
-        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stderr
-        return folder / "main"
+        folder = tmp_path_factory.mktemp("cpp")
+        return compiled(folder, source, header, "-Wconversion", how, old=old, new=new)
 
     return built
 
@@ -60,7 +50,7 @@ def example(build: Build, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The trace that cpp/example.cpp records."""
     program = build((CPP / "example.cpp").read_text())
     trace = tmp_path_factory.mktemp("example") / "cpp.trace"
-    subprocess.run((program, trace), check=True, timeout=60)
+    works(program, trace)
     return trace
 
 
@@ -191,10 +181,8 @@ def raw(build: Build, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same without SQLite."""
     program = build((CPP / "example.cpp").read_text(), raw=True)
     trace = tmp_path_factory.mktemp("raw") / "cpp.events"
-    subprocess.run((program, trace), check=True, timeout=60)
-    done = subprocess.run(
-        (program, trace.with_suffix(".trace")), capture_output=True, text=True, check=False
-    )
+    works(program, trace)
+    done = ran(program, trace.with_suffix(".trace"))
     assert "expected a name that ends in .events, for there is no SQLite" in done.stderr
     return trace
 
@@ -258,7 +246,7 @@ def test_a_wrong_header_is_noticed(
     build: Build, example: Path, tmp_path: Path, old: str, new: str
 ) -> None:
     program = build((CPP / "example.cpp").read_text(), old, new)
-    subprocess.run((program, tmp_path / "wrong.trace"), check=True, timeout=60)
+    works(program, tmp_path / "wrong.trace")
     try:
         found = differences(example, tmp_path / "wrong.trace")
     except ValueError as error:
@@ -389,13 +377,12 @@ def test_a_cpp_filter_is_recorded_without_a_change_in_it(
     build: Build, wrapped: Path, tmp_path: Path
 ) -> None:
     here, other = tmp_path / "methods.trace", tmp_path / "members.events"
-    subprocess.run((build(WRAPPED), here, other), check=True, timeout=60)
+    works(build(WRAPPED), here, other)
     assert differences(here, wrapped) == []
     assert Trace(here).sensors == {"square": (0.99, ())}
     assert Trace(here).counts == Trace(other).counts == (52, 5, 26)
     audited = audit(here)
-    assert audited.largest is not None
-    assert audited.largest.worst < 1e-9
+    assert present(audited.largest).worst < 1e-9
     for one, of_members in zip(Trace(here), Trace(other), strict=True):
         assert of_members.time_s is None
         if isinstance(one, Snapshot):
@@ -418,7 +405,7 @@ def test_a_filter_that_is_recorded_wrongly_is_noticed(
 ) -> None:
     here = tmp_path / "wrong.trace"
     program = build(WRAPPED, old, new)
-    subprocess.run((program, here, tmp_path / "members.events"), check=True, timeout=60)
+    works(program, here, tmp_path / "members.events")
     assert differences(here, wrapped)
 
 
@@ -523,10 +510,7 @@ a matrix has rows of different lengths
 @pytest.mark.slow
 def test_cpp_checks_its_calls_and_records_every_kind(build: Build, tmp_path: Path) -> None:
     path = tmp_path / "run.trace"
-    done = subprocess.run(
-        (build(CALLS), path), capture_output=True, text=True, check=True, timeout=60
-    )
-    assert done.stdout.replace(str(path), "") == SAID.lstrip("\n")
+    assert works(build(CALLS), path).replace(str(path), "") == SAID.lstrip("\n")
     assert [file.name for file in tmp_path.iterdir()] == ["run.trace"]
     trace, star, sensor = Trace(path), "\u661f'\"/", 'g/"\\\n\u00e9'
     assert list(trace.sensors.items()) == [(sensor, (None, ("x",)))]
@@ -595,8 +579,7 @@ def for_ever(build: Build) -> Path:
 def test_a_killed_cpp_recording_is_valid_to_its_last_commit(for_ever: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.trace"
     job = subprocess.Popen((for_ever, path), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert job.stdout is not None
-    assert job.stdout.readline() == b"half\n"
+    assert present(job.stdout).readline() == b"half\n"
     assert len(list(Trace(path))) == 4000, "while it is recorded"
     job.kill()
     job.communicate()
@@ -610,14 +593,7 @@ def test_a_killed_cpp_recording_is_valid_to_its_last_commit(for_ever: Path, tmp_
 def test_a_full_disk_is_one_line(for_ever: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.trace"
     limited = f"ulimit -f 300; exec {for_ever} {path}"
-    done = subprocess.run(
-        ("bash", "-c", f"trap '' XFSZ; {limited}"),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-        stdin=subprocess.DEVNULL,
-    )
+    done = ran("bash", "-c", f"trap '' XFSZ; {limited} < /dev/null")
     assert done.returncode == 2
     assert done.stderr.startswith(f"{path}: cannot be written (")
     assert done.stderr.endswith("; the recording ends before event 2000\n")
@@ -626,9 +602,6 @@ def test_a_full_disk_is_one_line(for_ever: Path, tmp_path: Path) -> None:
 
 def test_a_child_of_a_fork_leaves_the_file_alone(for_ever: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.trace"
-    done = subprocess.run(
-        (for_ever, path, "fork"), capture_output=True, text=True, check=True, timeout=60
-    )
     said = "was opened by another process; after a fork only the parent records"
-    assert done.stdout == f"{path}: {said}\n"
+    assert works(for_ever, path, "fork") == f"{path}: {said}\n"
     assert [type(event).__name__ for event in Trace(path)] == ["Prior", "Snapshot"]

@@ -1,7 +1,5 @@
 """A drive past points and pose landmarks, the latter associated by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -10,9 +8,15 @@ import numpy as np
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.landmark_types import POINT, POSE, PredictedMeasurements
+from ekf_reference.core.landmark_types import (
+    POINT,
+    POSE,
+    LandmarkKind,
+    NewLandmarks,
+    PredictedMeasurements,
+)
 from ekf_reference.core.trace import Trace
-from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
+from ekf_reference.filters.compressed import CompressedEkf, CompressedState, LocalAreas
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.merge_update import merge_landmarks
@@ -207,3 +211,12 @@ class Flipped(RelativePose):
         by_pose = at.jacobian_pose.copy()
         by_pose[:, :2, 2] *= -1.0
         return at._replace(jacobian_pose=by_pose)
+
+
+class NoRows(CompressedState):
+    """Broken: pose landmarks are added as if they knew nothing of the passive ones."""
+
+    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
+        super().augment(new, noise, kind)
+        if kind == POSE:
+            self._phi[-new.landmark.size :] = 0.0

@@ -1,7 +1,5 @@
 """These tests also run without the rest of the project, beside nothing but the package."""
 
-from __future__ import annotations
-
 import pytest
 
 

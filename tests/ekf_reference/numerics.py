@@ -1,7 +1,5 @@
 """Numerical derivatives and comparisons of arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

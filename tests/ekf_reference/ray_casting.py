@@ -1,7 +1,5 @@
 """Laser beams in a plane of walls and discs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

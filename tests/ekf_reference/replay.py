@@ -1,7 +1,5 @@
 """The exact solution of the linear equations that a filter recorded, by another algebra."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The simulated world is what it says it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

@@ -1,7 +1,5 @@
 """A vehicle that drives a circle among point landmarks, and the filter that follows it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -109,9 +107,7 @@ def build(
 
 
 def follow(
-    drive: Circuit,
-    ekf: Ekf | None = None,
-    predicted: Callable[[Ekf], object] = lambda ekf: None,
+    drive: Circuit, ekf: Ekf | None = None, predicted: Callable[[Ekf], object] = lambda ekf: None
 ) -> Iterator[tuple[int, Ekf]]:
     """Give a filter the drive's data; yield it after every scan, with the steps made until then.
 

@@ -1,7 +1,5 @@
 """A dense covariance recursion over a trace: what a filter's covariance should be, by textbook."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path

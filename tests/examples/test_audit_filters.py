@@ -3,8 +3,6 @@
 The audit passes the sound traces, and finds five bugs of each filter by event, sensor and blocks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
@@ -20,6 +18,7 @@ from comparisons.trace.events import Clone, Event, Prior, Snapshot, Update
 from comparisons.trace.reader import Trace
 from examples.audit.faults import Fault, Planted
 from tests.examples.replay import departures
+from tests.helpers import present
 
 PACKAGES = {"filterpy_ekf": "filterpy", "filterpy_ukf": "filterpy", "navlie_se3": "navlie"}
 AUDITED = {
@@ -60,8 +59,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     assert module.record(folder / "sound", SEED) is None
     faulty = {}
     for fault in module.FAULTS:
-        planted = module.record(folder / fault, SEED, fault)
-        assert planted is not None
+        planted = present(module.record(folder / fault, SEED, fault))
         faulty[fault] = folder / fault, planted
     return Recorded(module.record, module.FAULTS, folder / "sound", faulty, AUDITED[name])
 
@@ -108,8 +106,7 @@ def test_the_audit_finds_five_faults(recorded: Recorded) -> None:
         path, planted = recorded.faulty[name]
         judged = judge(path, planted, recorded.faults[name])
         assert judged[:3] == (True, True, True), (name, judged)
-        assert judged.first is not None
-        assert judged.first.sensor == planted.sensor, name
+        assert present(judged.first).sensor == planted.sensor, name
 
 
 def _first_difference(sound: Path, faulty: Path) -> int | None:

@@ -1,7 +1,5 @@
 """Jacobians of the recorded filters by central differences, and what the UKF records as noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

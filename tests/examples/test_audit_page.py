@@ -1,18 +1,19 @@
-"""What docs/audit-third-parties.md shows is what its commands print, here in one process."""
-
-from __future__ import annotations
+"""What docs/audit-third-parties.md shows is what its commands print; what its benchmark judges."""
 
 import re
 import shlex
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
+from benchmarks.audit_faults import judge, sound
 from comparisons.audit.audit import audit
 from comparisons.report.audit import AuditReport
 from comparisons.report.terminal import print_summary
+from examples.audit import msckf
 from examples.audit.__main__ import FILTERS, main
 from tests.examples.test_audit_filters import needs
 from tests.test_own_project import missing, steps
@@ -53,3 +54,24 @@ def test_a_fault_that_is_unknown_is_an_error_of_usage(
         main(["msckf", str(tmp_path / "trace"), "--fault", "other"])
     assert stopped.value.code == 2
     assert "expected one of lone-clone" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_finding_elsewhere_is_not_right(tmp_path: Path) -> None:
+    path, fault = tmp_path / "trace", msckf.FAULTS["block-stale"]
+    planted = msckf.record(path, 3, "block-stale")
+    assert planted is not None
+    assert judge(path, planted, fault)[:3] == (True, True, True)
+    later = replace(planted, event=planted.event + 10)
+    assert judge(path, later, fault)[:3] == (True, False, True)
+    other = replace(planted, blocks=("scale",))
+    assert judge(path, other, fault)[:3] == (True, True, False)
+    assert msckf.record(tmp_path / "sound", 3) is None
+    assert judge(tmp_path / "sound", planted, fault)[:3] == (False, False, False)
+
+
+@pytest.mark.slow
+def test_sound_traces_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sound(["msckf"], 2, tmp_path)
+    assert capsys.readouterr().out == "0 of 2 sound traces flagged, 0.0 to 84.2 %\n"
+    assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,5 @@
 """Count the cases that were tried, by kind, with their time, and report them at the end."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Generator

@@ -1,7 +1,5 @@
 """Damage to files, as hypothesis strategies: what a disk, an editor or somebody hostile may do."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """What users hand in: a small valid one of each kind, and how it is opened."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os

@@ -1,7 +1,5 @@
 """What fuzzing, or thinking like it, has found: each is one line that names the file now."""
 
-from __future__ import annotations
-
 import gzip
 import importlib.util
 import io
@@ -23,16 +21,17 @@ from comparisons.experiments.montecarlo.chunk_files import ChunkFiles, check_fol
 from comparisons.experiments.montecarlo.runs import Records
 from comparisons.logs.table import parse_toml
 from comparisons.trace.recorder import Recorder
+from tests.commands import refused
 from tests.fuzz.damage import Damage
 from tests.fuzz.subjects import BAGS, SUBJECTS, chunk_files
-from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome, run_main
+from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome
 
 NEEDS_BAGS = pytest.mark.skipif(
     not importlib.util.find_spec("rosbags"), reason="the extra ros is missing"
 )
 
 
-def refused(name: str, file: str, old: str, new: str) -> str:
+def replaced(name: str, file: str, old: str, new: str) -> str:
     """What is said of a subject with a piece of text replaced."""
     subject = SUBJECTS[name]
     with tempfile.TemporaryDirectory() as place:
@@ -51,10 +50,10 @@ ENDLESS = "9" * 5000
 """More digits than Python turns into a number."""
 REPLACED = {
     ("estimate folder", "estimate.toml"): [
-        ("version = 1", f"version = {ENDLESS}", "not valid TOML"),
+        ("version = 1", f"version = {ENDLESS}", "not valid TOML")
     ],
     ("estimate folder", "landmarks.csv"): [
-        ("x_m,y_m\n", "x_m,y_m\n1234,1e200,0\n", "x_m is 1e+200, expected between"),
+        ("x_m,y_m\n", "x_m,y_m\n1234,1e200,0\n", "x_m is 1e+200, expected between")
     ],
     ("scenario", "small.toml"): [
         ("steps = 20", f"steps = {ENDLESS}", "not valid TOML"),
@@ -96,7 +95,7 @@ REPLACED = {
     ids=lambda word: word[:30].replace("\n", " "),
 )
 def test_hostile_values(name: str, file: str, old: str, new: str, message: str) -> None:
-    assert message in refused(name, file, old, new)
+    assert message in replaced(name, file, old, new)
 
 
 @pytest.mark.parametrize(
@@ -339,27 +338,6 @@ def test_memory_that_is_short_is_not_a_damaged_file(
     assert (code, reported) == (2, "slamcheck: not enough memory for this log\n")
 
 
-@pytest.mark.parametrize("command", [["montecarlo"], ["reproduce", "N3.5"]])
-@pytest.mark.parametrize("workers", ["0", "-1", "1001", "9223372036854775808"])
-def test_workers_beyond_every_machine(command: list[str], workers: str, tmp_path: Path) -> None:
-    words = [*command, "--workers", workers, "--out", str(tmp_path / "out")]
-    code, reported = outcome(lambda: run_main(words))
-    assert code == 2
-    assert reported == f"slamcheck: --workers is {workers}, expected 1 to 1000\n"
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("log", ["simulated-loop", "waypoint-run", "scan-slam"])
-@pytest.mark.parametrize("command", ["run", "convert"])
-def test_noise_beyond_every_number(command: str, log: str, tmp_path: Path) -> None:
-    out = str(tmp_path / "out")
-    target = ["--out", out] if command == "run" else [out]
-    code, reported = outcome(lambda: run_main([command, log, "--noise-scale", "1e300", *target]))
-    assert code == 2
-    assert "is 1e+300" in reported
-    assert reported.count("\n") == 1
-
-
 def twice(folder: Path) -> None:
     path = folder / "landmarks.csv"
     lines = path.read_text().splitlines()
@@ -383,19 +361,28 @@ BEYOND = {
     "tolerance": (["audit", "a.trace", "--tolerance", "inf"], "tolerance is inf"),
     "deep setting": (["solve", "--set", f"log{'.a' * 2000}=1"], "2001 parts, expected SECTION"),
     "deep value": (["solve", "--set", f"log.seed={{a{'.a' * 2000}=1}}"], "log.seed is '{a.a.a"),
+    **{
+        f"{workers} workers of {command[0]}": (
+            [*command, "--workers", workers],
+            f"slamcheck: --workers is {workers}, expected 1 to 1000",
+        )
+        for command in (["montecarlo"], ["reproduce", "N3.5"])
+        for workers in ("0", "-1", "1001", "9223372036854775808")
+    },
+    **{
+        f"noise of {' '.join(command)}": ([*command, "--noise-scale", "1e300"], "is 1e+300")
+        for log in ("simulated-loop", "waypoint-run", "scan-slam")
+        for command in (["run", log], ["convert", log, "o"])
+    },
 }
 
 
 @pytest.mark.parametrize("name", BEYOND)
-def test_settings_beyond_every_need(
-    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_settings_beyond_every_need(name: str, tmp_path: Path) -> None:
     words, message = BEYOND[name]
-    code, reported = outcome(lambda: run_main(words))
-    assert code == 2
-    assert message in reported
-    assert reported.count("\n") == 1
+    said = refused(*words, cwd=tmp_path)
+    assert said.startswith("slamcheck: ")
+    assert message in said
     assert not list(tmp_path.iterdir())
 
 
@@ -406,10 +393,8 @@ def test_figures_that_overflow(tmp_path: Path) -> None:
         for _ in range(20):
             record.update("s", [1.0], [[1.0]], [[1e-300]])
             record.snapshot([[1e-300]], error=[1.0])
-    words = ["audit", str(tmp_path / "a.trace"), "--out", str(tmp_path / "out")]
-    code, reported = outcome(lambda: run_main(words))
-    assert code == 2
-    assert "numbers of the input are so large that it overflows" in reported
+    said = refused("audit", "a.trace", "--out", "out", cwd=tmp_path)
+    assert "numbers of the input are so large that it overflows" in said
     assert [path.name for path in tmp_path.iterdir()] == ["a.trace"]
 
 

@@ -3,8 +3,6 @@
 Never a traceback, never half an output. `make nightly` tries forty times as many.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import io

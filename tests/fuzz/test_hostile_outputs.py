@@ -1,7 +1,5 @@
 """What stands where an output is to go stays, whatever it is, unless it is an earlier output."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os
@@ -50,29 +48,26 @@ COMMANDS = (
 )
 
 
-def _file(content: bytes) -> Callable[[Path], object]:
-    def make(path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+def _made(make: Callable[[Path], object]) -> Callable[[Path], object]:
+    """In a folder that may not be there yet."""
 
-    return make
+    def within(path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        make(path)
+
+    return within
+
+
+def _file(content: bytes) -> Callable[[Path], object]:
+    return _made(lambda path: path.write_bytes(content))
 
 
 def _link(target: str) -> Callable[[Path], object]:
-    def make(path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.symlink_to(target)
-
-    return make
-
-
-def _pipe(path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    os.mkfifo(path)
+    return _made(lambda path: path.symlink_to(target))
 
 
 THINGS: dict[str, Callable[[Path], object]] = {
-    "pipe": _pipe,
+    "pipe": _made(os.mkfifo),
     "text": _file(b"years of work"),
     "nothing": _file(b""),
     "json": _file(b'{"files": []}'),

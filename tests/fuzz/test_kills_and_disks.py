@@ -1,7 +1,5 @@
 """Processes that are killed, and disks that are full: a target is whole, absent or the old one."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import signal
@@ -29,8 +27,9 @@ from comparisons.experiments.montecarlo.chunk_files import check_folder
 from tests.fuzz.damage import cases, counted
 from tests.fuzz.subjects import SUBJECTS
 from tests.fuzz.test_hostile_files import assert_one_line, outcome, run_main
+from tests.helpers import present
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[2]
 HOUR_AGO_S = 3700.0
 WRITER = """
 import sys, time
@@ -91,8 +90,7 @@ def writing(kind: str, target: Path, wait_s: float) -> Iterator[subprocess.Popen
         text=True,
     )
     try:
-        assert job.stdout is not None
-        assert job.stdout.readline() == "begins\n"
+        assert present(job.stdout).readline() == "begins\n"
         yield job
     finally:
         job.kill()
@@ -193,8 +191,7 @@ def test_no_process_outlives_a_killed_study(number: signal.Signals, delay_s: flo
             job = subprocess.Popen(
                 words, cwd=place, env=environment, stdout=subprocess.PIPE, stderr=said
             )
-            assert job.stdout is not None
-            assert job.stdout.readline() == b"begins\n"
+            assert present(job.stdout).readline() == b"begins\n"
             with suppress(subprocess.TimeoutExpired):
                 job.communicate(timeout=delay_s)
             job.send_signal(number)
@@ -393,8 +390,7 @@ time.sleep(60)
     job = subprocess.Popen((sys.executable, "-c", lost), stdout=subprocess.PIPE, text=True,
                            env={**os.environ, "PYTHONPATH": str(ROOT)})  # fmt: skip
     try:
-        assert job.stdout is not None
-        assert job.stdout.readline() == "begins\n"
+        assert present(job.stdout).readline() == "begins\n"
         job.send_signal(signal.SIGTERM)
         assert job.communicate(timeout=30)[0] == "lost\n"
     finally:
@@ -451,13 +447,7 @@ program.main()
 @pytest.mark.parametrize("number", app.STOPS)
 @pytest.mark.parametrize("when", ["start-up", "shutdown"])
 def test_a_signal_has_its_code_and_no_traceback_whenever_it_comes(when: str, number: int) -> None:
-    done = subprocess.run(
-        (sys.executable, "-c", AT_ONCE, when, str(int(number))),
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = python("-c", AT_ONCE, when, str(int(number)))
     assert (done.returncode, done.stderr) == (128 + number, "")
 
 

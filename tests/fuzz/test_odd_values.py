@@ -1,7 +1,5 @@
 """Whole commands with odd values of their settings, and with a disk that fills up."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os
@@ -31,15 +29,10 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
 from tests.fuzz.damage import cases, counted
-from tests.fuzz.subjects import SCENARIO, SUBJECTS, Subject
-from tests.fuzz.test_hostile_files import (
-    QUIET,
-    assert_whole_or_absent,
-    outcome,
-    run_main,
-    words_in,
-)
-from tests.helpers import first_seconds, simulated
+from tests.fuzz.subjects import Subject
+from tests.fuzz.test_hostile_files import QUIET, assert_whole_or_absent, outcome, run_main, words_in
+from tests.fuzz.test_hostile_files import everything as sound_inputs
+from tests.helpers import first_seconds
 
 SECONDS, MEMORY_BYTES = 60, 2 * 2**30
 """What a command may take for a log of ten seconds: of the processor, ten times that on the wall of
@@ -75,11 +68,8 @@ def few_scans(seconds: float = 12.0) -> Log:
 
 
 def everything(folder: Path) -> None:
-    write_log_folder(simulated(2, loop_s=10.0), folder / "log")
+    sound_inputs(folder)
     write_log_folder(few_scans(), folder / "scans")
-    (folder / "mine").mkdir()
-    SUBJECTS["estimate folder"].write(folder / "mine")
-    (folder / "small.toml").write_text(SCENARIO)
 
 
 WHOLE = Subject(everything, lambda folder: None)

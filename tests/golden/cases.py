@@ -1,7 +1,5 @@
 """The golden runs: commands whose results a change of structure must not change."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Golden runs as baselines; `python -m tests.golden.run [CASE ...]` keeps them anew."""
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile

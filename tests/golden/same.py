@@ -4,8 +4,6 @@ Golden cases run with the code of BASE and with the tree's, side by side. Every 
 and what they print are compared byte for byte, times apart. Both stay in build/same.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import itertools

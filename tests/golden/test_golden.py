@@ -1,7 +1,5 @@
 """Golden runs: words, counts and figures of whole commands stay as they were kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`make same` names the file and the place that differ by a last bit, and lets times pass."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

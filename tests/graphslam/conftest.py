@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from tests.graphslam.skips import pytest_runtest_call as pytest_runtest_call

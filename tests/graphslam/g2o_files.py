@@ -1,7 +1,5 @@
 """g2o graphs with everything that the format holds, and what may be wrong with them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

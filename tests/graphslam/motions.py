@@ -1,7 +1,5 @@
 """Samples of the two motion models."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from graphslam.increments import (

@@ -1,7 +1,5 @@
 """Numerical oracles: derivatives, relative errors, random covariances, the exponential of SE(2)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tests that need KISS-ICP or Open3D skip where the extra `scans` is not installed."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import pytest

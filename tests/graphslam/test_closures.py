@@ -1,7 +1,5 @@
 """Motions between poses that do not follow each other, in problems, graphs and g2o files."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from pathlib import Path
 

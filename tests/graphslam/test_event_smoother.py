@@ -1,7 +1,5 @@
 """The event smoother against the joint Gaussian of all independent noises, conditioned at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """g2o files: bit-exact round trips, files of others, and what is wrong with bad ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path

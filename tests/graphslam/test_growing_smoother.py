@@ -1,7 +1,5 @@
 """The smoother that grows with a log is the smoother: its optimum, and its covariances."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

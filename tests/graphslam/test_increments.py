@@ -1,18 +1,10 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from graphslam.graph_builder import to_tangent
 from graphslam.increments import Samples, compose, relative_pose_samples
 from tests.graphslam.motions import GEOMETRY, controls, samples
-from tests.graphslam.numerics import (
-    Array,
-    central_difference,
-    exponential,
-    product,
-    relative_error,
-)
+from tests.graphslam.numerics import Array, central_difference, exponential, product, relative_error
 
 
 def stepped(kind: str, pose: Array, control: Array, duration_s: float) -> Array:

@@ -1,7 +1,5 @@
 """The equations of F2 beside central differences of residuals written out without gtsam."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The smoother's ways: starts, optimisers, kernels, iSAM2, fixed lag."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

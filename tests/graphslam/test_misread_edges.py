@@ -1,7 +1,5 @@
 """Pose graphs whose numbers mean something else than their format says."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

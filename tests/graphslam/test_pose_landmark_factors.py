@@ -1,7 +1,5 @@
 """Pose landmarks in the frozen smoother F2 and in the smoother."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

@@ -1,7 +1,5 @@
 """The relaxed start, the alternatives of a minimum, and the search among minima."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 from unittest.mock import patch

@@ -1,7 +1,5 @@
 """The frame on the vehicle whose motions edges are."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,19 +1,12 @@
 """Components of variance: unbiased, as sure as they say, and silent where nothing can be told."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
 from graphslam.arrays import Array, Index
-from graphslam.graph_builder import (
-    COMPONENTS,
-    POSE_LANDMARK_KEY,
-    build_graph,
-    row_components,
-)
+from graphslam.graph_builder import COMPONENTS, POSE_LANDMARK_KEY, build_graph, row_components
 from graphslam.variance_components import Component, estimate_components
 from tests.graphslam import worlds
 

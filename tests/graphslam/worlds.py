@@ -1,7 +1,5 @@
 """Simulated drives as the smoother's arrays, drawn from exactly the noise that it assumes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """The algebra of the reference EKF, event by event: in `run`, `check` and `audit` alike."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -114,8 +112,7 @@ def test_run_check_and_audit_name_the_same_event_and_fault(
     assert what in first.text
     named = numbered(first.text, events)
     check = handed_in(c, tmp_path)
-    assert check.trace is not None
-    for verdict, own in ((c.verdict, []), (check.trace.verdict, events)):
+    for verdict, own in ((c.verdict, []), (present(check.trace).verdict, events)):
         cause = next(one for one in verdict.causes if one.gap == "algebra")
         assert numbered(cause.hint.removeprefix("check "), own) == named
     assert_same_gap(c, check, found)
@@ -123,9 +120,8 @@ def test_run_check_and_audit_name_the_same_event_and_fault(
 
 def assert_same_gap(c: Comparison, check: ExternalCheck, found: Audit) -> None:
     """Of both figures, at the end; where they are rounding, by their size."""
-    assert check.trace is not None
     one, last = c.agreement.algebra, found.gaps[-1]
-    for other in (check.trace.agreement.algebra, last):
+    for other in (present(check.trace).agreement.algebra, last):
         figures = other.sigma, other.covariance
         assert figures == pytest.approx((one.sigma, one.covariance), rel=1e-6, abs=1e-9)
 
@@ -150,8 +146,7 @@ def test_a_trace_without_snapshots_says_what_is_lacking(tmp_path: Path) -> None:
     write_estimate(c.ekf.estimate, tmp_path)
     write_run(c.ekf, tmp_path / TRACE)
     check = handed_in(c, tmp_path)
-    assert check.trace is not None
-    cause = check.trace.verdict.causes[0]
+    cause = present(check.trace).verdict.causes[0]
     assert cause.gap == "algebra"
     assert "a snapshot of the covariance, recorded after each event" in cause.hint
 

@@ -1,7 +1,5 @@
 """The audit of a small filter: sound, and with errors of every kind."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

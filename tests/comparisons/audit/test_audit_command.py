@@ -1,7 +1,5 @@
 """`slamcheck audit` as a user calls it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3

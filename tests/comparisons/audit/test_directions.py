@@ -1,7 +1,5 @@
 """Directions that relative sensors cannot tell, by kind of filter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Innovations by sensor: exact bands, gates that are undone, and faults that have a time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,11 +21,7 @@ from comparisons.audit.consistency import (
     first_error,
 )
 from comparisons.audit.replay import Layout
-from comparisons.innovations import (
-    InnovationLog,
-    SensorInnovations,
-    _lengthened,
-)
+from comparisons.innovations import InnovationLog, SensorInnovations, _lengthened
 from comparisons.statistics import onset, rarity, stretch
 from comparisons.trace.events import Augment, Sensor, Snapshot, Update
 from comparisons.trace.recorder import Recorder

@@ -1,7 +1,5 @@
 """Runs of the reference EKF as events of an audit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -94,8 +92,7 @@ def test_the_events_lead_to_the_filters_covariance(name: str) -> None:
 def test_what_a_run_learnt_is_what_its_equations_hold(name: str) -> None:
     """By one dense linear model of all noises."""
     c = CASES[name]()
-    found = c.spurious
-    assert found is not None
+    found = present(c.spurious)
     east, north, heading = found.directions
     assert east.information == north.information == 0.0
     expected = by_definition(list(run_events(c.ekf)))[2, 2]

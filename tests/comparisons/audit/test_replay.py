@@ -1,7 +1,5 @@
 """The covariance recursion against dense matrices of the whole state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

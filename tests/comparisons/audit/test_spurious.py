@@ -1,7 +1,5 @@
 """What a filter has learnt of directions that its sensors cannot tell."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -262,8 +260,7 @@ def test_the_measurement_that_told_most_is_named() -> None:
         trace.add(Augment, name, ("pose",), one, one, 0.04 * one)
     h = np.column_stack((-np.ones(3), np.diag([1.0, 1.0, 2.0])))
     trace.update(h, 0.04 * np.eye(3), ("pose", *landmarks))
-    largest = trace.learnt().directions[0].largest
-    assert largest is not None
+    largest = present(trace.learnt().directions[0].largest)
     assert largest.blocks == ("pose", "c")
     assert largest.seen == "c"
 

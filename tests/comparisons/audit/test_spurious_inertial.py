@@ -4,8 +4,6 @@ An error-state filter with clones, linearised at the truth or beside it; its err
 is in the world's axes, or in the body's.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag

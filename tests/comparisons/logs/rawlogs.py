@@ -1,7 +1,5 @@
 """MRPT rawlogs written byte by byte, in the layouts that the reader's module describes."""
 
-from __future__ import annotations
-
 import gzip
 import struct
 from pathlib import Path

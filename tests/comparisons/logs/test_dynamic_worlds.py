@@ -1,7 +1,5 @@
 """Worlds in which something moves: where things are, and what is said of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,6 +14,7 @@ from comparisons.logs.simulate.dynamic_worlds import (
 from comparisons.logs.simulate.scan_drive import dynamic_lanes, dynamic_places, simulate
 from comparisons.logs.simulate.scan_worlds import Mover
 from tests.comparisons.logs.test_scanners import exact
+from tests.helpers import present
 
 
 def test_traffic_begins_anew_where_it_came_from() -> None:
@@ -61,10 +60,8 @@ def test_a_carried_landmark_is_seen_where_its_vehicle_is() -> None:
     label = len(world.landmark)
     rows = np.flatnonzero(seen.landmark == label)
     assert len(rows) > 50
-    assert log.truth.poses is not None
-    assert log.truth.landmarks is not None
-    assert label not in log.truth.landmarks.id
-    pose = log.truth.poses.at(seen.time_s[rows])
+    assert label not in present(log.truth.landmarks).id
+    pose = present(log.truth.poses).at(seen.time_s[rows])
     angle = pose[:, 2] + seen.bearing_rad[rows]
     place = pose[:, :2] + seen.range_m[rows, None] * np.column_stack((np.cos(angle), np.sin(angle)))
     assert np.allclose(place, world.movers[world.carrier[0]].place(seen.time_s[rows]), atol=1e-9)

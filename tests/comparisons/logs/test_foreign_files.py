@@ -3,8 +3,6 @@
 The drives are one: a circle at 1 m/s among twelve posts, with noise as stated, seed 4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple

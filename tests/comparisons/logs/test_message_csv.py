@@ -1,7 +1,5 @@
 """CSV exports of ROS messages: the same log whatever tool wrote them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

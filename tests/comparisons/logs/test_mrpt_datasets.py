@@ -1,7 +1,5 @@
 """Rawlogs that MRPT wrote: Debian's, where the package mrpt-common is installed."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +17,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import read_log
 from tests.comparisons.logs.test_readers import assert_refused
+from tests.helpers import present
 
 
 @pytest.fixture
@@ -35,8 +34,7 @@ def test_the_demo_of_kf_slam(datasets: Path) -> None:
     """MRPT 0.9's simulation runs to a verdict; the filter finds the true map to millimetres."""
     log = read_log(datasets / "kf-slam_demo.rawlog")
     assert log.records == {"odometry": 249, "measurements": 3607, "truth poses": 250}
-    assert log.truth.landmarks is not None
-    assert len(log.truth.landmarks.id) == 70
+    assert len(present(log.truth.landmarks).id) == 70
     compared = compare(log)
     assert compared.verdict.outcome != "unverified"
     assert _rms(compared.ekf.estimate, log) < 0.01
@@ -44,8 +42,7 @@ def test_the_demo_of_kf_slam(datasets: Path) -> None:
 
 
 def _rms(estimate: Estimate, log: Log) -> float:
-    assert log.truth.landmarks is not None
-    places = log.truth.landmarks.places_of(estimate.landmark_id)
+    places = present(log.truth.landmarks).places_of(estimate.landmark_id)
     return float(np.sqrt(np.mean((estimate.landmark - places) ** 2)))
 
 
@@ -72,8 +69,7 @@ def test_the_filter_of_mrpt(datasets: Path) -> None:
     apart = np.array([*estimate.pose[-1, :2], np.angle(np.exp(1j * estimate.pose[-1, 2]))]) - last
     assert np.allclose(apart, 0, atol=2e-6)
     assert np.allclose(np.sqrt(np.diag(estimate.pose_covariance[-1])), sigma, rtol=1e-4)
-    assert log.truth.landmarks is not None
-    missed = estimate.landmark - log.truth.landmarks.places_of(estimate.landmark_id)
+    missed = estimate.landmark - present(log.truth.landmarks).places_of(estimate.landmark_id)
     distance = np.hypot(*missed.T)
     found = (distance.mean(), distance.min(), distance.max())
     assert np.allclose(found, errors, rtol=0, atol=2e-6)
@@ -90,8 +86,7 @@ def test_the_filter_of_mrpt(datasets: Path) -> None:
 )
 def test_scans_of_debians_files(name: str, scans: int, datasets: Path) -> None:
     log = read_log(datasets / name)
-    assert log.scans is not None
-    assert len(log.scans.time_s) == scans == len(log.odometry.time_s) + 1
+    assert len(present(log.scans).time_s) == scans == len(log.odometry.time_s) + 1
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """A log of a user's CSV files and arrays: what is read, what is refused, and the way to a run."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

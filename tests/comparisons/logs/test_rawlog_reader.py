@@ -1,7 +1,5 @@
 """MRPT rawlogs: their layouts, on files written here."""
 
-from __future__ import annotations
-
 import gzip
 import struct
 from pathlib import Path
@@ -31,6 +29,7 @@ from tests.comparisons.logs.rawlogs import (
 )
 from tests.comparisons.logs.test_readers import assert_refused
 from tests.comparisons.logs.test_scan_readers import assert_survives_a_folder
+from tests.helpers import present
 
 RANGES = [2.0, 3.0, 90.0, 0.0, 5.0]
 
@@ -164,9 +163,8 @@ def test_a_scanner_upside_down_and_eyes_that_look_aside(tmp_path: Path) -> None:
     upright, other = (
         read_log(rawlog(tmp_path, one + action((1, 0, 0)) + one)) for one in (content, turned)
     )
-    assert upright.scans is not None
     assert other.scans is not None
-    assert np.allclose(other.scans.angle_rad, -upright.scans.angle_rad)
+    assert np.allclose(other.scans.angle_rad, -present(upright.scans).angle_rad)
     assert other.scans.mount.heading_rad == pytest.approx(0.5)
     assert other.measurements.bearing_rad[0] == pytest.approx(3.5 - 2.0 * np.pi)
 
@@ -197,11 +195,9 @@ def test_truth_beside_the_log(tmp_path: Path) -> None:
         "".join(f"{p.real} {p.imag} 0 5 0 0 {name}\n" for name, p in LANDMARKS.items())
     )
     log = read_log(path)
-    assert log.truth.poses is not None
-    assert np.allclose(log.truth.poses.pose, pose)
+    assert np.allclose(present(log.truth.poses).pose, pose)
     assert np.allclose(log.prior.pose, (1.0, 2.0, 0.5))
-    assert log.truth.landmarks is not None
-    assert log.truth.landmarks.id.tolist() == [3, 8, 9]
+    assert present(log.truth.landmarks).id.tolist() == [3, 8, 9]
     robot.write_text(lines.split("\n", 1)[1])
     with pytest.raises(InputError, match="3 poses, expected 4, one for each frame of drive"):
         read_log(path)
@@ -214,8 +210,9 @@ def test_timed_truth_beside_the_log(tmp_path: Path) -> None:
     lines = "".join(f"{first + 0.25 * i:.6f} {i} 2 0.5\n" for i in range(4))
     (tmp_path / "drive.rawlog.GT.txt").write_text(lines)
     log = read_log(path)
-    assert log.truth.poses is not None
-    assert np.allclose(log.truth.poses.time_s, log.scans.time_s if log.scans else 0, atol=1e-6)
+    assert np.allclose(
+        present(log.truth.poses).time_s, log.scans.time_s if log.scans else 0, atol=1e-6
+    )
     assert np.allclose(log.prior.pose, (0.0, 2.0, 0.5), atol=1e-5)
     assert read_log(rawlog(tmp_path)).truth.poses is None
 

@@ -1,7 +1,5 @@
 """Casting against oracles that share no formula with it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

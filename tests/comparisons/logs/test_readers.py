@@ -1,7 +1,5 @@
 """Readers on small files made here; every fault names file, line, value and expectation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from comparisons.logs.readers import READERS, read_log
 from comparisons.logs.readers.acfr_car_park import reflector_measurements
 from comparisons.logs.readers.matlab import load_matlab
 from comparisons.logs.scans import Scans
+from tests.helpers import present
 
 
 def assert_refused(path: Path, message: str, format_name: str | None = None) -> None:
@@ -105,8 +104,7 @@ def test_mrclam(tmp_path: Path) -> None:
     depth = log.measurements.range_m * np.cos(log.measurements.bearing_rad)
     assert np.allclose(1.036 * depth, (2.0, 3.0))
     assert np.allclose(log.measurements.time_s, (1.0, 1.5))
-    assert log.truth.poses is not None
-    assert np.isclose(log.truth.poses.pose[1, 2], 2 * np.pi - 3.1)
+    assert np.isclose(present(log.truth.poses).pose[1, 2], 2 * np.pi - 3.1)
     turned = 3.1 + 0.25 * (2 * np.pi - 6.2)
     assert np.allclose(log.prior.pose, (0.25, 0.0, turned))
     assert log.provenance["left_out"].startswith("1 measurements of robots, 1 of unlisted")
@@ -123,8 +121,7 @@ def test_victoria_park_detections(tmp_path: Path) -> None:
 
 def test_car_park(tmp_path: Path) -> None:
     log = read_log(car_park(tmp_path))
-    assert log.scans is not None
-    assert np.isnan(log.scans.range_m[0, 300])
+    assert np.isnan(present(log.scans).range_m[0, 300])
     assert log.measurements.range_m.tolist() == [10.0, 10.0]
     assert np.allclose(log.measurements.bearing_rad, np.deg2rad(0.5))
     assert log.measurements.intensity.tolist() == [1.0, 1.0]

@@ -1,7 +1,5 @@
 """What bags hold besides scans: points of landmarks, fixes, covariances; and choosing topics."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -24,6 +22,7 @@ from comparisons.logs.odometry_noise import odometry_noise
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_reckoned
 from comparisons.logs.readers.ros_points import fix
 from tests.comparisons.logs.bags import EPOCH, Message, T, Types
+from tests.helpers import present
 
 
 def moves(count: int = 5, types: Types = T, **changes: Any) -> list[Message]:
@@ -114,8 +113,7 @@ def test_a_point_at_the_pose_and_a_fix_without_error_are_placeholders(tmp_path: 
     with pytest.raises(InputError, match="/markers: a point lies at the vehicle's pose"):
         read_log(bag, topics=("/markers",))
     sharp = T.fix(EPOCH, 48.0, 11.0, variances=(1e-12, 1e-12, 1.0))[3]
-    found = fix(sharp, "")
-    assert found is not None
+    found = present(fix(sharp, ""))
     assert np.isnan(found[3:]).all()
 
 
@@ -155,8 +153,7 @@ def test_fixes_are_laid_onto_the_odometry(tmp_path: Path) -> None:
     last = T.odometry(EPOCH + 41, 51.0, 1.64, y=53.0)
     scans = [T.laser(EPOCH + k) for k in range(3)]
     log = read_log(T.write(tmp_path / "bag", [*drive_with_fixes(), lost, last, *scans]))
-    positions = log.positions
-    assert positions is not None
+    positions = present(log.positions)
     assert log.provenance["positions"].startswith("WGS 84 about the first fix; 8 fixes up to 7 s")
     assert positions.time_s.tolist() == list(range(8, 41))  # the first eight are in the prior
     assert positions.antenna_m == (2.0, 0.0)

@@ -1,7 +1,5 @@
 """ROS bags written at test time; without the extra, one line says what to install."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +21,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores
 
 from tests.comparisons.logs.bags import EPOCH, XYZ, Message, T, Types, drive
+from tests.helpers import present
 
 
 @pytest.mark.parametrize("kind", ["mcap", "mcap file", "db3", "db3 file", "bag"])
@@ -34,8 +33,7 @@ def test_laser_scans_with_odometry(kind: str, tmp_path: Path) -> None:
         path = next(path.glob("*." + kind.split()[0]))
     log = read_log(path)
     assert (log.name, log.format) == ("drive", "rosbag")
-    scans = log.scans
-    assert scans is not None
+    scans = present(log.scans)
     assert np.allclose(scans.time_s, (0.0, 0.25, 0.8))
     assert np.allclose(scans.angle_rad, (-0.5, -0.25, 0.0, 0.25, 0.5))
     assert np.array_equal(scans.range_m[0], (1.0, *[np.nan] * 4), equal_nan=True)
@@ -79,8 +77,7 @@ def test_headers_without_times_leave_those_of_the_recording(tmp_path: Path) -> N
     topic, kind, _, message = T.laser(0.0)
     scans: list[Message] = [(topic, kind, EPOCH + t, message) for t in (0.0, 0.5)]
     log = read_log(T.write(tmp_path / "bag", scans))
-    assert log.scans is not None
-    assert log.scans.time_s.tolist() == [0.0, 0.5]
+    assert present(log.scans).time_s.tolist() == [0.0, 0.5]
     assert log.provenance["LaserScan"].endswith("times of recording, since the headers have none")
 
 
@@ -122,8 +119,7 @@ def test_clouds(name: str, order: str, tmp_path: Path) -> None:
     mounted = T.static(("base_link", "lidar", 1.0, 0.0, np.pi / 2, 0.0))
     later = T.cloud(EPOCH + 1, records[:0])
     log = read_log(T.write(tmp_path / "bag", [mounted, message, later]))
-    clouds = log.clouds
-    assert clouds is not None
+    clouds = present(log.clouds)
     assert clouds.time_s.tolist() == [0.0, 1.0]
     assert clouds.first.tolist() == [0, 2, 2]
     assert np.allclose(clouds.point_m, ((-1.0, 1.0, 3.5), (-4.0, 4.0, 6.5)))
@@ -135,9 +131,8 @@ def test_scans_and_clouds_share_the_poses(tmp_path: Path) -> None:
     records = np.ones(3, XYZ)
     messages = [*drive(T), T.cloud(EPOCH + 0.5, records), T.cloud(EPOCH + 2.0, records)]
     log = read_log(T.write(tmp_path / "bag", messages))
-    assert log.clouds is not None
     assert np.allclose(log.odometry.time_s, (0.25, 0.4, 0.8))
-    assert np.allclose(log.clouds.time_s, 0.4)
+    assert np.allclose(present(log.clouds).time_s, 0.4)
     assert log.provenance["left_out"] == "2 records outside the odometry"
 
 
@@ -230,14 +225,8 @@ BAD: dict[str, tuple[list[Message], str]] = {
         clouds(width=4_000_000_000),
         "36 bytes in rows of 36, expected 1 times 4000000000 points of 12",
     ),
-    "height": (
-        clouds(height=2),
-        "36 bytes in rows of 36, expected 2 times 3 points of 12",
-    ),
-    "step": (
-        clouds(point_step=8),
-        "field z lies at byte 8, expected within point_step 8",
-    ),
+    "height": (clouds(height=2), "36 bytes in rows of 36, expected 2 times 3 points of 12"),
+    "step": (clouds(point_step=8), "field z lies at byte 8, expected within point_step 8"),
     "datatype": (
         clouds(fields=[replace(FIELD, datatype=4), *FIELDS]),
         "field x has datatype 4, expected floating point",

@@ -1,7 +1,5 @@
 """Drives that record scans: settings, truth, measurements, and the logs that have a name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Readers of raw scans on small files made here: the Victoria Park trio and CARMEN logs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +22,7 @@ from comparisons.logs.odometry import (
 from comparisons.logs.readers import READERS, read_log
 from tests.comparisons.logs.test_log_folder import assert_same
 from tests.comparisons.logs.test_readers import assert_refused
+from tests.helpers import present
 
 
 def assert_survives_a_folder(log: Log, folder: Path) -> None:
@@ -239,16 +238,14 @@ def test_carmen_takes_odometry_lines_where_scans_carry_no_pose(tmp_path: Path) -
     assert np.allclose(displacement(log)[0, :2], (2 * np.cos(3.5), -2 * np.sin(3.5)))
     assert np.isclose(displacement(log)[0, 2], 2.0)
     assert log.provenance["left_out"] == "0 repeated scans, 1 outside the odometry"
-    assert log.scans is not None
-    assert log.scans.time_s.tolist() == [0.0, 2.0]
+    assert present(log.scans).time_s.tolist() == [0.0, 2.0]
 
 
 SIX = "1.13486e+09"
 
 
 def steps(log: Log) -> list[float]:
-    assert log.scans is not None
-    return [round(float(step), 6) for step in np.diff(log.scans.time_s)]
+    return [round(float(step), 6) for step in np.diff(present(log.scans).time_s)]
 
 
 def test_carmen_times_of_six_digits(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The environments of Nieto's figures: their extent, room to drive, what stands in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Scanners: exact without noise, and with noise as uncertain as they say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +20,7 @@ from comparisons.logs.simulate.scan_drive import (
 )
 from comparisons.logs.simulate.scan_worlds import Mover, ScanWorld
 from comparisons.logs.simulate.scanners import Planar, Rings
+from tests.helpers import present
 
 Array = NDArray[np.float64]
 
@@ -64,8 +63,7 @@ def placed(pose: Array, point: Array) -> Array:
 
 def points_of(log: Log, late: bool = True) -> tuple[Array, Array]:
     """Returns (P, 2) in the world and their times (P,); not late: all from the scan's start."""
-    scans = log.scans
-    assert scans is not None
+    scans = present(log.scans)
     time = scans.time_s[:, None] + scans.beam_s * np.arange(len(scans.angle_rad))
     start = np.broadcast_to(scans.time_s[:, None], time.shape)
     angle, mount = scans.mount.heading_rad + scans.angle_rad, scans.mount
@@ -164,8 +162,7 @@ def test_without_noise_every_point_lies_on_something(sweep_s: float) -> None:
     """A wall, a pole or the mover at most as high as they are; a top; or the ground."""
     experiment = spun(sweep_s=sweep_s)
     world, log = experiment.world, log_of(experiment)
-    clouds = log.clouds
-    assert clouds is not None
+    clouds = present(log.clouds)
     time = np.repeat(clouds.time_s, np.diff(clouds.first)) + clouds.point_s
     seen = np.isfinite(clouds.point_m[:, 0])
     assert np.isclose(clouds.point_s.max(), sweep_s)
@@ -249,9 +246,8 @@ def test_returns_are_lost_as_often_as_stated(dropout: float) -> None:
         log_of(replace(experiment, scanner=replace(experiment.scanner, dropout=p))).scans
         for p in (0.0, dropout)
     )
-    assert whole is not None
     assert holed is not None
-    there = np.isfinite(whole.range_m)
+    there = np.isfinite(present(whole).range_m)
     lost = int(np.count_nonzero(there & np.isnan(holed.range_m)))
     assert not np.isfinite(holed.range_m[~there]).any()
     low, high = binom.interval(0.9999, np.count_nonzero(there), dropout)

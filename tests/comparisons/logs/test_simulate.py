@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -8,7 +6,7 @@ from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.simulate.worlds import nieto_loop
 from ekf_reference.models.motion import AckermannModel
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.helpers import simulated
+from tests.helpers import present, simulated
 
 
 def test_the_environment_is_that_of_section_2_9() -> None:
@@ -26,14 +24,13 @@ def test_truth_obeys_the_models_exactly_when_there_is_no_noise() -> None:
     odometry, truth = log.odometry, log.truth
     assert isinstance(odometry, SteeringOdometry)
     assert truth.poses is not None
-    assert truth.landmarks is not None
     model, pose = AckermannModel(**vars(odometry.vehicle)), truth.poses.pose
     for k in range(0, len(odometry.time_s), 97):
         control = np.array((odometry.speed_mps[k], odometry.steering_rad[k]))
         step = model.step(pose[k], control, Drive().sample_s)
         assert np.allclose(step.pose, pose[k + 1], rtol=0, atol=1e-12)
     at = pose[np.searchsorted(truth.poses.time_s, log.measurements.time_s)]
-    landmark = truth.landmarks.position_m[log.measurements.landmark]
+    landmark = present(truth.landmarks).position_m[log.measurements.landmark]
     for k in range(0, len(at), 41):
         expected = RangeBearing().predict(at[k], landmark[k : k + 1]).z
         seen = np.array([[log.measurements.range_m[k], log.measurements.bearing_rad[k]]])
@@ -42,8 +39,7 @@ def test_truth_obeys_the_models_exactly_when_there_is_no_noise() -> None:
 
 def test_the_loop_closes_and_repeats() -> None:
     log = simulated(exact=True, loops=2)
-    assert log.truth.poses is not None
-    pose = log.truth.poses.pose
+    pose = present(log.truth.poses).pose
     middle = len(pose) // 2
     assert np.linalg.norm(pose[middle, :2] - pose[0, :2]) < 5.0
     assert np.isclose(pose[-1, 2] - pose[0, 2], 4 * np.pi, atol=0.2)

@@ -1,7 +1,5 @@
 """A part of a log, by seconds from its start."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from comparisons.logs.log import Log, LoopClosures, Positions, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.pipeline.read import load_log
 from tests.commands import slamcheck
-from tests.helpers import compared, simulated
+from tests.helpers import compared, present, simulated
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +31,7 @@ def test_what_lies_before_the_start_is_cut_by_a_start_alone(loop: Log) -> None:
     fixes = Positions(np.array([-1.0, 5.0, 15.0]), np.zeros((3, 2)), np.array([np.eye(2)] * 3))
     log = replace(loop, positions=fixes)
     for start_s, kept in ((None, [-1.0, 5.0]), (0.0, [-1.0, 5.0]), (1.0, [5.0])):
-        positions = cut_log(log, start_s, 10.0).positions
-        assert positions is not None
+        positions = present(cut_log(log, start_s, 10.0).positions)
         assert positions.time_s.tolist() == kept
 
 
@@ -55,8 +52,7 @@ def test_a_part_of_wheel_odometry(loop: Log) -> None:
     assert part.odometry.time_s[-1] < 20.0
     assert part.measurements.time_s.min() >= 10.013
     assert part.measurements.time_s.max() < 20.0
-    assert loop.truth.poses is not None
-    assert np.allclose(part.prior.pose, loop.truth.poses.at(np.array([10.013]))[0])
+    assert np.allclose(part.prior.pose, present(loop.truth.poses).at(np.array([10.013]))[0])
     assert part.provenance["part"] == "10.013 to 20 s of the log"
     assert compared(part).verdict.outcome == "agree"
 
@@ -67,8 +63,7 @@ def test_the_prior_without_truth(loop: Log) -> None:
     assert cut_log(blind, 10.0).prior.pose.tolist() == loop.prior.pose.tolist()
     fixes = Positions(np.array([5.0, 15.0]), np.zeros((2, 2)), np.array([np.eye(2)] * 2))
     prior = cut_log(replace(blind, positions=fixes), 10.0).prior
-    truth = loop.truth.poses
-    assert truth is not None
+    truth = present(loop.truth.poses)
     error = prior.pose - truth.at(np.array([10.0]))[0]
     error[2] = np.angle(np.exp(1j * error[2]))
     assert error @ np.linalg.solve(prior.covariance, error) < 14.2  # chi-square of 3, 99.7 %
@@ -94,8 +89,7 @@ def test_dead_reckoning_by_hand() -> None:
     expected = np.diag((0.04, 0.01, 0.09)) + 1e-6 * np.array(((1, 0, 0), (0, 2, 1), (0, 1, 1)))
     assert np.allclose(part.prior.covariance, expected, atol=1e-12)
     assert part.odometry.time_s.tolist() == [2.0]
-    assert part.loop_closures is not None
-    assert part.loop_closures.from_s.tolist() == [1.0]
+    assert present(part.loop_closures).from_s.tolist() == [1.0]
 
 
 def test_scans_are_cut_too() -> None:
@@ -109,9 +103,8 @@ def test_scans_are_cut_too() -> None:
     whole = open_log("scan-loop-3d")
     clouds = cut_log(whole, 5.0, 6.0).clouds
     assert whole.clouds is not None
-    assert clouds is not None
     first = int(np.flatnonzero(whole.clouds.time_s >= 5.0)[0])
-    assert np.array_equal(clouds.points(1), whole.clouds.points(first + 1))
+    assert np.array_equal(present(clouds).points(1), whole.clouds.points(first + 1))
 
 
 def test_the_settings_cut(loop: Log) -> None:

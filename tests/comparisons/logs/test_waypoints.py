@@ -1,7 +1,5 @@
 """The waypoint run: what is simulated, and Misono's claim about it (Figs. 5 and 6)."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +17,7 @@ from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from ekf_reference.models.range_bearing import RangeBearing
 from graphslam.increments import dead_reckoned
+from tests.helpers import present
 
 RUN = WaypointRun()
 
@@ -28,14 +27,12 @@ def run_of(seed: int, **settings: float) -> Log:
 
 
 def end_from_base(log: Log) -> float:
-    assert log.truth.poses is not None
-    return float(np.hypot(*log.truth.poses.pose[-1, :2]))
+    return float(np.hypot(*present(log.truth.poses).pose[-1, :2]))
 
 
 def test_the_truth_passes_all_waypoints_and_ends_at_the_base() -> None:
     log = run_of(0)
-    assert log.truth.poses is not None
-    way = log.truth.poses.pose[:, :2]
+    way = present(log.truth.poses).pose[:, :2]
     for waypoint in RUN.waypoint:
         assert np.linalg.norm(way - waypoint, axis=1).min() < RUN.reached_m
     assert end_from_base(log) < RUN.reached_m
@@ -48,16 +45,14 @@ def test_the_truth_passes_all_waypoints_and_ends_at_the_base() -> None:
 def test_without_noise_odometry_measurements_and_positions_are_exact() -> None:
     log = run_of(1, exact=True)
     assert isinstance(log.odometry, RelativePoses)
-    assert log.truth.poses is not None
-    assert log.truth.landmarks is not None
-    pose = log.truth.poses.pose
+    pose = present(log.truth.poses).pose
     assert np.allclose(dead_reckoned(log.prior.pose, log.odometry.displacement), pose, atol=1e-9)
     seen = log.measurements
     at = np.rint(seen.time_s / RUN.sample_s).astype(int)
     for k in np.unique(at)[::40]:
         rows = at == k
         expected = RangeBearing().predict(
-            pose[k], log.truth.landmarks.position_m[seen.landmark[rows]]
+            pose[k], present(log.truth.landmarks).position_m[seen.landmark[rows]]
         )
         z = np.column_stack((seen.range_m, seen.bearing_rad))[rows]
         assert np.allclose(RangeBearing().innovation(z, expected.z), 0.0, atol=1e-9)
@@ -68,8 +63,7 @@ def test_odometry_is_as_uncertain_as_it_says(scale: float) -> None:
     """Normalised squared errors of the increments: chi-square, two-sided."""
     log = run_of(2, noise_scale=scale)
     assert isinstance(log.odometry, RelativePoses)
-    assert log.truth.poses is not None
-    pose, said = log.truth.poses.pose, log.odometry
+    pose, said = present(log.truth.poses).pose, log.odometry
     nis = []
     for k, (before, after) in enumerate(pairwise(pose)):
         cos, sin = np.cos(before[2]), np.sin(before[2])
@@ -85,14 +79,14 @@ def test_odometry_is_as_uncertain_as_it_says(scale: float) -> None:
 def test_obstacles_of_the_range_profile() -> None:
     """Runs of returns become obstacles within centimetres of the true ones."""
     log = with_tree_features(run_of(3))
-    assert log.truth.poses is not None
-    assert log.truth.landmarks is not None
-    pose = log.truth.poses.pose[np.rint(log.measurements.time_s / RUN.sample_s).astype(int)]
+    pose = present(log.truth.poses).pose[
+        np.rint(log.measurements.time_s / RUN.sample_s).astype(int)
+    ]
     angle = pose[:, 2] + log.measurements.bearing_rad
     place = pose[:, :2] + log.measurements.range_m[:, None] * np.column_stack(
         (np.cos(angle), np.sin(angle))
     )
-    true = log.truth.landmarks.position_m
+    true = present(log.truth.landmarks).position_m
     nearest = np.linalg.norm(place[:, None] - true[None], axis=2).min(axis=1)
     assert len(place) > 500
     assert np.median(nearest) < 0.05
@@ -114,9 +108,7 @@ def test_slam_cancels_what_dead_reckoning_accumulates(filter_name: str) -> None:
     )
     assert reckoned is not None
     assert slam is not None
-    assert slam.ate_m is not None
-    assert reckoned.ate_m is not None
-    assert slam.ate_m < 0.5 * reckoned.ate_m
+    assert present(slam.ate_m) < 0.5 * present(reckoned.ate_m)
 
 
 @pytest.mark.parametrize("complete", [False, True])

@@ -1,7 +1,5 @@
 """`slamcheck montecarlo`: the same bytes however it is computed, and what it says of faults."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

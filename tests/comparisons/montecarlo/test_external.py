@@ -1,7 +1,5 @@
 """Filters of the user's in a study: a callable or a command, judged as ours are."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
@@ -419,9 +417,7 @@ def test_a_study_that_is_ended_ends_the_command(
     )
     asked = study(scenario, tmp_path / "out", "--runs", "1", "--command", program(body))
     job = subprocess.Popen(
-        (*SLAMCHECK, *asked),
-        env={**ENVIRONMENT, "TMPDIR": str(places)},
-        stderr=subprocess.DEVNULL,
+        (*SLAMCHECK, *asked), env={**ENVIRONMENT, "TMPDIR": str(places)}, stderr=subprocess.DEVNULL
     )
     while not began.exists() and job.poll() is None:
         time.sleep(0.02)

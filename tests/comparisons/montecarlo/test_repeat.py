@@ -1,7 +1,5 @@
 """A study's folder repeats the study, and says what does not fit."""
 
-from __future__ import annotations
-
 import json
 import os
 import tomllib

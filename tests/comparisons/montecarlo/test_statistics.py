@@ -1,7 +1,5 @@
 """Bands, places, intervals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """The filters of many runs: against the reference filter, and one run at a time."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small worlds for the tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from comparisons.experiments import scenarios

@@ -1,7 +1,5 @@
 """Every experiment of the catalogue in a small version: few drives, or made up."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """`slamcheck reproduce`: the list, the gallery, the folder, and what it says of faults."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Examples 3.1 and 3.2 of the thesis in our simulation of its section 2.9."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import combinations

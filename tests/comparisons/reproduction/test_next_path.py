@@ -1,7 +1,5 @@
 """What a path would leave: by the filter, by the smoother, and by a dense information matrix."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """People's tracks equal a joint filter with its gain cut (Nieto 2005, 3.7.1); cars that leave."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a real drive leaves for Figs. 5.8 and 5.9, and where the true axes are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache, partial
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Updates in parts (Guivant 2002, section 4.2) through a run's settings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Settings of the docking station."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from comparisons.config import ExtensionConfig

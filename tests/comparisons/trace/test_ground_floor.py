@@ -1,15 +1,12 @@
 """A recording, and its audit, load neither an estimator nor the planar harness."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from comparisons.trace.recorder import Recorder
+from tests.processes import printed
 
 PLANAR = (
     *("ekf_reference", "comparisons.adapters", "comparisons.checks", "comparisons.config"),
@@ -34,13 +31,7 @@ except SystemExit as done:
 
 def _loaded(code: str) -> list[str]:
     """Modules of the house that a fresh process has loaded after some code."""
-    found = subprocess.run(
-        [sys.executable, "-c", f"import sys\n{code}\n{_LIST}"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return found.stdout.split()
+    return printed(f"import sys\n{code}\n{_LIST}").split()
 
 
 def planar(found: list[str]) -> list[str]:
@@ -67,18 +58,12 @@ def test_recorder_loads_the_ground_floor_alone() -> None:
 
 
 @pytest.mark.slow
-def test_audit_loads_no_planar_harness(tmp_path: Path) -> None:
+@pytest.mark.parametrize("module", ["", "comparisons.config", "comparisons.jobs.run"])
+def test_audit_loads_no_planar_harness(module: str, tmp_path: Path) -> None:
+    """And one that is loaded beside it is seen."""
     trace = tmp_path / "run.trace"
     _faulty(trace)
-    found = _loaded(_AUDIT.format(trace=str(trace), out=str(tmp_path / "out")))
+    code = _AUDIT.format(trace=str(trace), out=str(tmp_path / "out"))
+    found = _loaded(f"import {module}\n{code}" if module else code)
     assert "comparisons.audit.faults" in found
-    assert planar(found) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("module", ["comparisons.config", "comparisons.jobs.run"])
-def test_planar_harness_would_be_seen(module: str, tmp_path: Path) -> None:
-    trace = tmp_path / "run.trace"
-    _faulty(trace)
-    audit = _AUDIT.format(trace=str(trace), out=str(tmp_path / "out"))
-    assert module in planar(_loaded(f"import {module}\n{audit}"))
+    assert module in planar(found) if module else planar(found) == []

@@ -1,7 +1,5 @@
 """Traces are read as they were recorded; a bad one is one line with the event's number."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,14 +1,10 @@
 """A recorder leaves a sound trace of what was committed, whatever happens to it."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 import signal
 import sqlite3
 import struct
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -23,8 +19,8 @@ from comparisons.trace.batch import unpack
 from comparisons.trace.events import Augment, Clone, Predict, Prior, Snapshot, Update
 from comparisons.trace.reader import Trace
 from comparisons.trace.recorder import COMMIT_EVENTS, Recorder
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[3]
 P = np.array([[2.0, 0.5], [0.5, 1.0]])
 
 
@@ -440,20 +436,9 @@ recorder.close()
 """
 
 
-def child(path: Path, how: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        (sys.executable, "-c", CHILD, path, how),
-        env={"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-
-
 def test_a_killed_recording_is_valid_to_its_last_commit(path: Path) -> None:
     """The second commit is killed when its pages are in the file, and the journal is hot."""
-    assert child(path, "kill").returncode == -signal.SIGKILL
+    assert python("-c", CHILD, path, "kill").returncode == -signal.SIGKILL
     journal = path.with_name("run.trace-journal")
     assert journal.stat().st_size > 512
     assert path.stat().st_size > 1.5 * COMMIT_EVENTS * 3200, "more than is committed"
@@ -482,7 +467,7 @@ def test_commits_are_on_the_disk_unless_told_otherwise(path: Path) -> None:
 
 
 def test_a_child_of_a_fork_leaves_the_file_alone(path: Path) -> None:
-    done = child(path, "fork")
+    done = python("-c", CHILD, path, "fork")
     assert done.returncode == 0, done.stderr
     assert done.stdout == (
         f"{path}: was opened by another process; after a fork only the parent records\n"

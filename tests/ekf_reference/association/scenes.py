@@ -1,7 +1,5 @@
 """Maps of points that are known each on its own, and measurements of points from a pose."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ekf_reference.core.geometry import Array

@@ -1,7 +1,5 @@
 """What moves is neither fused nor matched, and both filters stay what they are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contract of all charts: steps lead there and back, and the error is carried over."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Landmarks initialised both ways, and how the map's correlations develop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Where landmarks of two kinds lie in a state, and what removal leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

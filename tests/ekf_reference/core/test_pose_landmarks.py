@@ -1,7 +1,5 @@
 """Landmarks with a direction in the full and the compressed filter, beside points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -32,6 +30,7 @@ from tests.ekf_reference.both_kinds import (
     FRAMES,
     PRIOR,
     Flipped,
+    NoRows,
     Script,
     Unwrapped,
     build,
@@ -65,15 +64,6 @@ def test_compressed_equals_full(order: str) -> None:
     assert len(updates) > 8
     assert max(u.passive for u in updates) > 10
     assert_equal(compressed, full)
-
-
-class NoRows(CompressedState):
-    """Broken: pose landmarks are added as if they knew nothing of the passive ones."""
-
-    def augment(self, new: NewLandmarks, noise: Array, kind: LandmarkKind = POINT) -> None:
-        super().augment(new, noise, kind)
-        if kind == POSE:
-            self._phi[-new.landmark.size :] = 0.0
 
 
 class AtTheOldPlace(CompressedState):

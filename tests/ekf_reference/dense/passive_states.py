@@ -5,8 +5,6 @@ each pair its own, but no covariance with each other. They take the place of the
 read every linearisation as it was used, and write nothing: the filter stays the same to the bit.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +14,7 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import MeasurementModel
 from ekf_reference.core.state import KalmanState
-from ekf_reference.core.trace import (
-    VEHICLE,
-    MeasurementRecord,
-    RemovalRecord,
-    StepRecord,
-    Trace,
-)
+from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord, StepRecord, Trace
 from ekf_reference.dense.triangles import local_jacobians, to_local
 
 
@@ -158,3 +150,12 @@ def local_coordinates(seen: Watched, base: Index, landmark: Array) -> Watched:
     jacobian = np.concatenate((h.by_point @ seen.jacobian, h.by_landmarks), axis=-1)
     noise = h.by_point @ seen.noise @ h.by_point.transpose(0, 2, 1)
     return Watched(to_local(triangle, seen.value), base, jacobian, noise)
+
+
+class StaleCross(PassiveStates):
+    """Broken: what a measurement does to the covariance with the filter is forgotten."""
+
+    def _receive(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
+        kept = self.cross.copy()
+        super()._receive(columns, jacobian, innovation, noise)
+        self.cross = kept

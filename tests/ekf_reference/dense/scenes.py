@@ -1,7 +1,5 @@
 """Regions on a lattice of landmarks, and scans from known poses."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 
@@ -59,6 +57,12 @@ def flipped(regions: LocalRegions, landmark: Array) -> Index:
 def field() -> tuple[Array, LocalRegions]:
     """20 m east by 20 m north of regions, 5 m long, from (0, -5)."""
     return lattice(np.array([0.0, -5.0]), np.array([20.0, 15.0]), 5.0)
+
+
+def place() -> RegionsAtMap:
+    """The field where its landmarks are."""
+    landmark, regions = field()
+    return regions.placed(landmark)
 
 
 def reported(

@@ -4,8 +4,6 @@ The filter is a made-up one, a pose and landmarks with a covariance, so that eac
 lines. Where the landmarks hang together, regions come at once; where not, returns wait.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

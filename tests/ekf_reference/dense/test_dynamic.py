@@ -1,7 +1,5 @@
 """Dynamic regions: differencing, low pass, threshold, union (Nieto 2005, section 6.3)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -14,7 +12,7 @@ from ekf_reference.dense.layers.occupancy import RegionGrid
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense import scenes
-from tests.ekf_reference.dense.scenes import field, reported
+from tests.ekf_reference.dense.scenes import field, place, reported
 
 SENSOR = replace(scenes.SENSOR, sigma_range_m=0.2)
 HERE = np.array([1.0, 5.0, 0.0])
@@ -35,17 +33,19 @@ def scene(box: Array | None, rng: np.random.Generator, noise_m: float = 0.15) ->
     return Scan.of_ranges(HERE, BEARING, range_m + noise, SENSOR)
 
 
+def see(layer: DynamicLayer, placed: RegionsAtMap, scan: Scan, time_s: float) -> None:
+    hits, _, _, near = reported(placed, scan)
+    layer.fuse(hits, placed, scan, near, time_s)
+
+
 def watched(
-    layer: DynamicLayer, north: list[float | None], seed: int = 0, east: float = 8.0
+    layer: DynamicLayer, north: list[float | None], seed: int = 0, again: int = 1000
 ) -> tuple[DynamicLayer, RegionsAtMap]:
-    """Ten scans a second of a box so far north in each."""
-    rng = np.random.default_rng(seed)
-    landmark, regions = field()
-    placed = regions.placed(landmark)
+    """Ten scans a second of a box so far north in each; from one on, a minute later."""
+    rng, placed = np.random.default_rng(seed), place()
     for k, y in enumerate(north):
-        scan = scene(None if y is None else np.array((east, y)), rng)
-        hits, _, _, near = reported(placed, scan)
-        layer.fuse(hits, placed, scan, near, 0.1 * k)
+        scan = scene(None if y is None else np.array((8.0, y)), rng)
+        see(layer, placed, scan, 0.1 * k + (60.0 if k >= again else 0.0))
     return layer, placed
 
 
@@ -113,14 +113,8 @@ def test_without_the_union_most_of_a_lane_is_missed() -> None:
 
 def test_slow_motion_shows_between_two_visits() -> None:
     """A box that is brought while nobody looks; looking again at once would not do."""
-    first, again = [None] * 20, [5.0] * 20
-    layer, rng = DynamicLayer(rule=Differencing(threshold=0.99)), np.random.default_rng(2)
-    landmark, regions = field()
-    placed = regions.placed(landmark)
-    for k, y in enumerate([*first, *again]):
-        scan = scene(None if y is None else np.array((8.0, y)), rng)
-        hits, _, _, near = reported(placed, scan)
-        layer.fuse(hits, placed, scan, near, 0.1 * k + (60.0 if k >= 20 else 0.0))
+    slow = DynamicLayer(rule=Differencing(threshold=0.99))
+    layer, placed = watched(slow, [*[None] * 20, *[5.0] * 20], 2, again=20)
     cells = layer.points(placed)
     assert layer.counters.fast == 0
     assert layer.counters.slow == len(cells)
@@ -130,15 +124,11 @@ def test_slow_motion_shows_between_two_visits() -> None:
 
 def test_a_scene_that_is_all_moving_is_all_dynamic() -> None:
     """The wall itself comes and goes: all that was seen both ways is flagged, and nothing else."""
-    layer, rng = DynamicLayer(), np.random.default_rng(3)
-    landmark, regions = field()
-    placed = regions.placed(landmark)
+    layer, rng, placed = DynamicLayer(), np.random.default_rng(3), place()
     for k in range(60):
         range_m = (9.0 if (k // 15) % 2 else 14.0) / np.cos(BEARING)
         noisy = range_m + 0.1 * rng.standard_normal(len(range_m))
-        scan = Scan.of_ranges(HERE, BEARING, noisy, SENSOR)
-        hits, _, _, near = reported(placed, scan)
-        layer.fuse(hits, placed, scan, near, 0.1 * k)
+        see(layer, placed, Scan.of_ranges(HERE, BEARING, noisy, SENSOR), 0.1 * k)
     north = np.linspace(-1.0, 11.0, 25)
     wall = np.column_stack((np.full(25, HERE[0] + 9.0), north))
     assert layer.covers(wall, placed, 0.3).all()
@@ -151,10 +141,7 @@ def test_a_region_that_changes_its_shape_is_not_compared() -> None:
     landmark, regions = field()
     for k in range(40):
         moved = landmark + np.where(np.arange(len(landmark)) % 2, 0.05 * k, 0.0)[:, None]
-        placed = regions.placed(moved)
-        scan = scene(np.array((8.0, 5.0)), rng)
-        hits, _, _, near = reported(placed, scan)
-        layer.fuse(hits, placed, scan, near, 0.1 * k)
+        see(layer, regions.placed(moved), scene(np.array((8.0, 5.0)), rng), 0.1 * k)
     assert layer.counters.deformed > 5 * layer.counters.compared
     assert not len(layer.regions)
 

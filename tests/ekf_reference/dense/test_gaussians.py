@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -16,16 +14,11 @@ from ekf_reference.dense.layers.gaussians import (
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import local_jacobians
-from tests.ekf_reference.dense.scenes import field, mapped, reported, simulation, wall_scan
+from tests.ekf_reference.dense.scenes import field, mapped, place, reported, simulation, wall_scan
 from tests.ekf_reference.numerics import random_covariance
 
 NOWHERE = np.empty(0, dtype=np.intp)
 START = np.array([(7.0, 3.0)])
-
-
-def place() -> RegionsAtMap:
-    landmark, regions = field()
-    return regions.placed(landmark)
 
 
 def hits(placed: RegionsAtMap, point: Array, sigma: tuple[float, float]) -> Hits:

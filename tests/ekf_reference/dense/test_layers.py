@@ -1,7 +1,5 @@
 """What every layer of a dense map has in common."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 
@@ -19,6 +17,7 @@ from tests.ekf_reference.dense.scenes import (
     WALL_M,
     field,
     layer,
+    place,
     reported,
     wall_scan,
 )
@@ -27,11 +26,6 @@ pytestmark = pytest.mark.parametrize("name", LAYERS)
 
 ON_THE_WALL = np.column_stack((np.full(9, WALL_M), np.linspace(3.0, 9.0, 9)))
 OUTSIDE = np.array([(-3.0, 2.0), (50.0, 50.0), (np.nan, 1.0), (1.0, np.inf)])
-
-
-def place() -> RegionsAtMap:
-    landmark, regions = field()
-    return regions.placed(landmark)
 
 
 def filled(name: str, scans: int = 5, seed: int = 0) -> tuple[Layer, RegionsAtMap]:

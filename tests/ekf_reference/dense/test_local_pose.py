@@ -1,15 +1,8 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array, wrap_angle
-from ekf_reference.dense.local_pose import (
-    Frames,
-    local_pose,
-    local_pose_jacobian,
-    read_local_poses,
-)
+from ekf_reference.dense.local_pose import Frames, local_pose, local_pose_jacobian, read_local_poses
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.numerics import central_difference, random_covariance

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -12,7 +10,7 @@ from ekf_reference.dense.layers.grid_update import GridUpdate
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid, RegionGrid
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
-from tests.ekf_reference.dense.scenes import HERE, SENSOR, WALL_M, field, reported, wall_scan
+from tests.ekf_reference.dense.scenes import HERE, SENSOR, WALL_M, field, place, reported, wall_scan
 
 MODELS = (InverseSensorModel(), InverseSensorModel(0.8, 0.4, with_bearing=True))
 
@@ -50,8 +48,7 @@ def one_cell(scan: Scan, point: Array, model: InverseSensorModel, sigma_m: float
 
 @pytest.mark.parametrize("model", MODELS)
 def test_one_scan_equals_a_loop_over_the_cells(model: InverseSensorModel) -> None:
-    landmark, regions = field()
-    placed = regions.placed(landmark)
+    placed = place()
     rng = np.random.default_rng(0)
     bearing = np.arange(-1.0, 1.2, 0.03)
     sensor = replace(SENSOR, beam_rad=0.03)
@@ -105,8 +102,7 @@ def test_occupancy_has_no_bound_where_none_is_asked_for() -> None:
 
 
 def test_every_grid_stays_within_its_confidence() -> None:
-    landmark, regions = field()
-    placed = regions.placed(landmark)
+    placed = place()
     local, classic = OccupancyGrid(confidence=0.95), ClassicGrid(confidence=0.95)
     for _ in range(12):
         local.fuse(*reported(placed, wall_scan()))
@@ -142,8 +138,7 @@ def test_cells_cover_their_region_and_nothing_else() -> None:
 
 def test_cells_fill_their_region_and_are_smaller_than_squares() -> None:
     """All its cells together have the triangle's area; as many squares have more."""
-    landmark, regions = field()
-    placed = regions.placed(landmark)
+    placed = place()
     grid = OccupancyGrid(0.05)
     grid.grids[1] = RegionGrid.over(placed.triangle[1], 0.05)
     area, count = grid.cell_area(placed), len(grid.grids[1].odds)
@@ -157,8 +152,7 @@ def test_cells_fill_their_region_and_are_smaller_than_squares() -> None:
 
 def test_almost_empty_regions_coarsen_and_keep_their_surfaces() -> None:
     """N 4.1.3: more than 99 % of the cells below 0.2."""
-    landmark, regions = field()
-    placed = regions.placed(landmark)
+    placed = place()
     grid = OccupancyGrid(0.2)
     everywhere = np.arange(len(placed.triangle))
     empty = Scan.of_ranges(HERE, np.array([3.0]), np.array([1.0]), SENSOR)
@@ -185,8 +179,7 @@ def test_almost_empty_regions_coarsen_and_keep_their_surfaces() -> None:
 
 
 def test_the_classic_grid_agrees_where_poses_are_right() -> None:
-    landmark, regions = field()
-    placed = regions.placed(landmark)
+    placed = place()
     local, classic, rng = OccupancyGrid(0.2), ClassicGrid(0.2), np.random.default_rng(0)
     for _ in range(6):
         scan = wall_scan(rng=rng)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -14,19 +12,14 @@ from ekf_reference.dense.sensor_model import InverseSensorModel
 from tests.ekf_reference.dense.scenes import (
     HERE,
     SENSOR,
-    field,
     mapped,
+    place,
     reported,
     simulation,
     wall_scan,
 )
 
 MODEL = InverseSensorModel()
-
-
-def place() -> RegionsAtMap:
-    landmark, regions = field()
-    return regions.placed(landmark)
 
 
 def one_return(placed: RegionsAtMap, range_m: float, bearing: float = 0.0) -> Scan:

@@ -1,7 +1,5 @@
 """Passive states are what they would be in the filter's own state (Nieto 2005, Example 3.3)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
@@ -19,7 +17,12 @@ from ekf_reference.dense.triangles import local_jacobians, to_local
 from ekf_reference.filters.compressed import CompressedEkf
 from ekf_reference.filters.misono import DirectionCosineEkf
 from ekf_reference.models.motion import UnicycleModel
-from tests.ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
+from tests.ekf_reference.dense.passive_states import (
+    PassiveStates,
+    StaleCross,
+    local_coordinates,
+    points,
+)
 from tests.ekf_reference.numerics import point_columns, relative_error
 from tests.ekf_reference.worlds import LOOP_S, build, circuit, follow
 
@@ -131,13 +134,6 @@ class WithoutF(PassiveStates):
 class WrongSign(PassiveStates):
     def _receive(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
         super()._receive(columns, jacobian, -innovation, noise)
-
-
-class StaleCross(PassiveStates):
-    def _receive(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
-        kept = self.cross.copy()
-        super()._receive(columns, jacobian, innovation, noise)
-        self.cross = kept
 
 
 class NoiseForS(PassiveStates):

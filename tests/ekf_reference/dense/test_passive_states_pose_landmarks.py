@@ -1,7 +1,5 @@
 """Dense maps and passive states beside a filter that has pose landmarks, too."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ekf_reference.core.geometry import Array

@@ -1,7 +1,5 @@
 """A quadtree covers what its grid covers, and no leaf hides a difference."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,6 +1,5 @@
-from __future__ import annotations
-
 from dataclasses import replace
+from functools import cache
 from itertools import permutations
 from typing import Any
 
@@ -10,10 +9,12 @@ from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions, overlap
+from ekf_reference.dense.region_store import RegionStore, Rows
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import contains, solve
 from tests.ekf_reference.dense.scenes import flipped
 from tests.ekf_reference.dense.test_conditions import shared
+from tests.ekf_reference.worlds import circuit, follow
 
 ANY_SIZE = Conditions(longest_edge_m=1e3)
 
@@ -274,3 +275,86 @@ def test_leaving_out_pairs_across_regions_changes_no_region(
     monkeypatch.setattr(LocalRegions, "_open", lambda *a: np.triu(a[-1]))
     for with_fewer, with_all in zip(short, all_there_is(), strict=True):
         assert np.array_equal(with_fewer, with_all)
+
+
+def filled(rng: np.random.Generator, batches: int = 20) -> tuple[RegionStore, dict[int, Array]]:
+    """A store, and what it must hold."""
+    store = RegionStore(2)
+    expected: dict[int, Array] = {}
+    for _ in range(batches):
+        region = rng.choice(np.array([0, 3, 4, 9]), size=rng.integers(0, 30))
+        value = rng.standard_normal((len(region), 2))
+        store.append(region, value)
+        for number in np.unique(region).tolist():
+            before = expected.get(number, np.empty((0, 2)))
+            expected[number] = np.vstack((before, value[region == number]))
+    return store, expected
+
+
+def test_rows_come_back_by_region_in_the_order_they_came() -> None:
+    store, expected = filled(np.random.default_rng(0))
+    assert np.unique(store.gather().region).tolist() == sorted(expected)
+    assert len(store) == sum(len(rows) for rows in expected.values())
+    asked = np.array([9, 5, 0])
+    rows = store.gather(asked)
+    assert np.array_equal(rows.value, np.vstack((expected[9], expected[0])))
+    assert rows.region.tolist() == [9] * len(expected[9]) + [0] * len(expected[0])
+    assert store.gather(np.array([7])).value.shape == (0, 2)
+
+
+def test_written_back_rows_replace_theirs_alone() -> None:
+    store, expected = filled(np.random.default_rng(1))
+    rows = store.gather(np.array([4, 0]))
+    rows.value[:] *= 2.0
+    assert np.array_equal(store.gather(np.array([4])).value, expected[4])  # a copy until put
+    store.put(rows)
+    for number, factor in ((0, 2.0), (3, 1.0), (4, 2.0), (9, 1.0)):
+        assert np.array_equal(store.gather(np.array([number])).value, factor * expected[number])
+    store.put(Rows(np.empty(0, dtype=np.intp), np.empty((0, 2))))
+
+
+def test_dropped_rows_leave_the_others_in_order() -> None:
+    """Also with regions out of order, and all rows of a region dropped."""
+    rng = np.random.default_rng(2)
+    store, expected = filled(rng)
+    rows = store.gather(np.array([9, 0, 4]))
+    kept = rng.random(len(rows.region)) < 0.5
+    kept[rows.region == 0] = False
+    store.keep(rows, kept)
+    for number in (9, 4):
+        left = expected[number][kept[rows.region == number]]
+        assert np.array_equal(store.gather(np.array([number])).value, left)
+    assert len(store.gather(np.array([0])).value) == 0
+    assert np.array_equal(store.gather(np.array([3])).value, expected[3])
+    store.append(np.array([0]), np.ones((1, 2)))
+    assert np.array_equal(store.gather(np.array([0])).value, np.ones((1, 2)))
+
+
+@cache
+def driven(conditions: Conditions) -> tuple[LocalRegions, list[int], Array]:
+    """Regions, their number after every scan, and the filter's last landmarks (L, 2)."""
+    regions, count = LocalRegions(conditions=conditions), []
+    for _, ekf in follow(circuit(0, range_m=25.0)):
+        near = ekf.state.local_map(30.0)
+        regions.extend(ekf.state.landmarks, near.landmark_index, near.covariance[3:, 3:])
+        count.append(len(regions.base))
+    return regions, count, ekf.state.landmarks.copy()
+
+
+def test_regions_survive_the_closing_of_the_loop() -> None:
+    regions, count, landmark = driven(Conditions())
+    assert len(regions.base) > 30
+    assert not len(flipped(regions, landmark))
+    triangle = landmark[regions.base]
+    assert not np.triu(overlap(triangle[:, None], triangle), 1).any()
+    assert (np.diff(count) >= 0).all()
+
+
+def test_near_a_known_start_correlation_is_low_and_regions_would_not_deform() -> None:
+    """Taken literally, the first condition leaves the beginning of a drive without regions."""
+    _, literal, _ = driven(Conditions())
+    _, known, _ = driven(Conditions(known_apart_m=0.3))
+    eleven_seconds = 55
+    assert literal[eleven_seconds] == 0
+    assert known[eleven_seconds] > 5
+    assert known[-1] > literal[-1]

@@ -1,7 +1,5 @@
 """Regions that hang on scan landmarks are those that hang on points (Nieto 2005, section 6.2)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Observations that wait as the filter drives a loop (Nieto 2005, section 3.7.3)."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 
@@ -211,11 +209,7 @@ def driven(*, dense: bool) -> Driven:
             offered[k] = axis, place, true[int(np.flatnonzero(number == k)[0])]
     state = ekf.state
     return Driven(
-        state.mean.copy(),
-        state.covariance.copy(),
-        regions,
-        room.counts,
-        np.concatenate(errors),
+        state.mean.copy(), state.covariance.copy(), regions, room.counts, np.concatenate(errors)
     )
 
 

@@ -1,7 +1,5 @@
 """A filter that carries dense points in its state, against those that wait beside it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Waiting rooms that are wrong, and what several tests offer to right ones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index

@@ -1,15 +1,9 @@
 """A sensor for which the Kalman filter is exact, and clouds that begin at the origin."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.landmark_types import (
-    MeasurementModel,
-    NewLandmarks,
-    PredictedMeasurements,
-)
+from ekf_reference.core.landmark_types import MeasurementModel, NewLandmarks, PredictedMeasurements
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions
 from ekf_reference.models.motion import RelativePoseModel
 

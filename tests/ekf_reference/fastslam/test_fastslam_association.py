@@ -1,7 +1,5 @@
 """Every particle associates for itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """FastSLAM against the Kalman filter, plain loops, and itself."""
 
-from __future__ import annotations
-
 import math
 from copy import deepcopy
 from typing import NamedTuple
@@ -15,9 +13,7 @@ from ekf_reference.core.landmark_types import MeasurementModel, diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam import filter as filter_module
 from ekf_reference.fastslam.accumulated_motion import AccumulatedMotion
-from ekf_reference.fastslam.association import (
-    KnownIdentities,
-)
+from ekf_reference.fastslam.association import KnownIdentities
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
 from ekf_reference.fastslam.particle_maps import Expected, ParticleMaps, inverse_2x2
 from ekf_reference.models.motion import (

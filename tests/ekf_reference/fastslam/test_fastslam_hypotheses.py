@@ -1,7 +1,5 @@
 """Sampled associations against the exact posterior, all assignments enumerated."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 from typing import NamedTuple, get_args
@@ -50,16 +48,12 @@ KNOWN_POSES = World(
 )
 """The ambiguous measurement was of the second landmark, as two precise ones show later."""
 UNCERTAIN_MOTION = World(
-    0.02,
-    (Scan(np.array([[5.0, 0.4]]), 0.05, 0.6), Scan(np.array([[12.0, -4.6]]), 0.02, 0.0)),
+    0.02, (Scan(np.array([[5.0, 0.4]]), 0.05, 0.6), Scan(np.array([[12.0, -4.6]]), 0.02, 0.0))
 )
 """The vehicle went 0.6 m to the left, as a landmark shows later that stands alone."""
 CROWDED = World(
     0.2,
-    (
-        Scan(np.array([[5.0, 0.3], [5.2, 0.9]]), 0.15, 0.3),
-        Scan(np.array([[5.0, 0.6]]), 0.15, 0.3),
-    ),
+    (Scan(np.array([[5.0, 0.3], [5.2, 0.9]]), 0.15, 0.3), Scan(np.array([[5.0, 0.6]]), 0.15, 0.3)),
 )
 
 

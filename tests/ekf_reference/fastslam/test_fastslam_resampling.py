@@ -1,7 +1,5 @@
 """Low-variance resampling, and the ancestors of the particles of a cloud."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The compressed filter is the full filter; its suboptimal form is conservative."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

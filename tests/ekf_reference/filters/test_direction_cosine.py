@@ -1,7 +1,5 @@
 """Misono's models: motion, measurements and positions on x, y, cosine, sine."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Misono's filter: as published, and as the filter on x, y, heading that it could be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

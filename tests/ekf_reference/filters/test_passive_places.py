@@ -1,7 +1,5 @@
 """Places of passive landmarks: read exactly, and without a global update."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Corners of drawn shapes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

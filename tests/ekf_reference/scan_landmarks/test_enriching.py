@@ -1,7 +1,5 @@
 """A template with what stands around it: where it is sought, and what it may not tell."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The search for high level landmarks, in a small yard seen from known poses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

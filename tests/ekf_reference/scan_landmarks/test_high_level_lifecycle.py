@@ -1,7 +1,5 @@
 """High level landmarks on their way from the dense map into the filter's state."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Landmarks that are one are fused; those that only look alike are kept apart, and seen apart."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One scan after the other into a filter: what is seen, gated, begun, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,12 +13,7 @@ from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.scan_landmarks.scan_slam import GATED, LEFT_OUT, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
-from ekf_reference.scan_landmarks.templates import (
-    BLANK,
-    OUT_OF_VIEW,
-    Template,
-    View,
-)
+from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template, View
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import composed, relative
@@ -59,9 +52,7 @@ def scan_from(vehicle: Array, seed: int = 0, scene: Solids = STAR) -> SumOfGauss
     return of_scan(BEAMS, ranges(np.random.default_rng(seed), scene, scanner, LASER), LASER)
 
 
-def initialised(
-    options: ScanSlamOptions = EVERY,
-) -> tuple[ScanSlam, Ekf, Reported]:
+def initialised(options: ScanSlamOptions = EVERY) -> tuple[ScanSlam, Ekf, Reported]:
     """One landmark, initialised by the first scan."""
     slam = ScanSlam(LASER, VIEW, MOUNT, options)
     ekf = filter_at(np.zeros(3))

@@ -1,7 +1,5 @@
 """Returns that alignments share: the measured covariance, its bound, and what leaving it costs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Which returns of a scan become landmarks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Segments, templates, and observations of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pairs of scans of simulated scenes, whose true motion is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

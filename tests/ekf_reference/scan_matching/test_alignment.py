@@ -1,7 +1,5 @@
 """Alignments: exact where they can be, found from far, honest where there is nothing to find."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Covariances of alignments against their errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

@@ -1,7 +1,5 @@
 """Cross-correlation of sums of Gaussians against the integral, brute force and differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

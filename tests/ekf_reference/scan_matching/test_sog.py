@@ -1,7 +1,5 @@
 """Sums of Gaussians of scans: values, frames, surfaces and where views lose them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

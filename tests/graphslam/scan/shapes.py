@@ -1,7 +1,5 @@
 """Rooms as segments, and scans of them, for tests of what lays one scan onto another."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -29,8 +27,6 @@ def box(x: float, y: float, length: float, width: float, turn: float = 0.0) -> A
 
 ROOM = np.vstack((box(0, 0, 16, 11), box(4, 2, 2, 1, 0.4), box(-4, -3, 3, 1.5, -0.3)))
 HALL = np.vstack((box(0, 0, 24, 7), box(6, 2.2, 3, 1, 0.2), box(-7, -2, 1, 1, 0.7)))
-_SEVEN = [(9 * math.cos(k * math.tau / 7), 7 * math.sin(k * math.tau / 7)) for k in range(7)]
-TENT = np.vstack((polygon(*_SEVEN), box(3, 3, 2, 2, 0.2), box(-3, -2, 1, 3, 0.5)))
 ELL = np.vstack(
     (polygon((-4, -4), (10, -4), (10, 4), (4, 4), (4, 11), (-4, 11)), box(7, -1, 1.5, 1, 0.9))
 )

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +19,12 @@ def points() -> Array:
     return np.random.default_rng(0).normal(scale=30.0, size=(1000, 3))
 
 
-@pytest.mark.slow
-def test_ply_gives_every_bit_back(tmp_path: Path, points: Array) -> None:
-    write_cloud(tmp_path / "a.ply", points)
-    np.testing.assert_array_equal(read_cloud(tmp_path / "a.ply"), points)
-
-
-def test_pcd_gives_single_precision_back(tmp_path: Path, points: Array) -> None:
-    write_cloud(tmp_path / "a.pcd", points)
-    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd"), points.astype(np.float32))
+@pytest.mark.parametrize(("suffix", "stored"), [(".ply", np.float64), (".pcd", np.float32)])
+def test_a_cloud_comes_back_as_it_is_stored(
+    tmp_path: Path, points: Array, suffix: str, stored: type
+) -> None:
+    write_cloud(tmp_path / f"a{suffix}", points)
+    np.testing.assert_array_equal(read_cloud(tmp_path / f"a{suffix}"), points.astype(stored))
 
 
 @pytest.mark.parametrize("suffix", [".pcd", ".ply"])

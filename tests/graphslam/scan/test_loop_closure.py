@@ -1,7 +1,5 @@
 """Loops: which are tried, which are believed, and what they do for the estimate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,16 +1,25 @@
-"""What every matcher must do, whatever is inside."""
-
-from __future__ import annotations
+"""What every matcher must do, whatever is inside; covariances of matches against their errors."""
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from graphslam.scan import planar
 from graphslam.scan.matchers import MATCHERS, MatchOptions, SurfaceMatcher, thinned
 from graphslam.scan.registration import Matcher, Registration, ScanError
 from graphslam.scan.surfaces import SurfaceMap
 from tests.graphslam.numerics import Array
-from tests.graphslam.scan.shapes import ROOM, hall_in_space, scan, seen_from
+from tests.graphslam.scan.shapes import (
+    COURT,
+    ELL,
+    LONG,
+    ROOM,
+    YARD,
+    hall_in_space,
+    scan,
+    scan_pair,
+    seen_from,
+)
 
 TRUE = np.array((0.4, -0.3, 0.25))
 EXACT = {
@@ -92,30 +101,26 @@ def assert_same(one: Registration, other: Registration) -> None:
     np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
-@pytest.mark.parametrize("which", ["source", "target"])
-def test_clouds_that_cannot_be_used(matcher: Matcher, which: str) -> None:
-    """Of what there is of them, test_points tells."""
-    clouds = {"source": cloud(2), "target": cloud(2), which: np.full((100, 3), np.nan)}
-    with pytest.raises(ScanError, match=f"{which}: .*0 of 100 points"):
-        matcher.match(clouds["source"], clouds["target"], np.zeros(3))
+NOTHING = np.full((100, 3), np.nan)
+"""Of what there is of clouds that cannot be used, test_points tells."""
+REFUSED: dict[str, tuple[Array, Array, Array, str]] = {
+    "no source": (NOTHING, cloud(2), np.zeros(3), "source: .*0 of 100 points"),
+    "no target": (cloud(2), NOTHING, np.zeros(3), "target: .*0 of 100 points"),
+    **{
+        f"{far} m apart": (cloud(2) + (far, 0.0, 0.0), cloud(2), np.zeros(3), "have a surface near")
+        for far in (30.0, 600.0, 8e3)
+    },
+    "in space and planar": (cloud(3), cloud(2), np.zeros(3), "planar"),
+    "guess is nan": (cloud(2), cloud(2), np.array((0.0, np.nan, 0.0)), "guess"),
+    "guess is no pose": (cloud(2), cloud(2), np.zeros(2), "guess"),
+}
 
 
-@pytest.mark.parametrize("far", [15.0, 300.0, 4e3])
-def test_clouds_that_do_not_meet(matcher: Matcher, far: float) -> None:
-    target = cloud(2)
-    with pytest.raises(ScanError, match="have a surface near"):
-        matcher.match(target + (2.0 * far, 0.0, 0.0), target, np.zeros(3))
-
-
-def test_a_cloud_in_space_is_not_laid_into_the_plane(matcher: Matcher) -> None:
-    with pytest.raises(ScanError, match="planar"):
-        matcher.match(cloud(3), cloud(2), np.zeros(3))
-
-
-@pytest.mark.parametrize("guess", [np.array((0.0, np.nan, 0.0)), np.zeros(2)])
-def test_a_guess_must_be_a_pose(matcher: Matcher, guess: Array) -> None:
-    with pytest.raises(ScanError, match="guess"):
-        matcher.match(cloud(2), cloud(2), guess)
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_matched_is_refused(matcher: Matcher, what: str) -> None:
+    source, target, guess, said = REFUSED[what]
+    with pytest.raises(ScanError, match=said):
+        matcher.match(source, target, guess)
 
 
 def corridor(rng: np.random.Generator, count: int, half_m: float, sigma_m: float) -> Array:
@@ -186,3 +191,54 @@ def test_a_wrong_motion_is_not_believed(matcher: Matcher) -> None:
 
 def test_all_names_are_there() -> None:
     assert list(MATCHERS) == ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
+
+
+SIGMA_M = 0.02
+PAIRS = 200
+
+
+def trials(matcher: Matcher, rooms: list[Array], seed: int, pairs: int) -> tuple[Array, Array]:
+    """Errors (N, 3) as right perturbations, and covariances (N, 3, 3)."""
+    rng = np.random.default_rng(seed)
+    error, covariance = [], []
+    for k in range(pairs):
+        source, target, true = scan_pair(rng, rooms[k % len(rooms)], SIGMA_M)
+        guess = true + rng.normal(size=3) * (0.1, 0.1, 0.03)
+        found = matcher.match(source, target, guess)
+        error.append(planar.between(found.motion, true))
+        covariance.append(found.covariance)
+    return np.array(error), np.array(covariance)
+
+
+def average_nees(error: Array, covariance: Array) -> float:
+    whitened = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
+    return float(np.einsum("ni,ni->n", error, whitened).mean())
+
+
+def within_band(value: float, pairs: int) -> bool:
+    """Two-sided 95 % of an average of `pairs` chi-squares with three degrees of freedom."""
+    low, high = chi2.ppf((0.025, 0.975), 3 * pairs) / pairs
+    return bool(low < value < high)
+
+
+@pytest.mark.slow
+def test_covariances_are_as_wide_as_the_errors(matcher: Matcher) -> None:
+    error, covariance = trials(matcher, [ELL, COURT, YARD], 2, PAIRS)
+    assert within_band(average_nees(error, covariance), PAIRS)
+    assert not within_band(average_nees(error, 0.5 * covariance), PAIRS)
+    assert not within_band(average_nees(error, 2.0 * covariance), PAIRS)
+
+
+@pytest.mark.slow
+def test_covariances_lie_the_right_way(matcher: Matcher) -> None:
+    """In a long hall: turned as the target's frame is, they no longer fit the errors."""
+    error, covariance = trials(matcher, [LONG], 2, 60)
+    rng = np.random.default_rng(2)
+    right, wrong = average_nees(error, covariance), []
+    for k in range(len(error)):
+        *_, true = scan_pair(rng, LONG, SIGMA_M)
+        rng.normal(size=3)
+        cos, sin = np.cos(2.0 * true[2]), np.sin(2.0 * true[2])
+        turn = np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
+        wrong.append(average_nees(error[k : k + 1], turn @ covariance[k : k + 1] @ turn.T))
+    assert np.mean(wrong) > 2.0 * right

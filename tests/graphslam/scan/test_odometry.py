@@ -1,7 +1,5 @@
 """Scan odometry through a yard, against truth and against itself."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

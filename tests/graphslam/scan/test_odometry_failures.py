@@ -1,7 +1,5 @@
 """What scan odometry makes of scans and guesses that are no use."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Loading Open3D and KISS-ICP, and what is taken from Open3D."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Where beams ended, and which clouds are none."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -152,10 +150,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
         lambda: np.where(np.arange(100)[:, None] % 2, 1.7e308, -1.7e308) * np.ones(3),
         "0 of 100 points",
     ),
-    "too wide for doubles": (
-        lambda: np.full((100, 3), np.longdouble("1e4000")),
-        "0 of 100 points",
-    ),
+    "too wide for doubles": (lambda: np.full((100, 3), np.longdouble("1e4000")), "0 of 100 points"),
     "far": (lambda: cloud() + (1e4, 0.0, 0.0), "0 of 100 points"),
     "near": (lambda: 1e-3 * cloud(), "0 of 100 points"),
     "planar and far": (lambda: (cloud() + 1e4) * (1.0, 1.0, 0.0), "0 of 100 points"),

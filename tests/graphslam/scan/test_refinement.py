@@ -1,7 +1,5 @@
 """The judge of all matches: its rows, its result, and how sure it is of it."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Templates seen anew along a drive, by a matcher that starts from the smoother's own estimate."""
 
-from __future__ import annotations
-
 from functools import cache
 from types import ModuleType
 

@@ -1,7 +1,5 @@
 """A drive on an arc through a yard, with a scan from every pose."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from graphslam.scan import planar
