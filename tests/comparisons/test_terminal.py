@@ -122,7 +122,10 @@ def test_real_outcomes_keep_their_width() -> None:
     unverified = RunReport(c, result.model_copy(update={"verdict": "unverified"})).summary()
     assert unverified.style == "bold yellow"
     given = ExternalEstimate.of(c.ekf.estimate)
-    for shift, outcome in ((0.0, "agree; grade: equal"), (5.0, "disagree; grade: wrong")):
+    for shift, outcome in (
+        (0.0, "agree; grade: equal"),
+        (5.0, "disagree, filter inconsistent; grade: wrong"),
+    ):
         moved = replace(given, pose=given.pose + shift)
         lines = brief(CheckReport.of(check(named, moved, CheckConfig())).summary(), "out")
         assert faults(lines, f"verdict: {outcome}") == []
