@@ -195,7 +195,7 @@ def numbers(
         if mark.together is not None and isinstance(value, list | tuple):
             together = mark.together(value)
             yield from numbers(together, type(together), whole, judged)
-        elif isinstance(value, int | float) and not isinstance(value, bool):
+        elif _plain(value):
             nominal = at(found, mark.nominal) if isinstance(mark.nominal, str) else mark.nominal
             rounding = at(found, mark.within) if mark.within else None
             judged = judged or ("same" if isinstance(value, int) else None)
@@ -225,8 +225,11 @@ def _parts(found: Any, hint: Any) -> Iterator[tuple[str, Any, Any, Mark]]:
 
 def number(value: Any) -> float | None:
     """Return what is a number, neither infinite nor as good as that; None for anything else."""
-    plain = isinstance(value, int | float) and not isinstance(value, bool)
-    return value if plain and abs(value) < 1e300 else None
+    return value if _plain(value) and abs(value) < 1e300 else None
+
+
+def _plain(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def at(found: Any, name: str) -> Any:

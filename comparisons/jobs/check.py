@@ -587,7 +587,7 @@ def check_external(
 def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known:
     """What the checks may read: the smoother, the estimate, and the events of a sound trace."""
     return replace(
-        solution.unasked,
+        solution.answers.before,
         without="the estimate has no trace that shows its filter's events",
         run=None if traced is None else traced.run,
         chain=None if traced is None else traced.gaps,

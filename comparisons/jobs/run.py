@@ -64,16 +64,10 @@ class Comparison(Shown):
     """Hold everything that one run of both estimators found.
 
     Attributes:
-        prepared: The log as the estimators read it, and the configuration.
-        ekf: The EKF's estimate (`ekf.estimate`) and trace.
-        gaps: The chain of estimates from the EKF to the smoother.
         known: What the checks have read, and found.
         verdict: Outcome, causes (the most important first) and remarks.
     """
 
-    prepared: Prepared[RunConfig]
-    ekf: EkfRun
-    gaps: Gaps
     known: Known
     verdict: Verdict
 
@@ -101,6 +95,21 @@ class Comparison(Shown):
         """
         found: DataFrame = render("frame", self, table)
         return found
+
+    @property
+    def prepared(self) -> Prepared[RunConfig]:
+        """The log as the estimators read it, and the configuration."""
+        return self.known.prepared
+
+    @property
+    def ekf(self) -> EkfRun:
+        """The EKF's estimate (`ekf.estimate`) and trace."""
+        return self.known.ekf
+
+    @property
+    def gaps(self) -> Gaps:
+        """The chain of estimates from the EKF to the smoother."""
+        return self.known.gaps
 
     @property
     def log(self) -> Log:
@@ -250,9 +259,6 @@ def _judged(known: Known, unchecked: str) -> Comparison:
         *known.remarks,
     )
     return Comparison(
-        prepared=prepared,
-        ekf=run,
-        gaps=gaps,
         known=known,
         verdict=qualified(
             replace(verdict, remarks=remarks),

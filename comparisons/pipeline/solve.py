@@ -35,7 +35,6 @@ from comparisons.pipeline.prepare import Required, check_memory, prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown, render
 from graphslam.association_variants import variants
-from graphslam.increments import dead_reckoned
 from graphslam.misread_edges import EdgeReading, few_misread, misread_edges
 from graphslam.smoother import SmootherOptions, SmootherResult
 from graphslam.unclosed import Unclosed, unclosed_passage
@@ -54,7 +53,6 @@ class Solution(Shown):
             unused.
         result: The optimum with the evidence for it.
         estimate: Smoothed poses and landmarks.
-        dead_reckoned: (K, 3) poses where the odometry alone leads.
         association_check: How its own association compares with others made without labels.
         misread: How edges between poses fit that do not as they are read; None where they do.
         few: How the few edges fit whose information is far from that of the others; None where
@@ -66,7 +64,6 @@ class Solution(Shown):
     landmark_index: Index
     result: SmootherResult
     estimate: Estimate
-    dead_reckoned: Array
     association_check: AssociationCheck | None
     misread: EdgeReading | None = None
     few: EdgeReading | None = None
@@ -93,10 +90,10 @@ class Solution(Shown):
         found: DataFrame = render("frame", self, table)
         return found
 
-    @property
-    def unasked(self) -> Known:
-        """What is known of the log, before a check is asked."""
-        return Known(
+    @cached_property
+    def answers(self) -> Answers:
+        """Of the checks, when they are asked for."""
+        known = Known(
             prepared=self.prepared,
             result=self.result,
             smoothed=self.estimate,
@@ -104,11 +101,17 @@ class Solution(Shown):
             timeline=self.prepared.timeline,
             positions=self.prepared.positions,
         )
+        return Answers(known, CHECKS)
 
-    @cached_property
+    @property
     def known(self) -> Known:
-        """The same with what the checks find that need no filter."""
-        return Answers(self.unasked, CHECKS).known
+        """What is known of the log, with what the checks find that need no filter."""
+        return self.answers.known
+
+    @property
+    def dead_reckoned(self) -> Array:
+        """(K, 3) poses where the odometry alone leads."""
+        return self.answers.before.dead_reckoned
 
     @property
     def accuracy(self) -> Accuracy | None:
@@ -249,13 +252,11 @@ def solve(
         with clock.stage("association check"):
             progress("association check", 0, 0)
             checked = _check(prepared, associator, own, result, estimate)
-    reckoned = dead_reckoned(problem.prior_pose, problem.increment)
     return Solution(
         prepared=prepared,
         landmark_index=landmark_index,
         result=result,
         estimate=estimate,
-        dead_reckoned=reckoned,
         association_check=checked,
         misread=misread,
         few=few,

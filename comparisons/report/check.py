@@ -488,7 +488,7 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         required = f" (required: {result.required})"
         return Summary(
             headline=f"verdict: {result.headline}; grade: {_grade_words(result)}{required}",
-            style=STYLES["unverified" if result.reserved else result.verdict],
+            style=STYLES[result.look],
             causes=result.causes,
             remarks=result.remarks,
             steps=check_ladder(result),
@@ -517,7 +517,7 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             job="check",
             name=result.log.name,
             headline=f"{result.headline}, {grade}",
-            colour="unverified" if result.reserved else result.verdict,
+            colour=result.look,
             words=_verdict_words(result),
             facts=[
                 *_facts(result),

@@ -68,21 +68,33 @@ class CheckedResult(JobResult):
     """What every job says whose checks are asked; each that found something adds its entries.
 
     Attributes:
+        verdict: the verdict.
         qualifiers: reservations beside the verdict, such as `truth gap`.
         not_checked: checks without an answer, and what the job lacks for it.
     """
 
     model_config = ConfigDict(extra="allow")
 
+    verdict: str
     qualifiers: list[str] = Field(default_factory=list)
     not_checked: dict[str, str] = Field(default_factory=dict)
+
+    @property
+    def headline(self) -> str:
+        """The verdict with its qualifiers."""
+        return ", ".join((self.verdict, *self.qualifiers))
+
+    @property
+    def look(self) -> str:
+        """The verdict whose colours it is shown in: what is right with reservations is open."""
+        reserved = self.verdict in ("agree", "verified") and self.qualifiers
+        return "unverified" if reserved else self.verdict
 
 
 class VerdictResult(CheckedResult):
     """What a job says that judges a filter.
 
     Attributes:
-        verdict: the verdict.
         inconsistent: what of the filter's consistency is outside its band; None where nothing can
             tell.
         causes: reasons for the verdict, the first one first.
@@ -91,16 +103,6 @@ class VerdictResult(CheckedResult):
     verdict: Literal["agree", "disagree", "unverified"]
     inconsistent: list[str] | None = None
     causes: list[Cause]
-
-    @property
-    def headline(self) -> str:
-        """The verdict with its qualifiers."""
-        return ", ".join((self.verdict, *self.qualifiers))
-
-    @property
-    def reserved(self) -> bool:
-        """Whether it agrees with reservations."""
-        return self.verdict == "agree" and bool(self.qualifiers)
 
 
 class EkfResult(Model):

@@ -113,7 +113,7 @@ class RunReport(Report[Comparison, Result]):
         failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
         return Summary(
             headline=f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}",
-            style=STYLES["unverified" if result.reserved else result.verdict],
+            style=STYLES[result.look],
             causes=result.causes,
             remarks=result.remarks,
             steps=ladder(result),
@@ -145,7 +145,7 @@ class RunReport(Report[Comparison, Result]):
             job="run",
             name=result.log.name,
             headline=result.headline,
-            colour="unverified" if result.reserved else result.verdict,
+            colour=result.look,
             words=_WORDS[result.verdict],
             facts=[
                 *_facts(result, [*a, *scan]),

@@ -90,10 +90,10 @@ class SolutionReport(Report[Solution, SolutionResult]):
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
         used = "measurements used for the map"
         test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
-        overstated = ["sigmas too large"] if _overstated(test) else []
+        overstated = ", sigmas too large" if _overstated(test) else ""
         return Summary(
-            headline=", ".join((f"verdict: {result.verdict}", *result.qualifiers, *overstated)),
-            style=STYLES["unverified" if result.qualifiers else result.verdict],
+            headline=f"verdict: {result.headline}{overstated}",
+            style=STYLES[result.look],
             reasons=result.reasons,
             remarks=result.remarks,
             lines=[

@@ -52,7 +52,7 @@ from comparisons.report.run import RunReport
 from ekf_reference.core.trace import Trace
 from ekf_reference.dense.layers.particles import Particles
 from graphslam.scan.loop_closure import loop_closer
-from tests.helpers import compared, simulated
+from tests.helpers import altered, compared, simulated
 from tests.scenarios import scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -233,7 +233,7 @@ def of_report(report: ReportConfig) -> object:
     """The names of what a run writes."""
     c = comparison()
     config = c.prepared.config.model_copy(update={"report": report})
-    folder = RunReport.of(replace(c, prepared=replace(c.prepared, config=config))).folder()
+    folder = RunReport.of(altered(c, "known.prepared.config", config)).folder()
     return list(folder.files), list(folder.figures)
 
 

@@ -2,7 +2,6 @@
 
 import importlib.util
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ from comparisons.jobs.run import Comparison
 from comparisons.report import viewer
 from comparisons.report.run import RunReport
 from tests.commands import files_in
-from tests.helpers import compared, first_seconds, simulated
+from tests.helpers import altered, compared, first_seconds, simulated
 
 PACKAGE = "rerun"
 
@@ -75,7 +74,7 @@ def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     folder, result = tmp_path / "run", RunReport.build(comparison)
     config = comparison.prepared.config
     asked = config.model_copy(update={"report": ReportConfig(figures=("pdf",))})
-    drawn = replace(comparison, prepared=replace(comparison.prepared, config=asked))
+    drawn = altered(comparison, "known.prepared.config", asked)
     RunReport(drawn, result).write(folder)
     pictures = {p.stem for p in folder.glob("*.png")}
     assert (

@@ -62,7 +62,7 @@ class FrontEnd(Shown):
         estimate: The graph's trajectory, and landmarks where they are labelled or surveyed.
         clouds: The points of each scan, by the index of its pose.
         increments: Scan odometry against the wheels; None without odometry.
-        unasked: What is known of the graph's optimum, before a check is asked.
+        answers: Of the checks on the graph's optimum, when they are asked for.
     """
 
     prepared: Prepared[OdometryConfig]
@@ -75,7 +75,7 @@ class FrontEnd(Shown):
     estimate: Estimate
     clouds: CloudsAt
     increments: IncrementCheck | None
-    unasked: Known
+    answers: Answers
 
     def __repr__(self) -> str:
         """Return log and counts in one line."""
@@ -86,10 +86,10 @@ class FrontEnd(Shown):
         """The log as it was read, surveyed landmarks' measurements among the others."""
         return self.prepared.log
 
-    @cached_property
+    @property
     def known(self) -> Known:
         """What is known of the graph's optimum, with what the checks find."""
-        return Answers(self.unasked, CHECKS).known
+        return self.answers.known
 
     @property
     def accuracy(self) -> Mapping[str, Accuracy | None]:
@@ -148,6 +148,16 @@ def run_front_end(
     wheels = None
     if len(log.odometry.time_s):
         wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
+    known = Known(
+        prepared=scanned,
+        result=graph,
+        smoothed=estimate,
+        landmark_index=landmark_index,
+        timeline=timeline,
+        positions=scanned.positions,
+        called="scan graph",
+        ways={"scans": odometry} | ({} if wheels is None else {"wheels": wheels}),
+    )
     return FrontEnd(
         prepared=prepared,
         motion=motion,
@@ -159,16 +169,7 @@ def run_front_end(
         estimate=estimate,
         clouds=clouds,
         increments=check_increments(motion, log),
-        unasked=Known(
-            prepared=scanned,
-            result=graph,
-            smoothed=estimate,
-            landmark_index=landmark_index,
-            timeline=timeline,
-            positions=scanned.positions,
-            called="scan graph",
-            ways={"scans": odometry} | ({} if wheels is None else {"wheels": wheels}),
-        ),
+        answers=Answers(known, CHECKS),
     )
 
 

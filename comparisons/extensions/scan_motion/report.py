@@ -122,8 +122,8 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
         result = self.result
         o = result.odometry
         return Summary(
-            headline=", ".join((f"verdict: {result.verdict}", *result.qualifiers)),
-            style=STYLES["unverified" if result.qualifiers else result.verdict],
+            headline=f"verdict: {result.headline}",
+            style=STYLES[result.look],
             reasons=result.reasons,
             remarks=result.remarks,
             lines=[
