@@ -24,7 +24,7 @@ from scipy.stats import beta
 
 from benchmarks.coverage import figures_of
 from benchmarks.fault_logs import open_case
-from comparisons.checks.causes import FITTED
+from comparisons.checks.model import FITTED
 from comparisons.checks.verdict import Verdict
 from comparisons.config import RunConfig
 from comparisons.faults.catalogue import NAMED

@@ -32,7 +32,7 @@ from benchmarks.trust_row import Row, print_table
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.arrays import Array
 from comparisons.audit.run_trace import write_event
-from comparisons.checks.causes import ALGEBRA_HINT, FITTED, MODEL_HINT
+from comparisons.checks import algebra, model
 from comparisons.config import CheckConfig, EkfConfig, SolveConfig
 from comparisons.estimates.external import read_external
 from comparisons.estimates.trace_file import TRACE
@@ -138,9 +138,9 @@ def hint_parts(check: TraceCheck) -> list[str]:
             continue  # right, and little more than general advice
         if cause.gap == "data":
             parts.append(cause.evidence)
-        elif cause.gap == "model" and cause.hint.startswith(FITTED):
-            parts += cause.hint.removeprefix(FITTED).split("; ")
-        elif cause.gap in ("model", "algebra") and cause.hint not in (ALGEBRA_HINT, MODEL_HINT):
+        elif cause.gap == "model" and cause.hint.startswith(model.FITTED):
+            parts += cause.hint.removeprefix(model.FITTED).split("; ")
+        elif cause.gap in ("model", "algebra") and cause.hint not in (algebra.HINT, model.HINT):
             parts.append(cause.hint)
     return parts
 

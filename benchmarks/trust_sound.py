@@ -27,7 +27,7 @@ from benchmarks.audit_faults import FILTERS, MORE
 from benchmarks.log_doctor import sound, travelled
 from benchmarks.trust_row import Row, print_table
 from comparisons.audit.audit import audit
-from comparisons.checks.verdict import misfit_remarks
+from comparisons.checks.optimum import misfit_remarks
 from comparisons.jobs.run import compare
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.solve import solve

@@ -261,6 +261,12 @@ def shown(value: float | None, form: str) -> str:
     return "infinite" if value is None or not math.isfinite(value) else format(value, form)
 
 
+def degrees(angle_rad: float) -> str:
+    """Return an angle: one decimal, below a degree two digits, never 0.0 of one that is there."""
+    angle = math.degrees(angle_rad)
+    return f"{angle:.1f} degrees" if abs(angle) >= 1.0 else f"{angle:.2g} degrees"
+
+
 def package_versions() -> dict[str, str]:
     """Of Python and of what the results depend on."""
     versions = {"python": platform.python_version()}

@@ -44,9 +44,10 @@ class Cause:
     hint: str
 
 
-Decides = Literal["always", "open", "verified", "grade", "qualifies", "never"]
+Decides = Literal["filter", "always", "open", "verified", "grade", "qualifies", "never"]
 """What a kind of cause makes of an outcome; the first of these that a job has counts."""
 DECIDES: dict[Decides, str] = {
+    "filter": "`disagree`; nothing is compared with the optimum",
     "always": "`disagree`, whether the optimum is verified or not",
     "open": "`unverified`",
     "verified": "`disagree`, if the optimum is verified",

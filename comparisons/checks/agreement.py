@@ -178,6 +178,19 @@ class Gap:
         """Neither is more than allowed; never true for NaN."""
         return self.sigma <= allowed.sigma and self.covariance <= allowed.covariance
 
+    def beside(self, allowed: Allowed) -> str:
+        """Return both in words, and what is allowed."""
+        limit = f"rounding allows {allowed.sigma:.2g} in both"
+        if allowed.stored:
+            limit = (
+                f"storage in single precision allows {allowed.sigma:.2g} sigma and "
+                f"{allowed.covariance:.2g}"
+            )
+        return (
+            f"by {self.sigma:.2g} sigma in the mean and by {self.covariance:.2g} (relative) in the "
+            f"covariance ({limit})"
+        )
+
 
 NO_GAP = Gap(math.nan, math.nan)
 
@@ -346,31 +359,52 @@ _MODEL = Mark("less", within="model_limit_sigma")
 
 
 @dataclass(frozen=True, kw_only=True)
-class GapFigures:
-    """The gaps between a filter and the smoother.
-
-    Covariance gaps are None where a covariance is not positive definite.
+class AlgebraFigures:
+    """How far a filter is from the solution of its own equations.
 
     Attributes:
         algebra_gap_sigma: largest difference of the means of EKF and F1, in sigma.
         algebra_gap_covariance: largest deviation from 1 of the generalised eigenvalues of their
-            covariances.
-        model_gap_sigma: largest difference of the means of F1 and F2, in sigma.
-        model_gap_covariance: the same for the covariances of F1 and F2.
-        linearisation_gap_sigma: largest difference of the means of F2 and the smoother, in sigma.
-        linearisation_gap_covariance: the same for the covariances of F2 and the smoother.
+            covariances; None where one is not positive definite.
         algebra_limit_sigma: largest algebra gap that rounding explains.
-        model_limit_sigma: largest model gap that rounding explains.
     """
 
     algebra_gap_sigma: Annotated[Figure | None, _ALGEBRA]
     algebra_gap_covariance: Annotated[Figure | None, _ALGEBRA]
+    algebra_limit_sigma: LeftOut[float] = ROUNDING
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelFigures:
+    """How far a filter's models lead from the smoother's, linearised at the same points.
+
+    Attributes:
+        model_gap_sigma: largest difference of the means of F1 and F2, in sigma.
+        model_gap_covariance: the same for the covariances of F1 and F2, as of the algebra gap.
+        model_limit_sigma: largest model gap that rounding explains.
+    """
+
     model_gap_sigma: Annotated[Figure, _MODEL]
     model_gap_covariance: Annotated[Figure, _MODEL]
+    model_limit_sigma: LeftOut[float] = ROUNDING
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearisationFigures:
+    """How far the points of linearisation lead.
+
+    Attributes:
+        linearisation_gap_sigma: largest difference of the means of F2 and the smoother, in sigma.
+        linearisation_gap_covariance: the same for the covariances of F2 and the smoother.
+    """
+
     linearisation_gap_sigma: Less[Figure]
     linearisation_gap_covariance: Less[Figure]
-    algebra_limit_sigma: LeftOut[float] = ROUNDING
-    model_limit_sigma: LeftOut[float] = ROUNDING
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapFigures(LinearisationFigures, ModelFigures, AlgebraFigures):
+    """The gaps between a filter and the smoother."""
 
 
 def gap_figures(algebra: Gap | None, model: Gap, linearisation: Gap) -> dict[str, Any]:
@@ -410,6 +444,12 @@ class Agreement(GapFigures):
     algebra: Aside[Gap] = NO_GAP
     model: Aside[Gap] = NO_GAP
     linearisation: Aside[Gap] = NO_GAP
+
+    @property
+    def agrees(self) -> bool:
+        """Pose, every landmark and the map as a whole agree."""
+        blocks = (self.pose, *self.landmarks, *self.pose_landmarks, self.map)
+        return all(one.agrees for one in blocks)
 
 
 def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:

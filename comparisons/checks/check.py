@@ -67,9 +67,14 @@ class Answers(Brief):
 
     @cached_property
     def known(self) -> Known:
-        """The same with the findings."""
-        found = replace(self.before, findings={}, absent={})
+        """The same with the findings, what was found before among them, and last."""
+        before = self.before
+        found = replace(before, findings=dict(before.findings), absent=dict(before.absent))
         with found.prepared.clock.stage("checks"):
             for check in self.checks:
                 check.ask(found)
+        for name in before.findings:
+            found.findings[name] = found.findings.pop(name)
+        for name in before.absent:
+            found.absent[name] = found.absent.pop(name)
         return found

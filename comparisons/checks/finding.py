@@ -69,6 +69,10 @@ class Of(Finding, Generic[V]):
     value: V
 
 
+class OfFilter(Of[V]):
+    """What is found of a filter by itself, and first decides about it; its remarks come first."""
+
+
 class Absent(NamedTuple):
     """No finding. why: what the job lacks for it, as `the log has no truth`."""
 

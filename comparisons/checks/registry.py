@@ -1,11 +1,17 @@
-"""The checks that every run is asked, in the order of its report."""
+"""The checks, in the order in which they are asked: one may read what another has found."""
 
 from __future__ import annotations
 
 from comparisons.checks.accuracy import CheckAccuracy
+from comparisons.checks.algebra import CheckAlgebra
 from comparisons.checks.association import CheckAssociation
 from comparisons.checks.check import Check
 from comparisons.checks.consistency.finding import CheckConsistency
+from comparisons.checks.data import CheckBreakdown, CheckData
+from comparisons.checks.explaining import CheckDropouts, CheckMisfit
+from comparisons.checks.linearisation import CheckLinearisation
+from comparisons.checks.model import CheckModel
+from comparisons.checks.optimum import CheckOptimum
 from comparisons.checks.position_gate import CheckPositions
 from comparisons.checks.qualifiers import CheckTruthGap
 from comparisons.checks.spurious import CheckSpurious
@@ -20,4 +26,15 @@ CHECKS: tuple[Check, ...] = (
     CheckPositions(),
     CheckTruthGap(),
 )
-"""One that needs what another has found comes after it; those of extensions come last."""
+"""Of every job."""
+OF_FILTER: tuple[Check, ...] = (
+    CheckOptimum(),
+    CheckData(),
+    CheckAlgebra(),
+    CheckModel(),
+    CheckBreakdown(),
+    CheckLinearisation(),
+)
+"""Of a filter whose events are known: these decide its verdict."""
+EXPLAINING: tuple[Check, ...] = (CheckMisfit(), CheckDropouts())
+"""Of a run, after all others."""

@@ -14,6 +14,7 @@ from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.agreement import Gap
+from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import ExternalConsistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
@@ -36,6 +37,7 @@ from comparisons.checks.external_agreement import (
     within_log,
 )
 from comparisons.checks.grade import GRADES, LIKE_SIGMA, LIKE_VARIANCE, Grade, Likeness, likeness
+from comparisons.checks.optimum import doubted_association, unverified
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
 from comparisons.checks.registry import CHECKS
 from comparisons.checks.spread import within_spread
@@ -50,7 +52,7 @@ from comparisons.fingerprints.estimate_motion import (
 )
 from comparisons.fingerprints.search import fault_cause, fingerprints
 from comparisons.fingerprints.unscented import unscented_filters
-from comparisons.jobs.external_trace import OWN, TraceCheck, check_trace, trace_run
+from comparisons.jobs.external_trace import TraceCheck, check_trace, trace_run
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Integration, RelativePoses
 from comparisons.logs.stamps import at_instants, rounded, since_origin
@@ -419,7 +421,7 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
         return None
     others = found.causes
     if known[0].exact:
-        others = tuple(one for one in others if one.gap in OWN)
+        others = tuple(one for one in others if one.gap in FILTER_FAULTS)
     return replace(found, causes=(fault_cause(known, sound), *others))
 
 
@@ -429,7 +431,7 @@ def _filter_like(found: ExternalCheck, least: float) -> Likeness | None:
     None where its trace has a fault. least: share of the time to be covered.
     """
     near, traced = found.grade.by, found.trace
-    faulty = traced is not None and any(one.gap in OWN for one in traced.verdict.causes)
+    faulty = traced is not None and any(one.gap in FILTER_FAULTS for one in traced.verdict.causes)
     if faulty or near is None or near.reference.smoothed or not found.variants:
         return None
     return near if found.coverage.share >= least else None
@@ -542,7 +544,7 @@ def check_external(
         causes = _left_open(solution, causes)
     small = []
     if outcome == "agree":
-        small, causes = [_small(one) for one in causes if one.gap in OWN], ()
+        small, causes = [_small(one) for one in causes if one.gap in FILTER_FAULTS], ()
     remarks = (
         *small,
         *_remarks(given, found),
@@ -551,8 +553,10 @@ def check_external(
         *solution.notes,
     )
     if short:
-        own = tuple(one for one in causes if one.gap in OWN)  # a wrong filter may have broken down
-        rest = tuple(one for one in causes if one.gap not in OWN)
+        own = tuple(
+            one for one in causes if one.gap in FILTER_FAULTS
+        )  # a wrong filter may have broken down
+        rest = tuple(one for one in causes if one.gap not in FILTER_FAULTS)
         causes = (*own, _short(given, inside, covered, min_coverage), *rest)
     return ExternalCheck(
         given=given,
@@ -589,8 +593,9 @@ def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known
     return replace(
         solution.answers.before,
         without="the estimate has no trace that shows its filter's events",
-        run=None if traced is None else traced.run,
-        chain=None if traced is None else traced.gaps,
+        run=None if traced is None else traced.known.run,
+        chain=None if traced is None else traced.known.chain,
+        kept=None if traced is None else traced.known.kept,
         given=given,
     )
 
@@ -601,11 +606,11 @@ def _left_open(solution: Solution, causes: tuple[Cause, ...]) -> tuple[Cause, ..
     No difference from a reference is a cause whose own association may be wrong.
     """
     optimality, checked = solution.result.optimality, solution.association_check
-    lacking = (cause.unverified(optimality),) if optimality.lacks else ()
+    lacking = (unverified(optimality),) if optimality.lacks else ()
     if checked is None or checked.verified:
         return (*lacking, *causes)
-    doubt = cause.doubted_association(len(checked.against), len(checked.variants))
-    return (doubt, *lacking, *(one for one in causes if one.gap in OWN))
+    doubt = doubted_association(len(checked.against), len(checked.variants))
+    return (doubt, *lacking, *(one for one in causes if one.gap in FILTER_FAULTS))
 
 
 def _short(
@@ -745,7 +750,7 @@ def by_trace(grade: Graded, traced: TraceCheck) -> Graded:
     for one in traced.verdict.causes:
         gap = gaps.get(one.gap)
         small = gap is not None and gap.sigma <= LIKE_SIGMA and gap.covariance <= LIKE_VARIANCE
-        if one.gap in OWN and not small:
+        if one.gap in FILTER_FAULTS and not small:
             return replace(grade, value="wrong")
     return grade
 
@@ -775,7 +780,7 @@ def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Ca
 
     Before them what explains all of the poses' difference, a fault of what was written.
     """
-    kept = tuple(one for one in traced if one.gap in (*OWN, "linearisation"))
+    kept = tuple(one for one in traced if one.gap in (*FILTER_FAULTS, "linearisation"))
     explained = ("estimate", "covariance", "optimum") if kept else ()
     first = found[:1] if found and found[0].gap in MOTIONS else ()
     rest = tuple(one for one in found[len(first) :] if one.gap not in explained)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.audit.consistency import event_innovations
 from comparisons.audit.own_filter import run_events
-from comparisons.audit.spurious import Learnt, learnt
 from comparisons.checks.agreement import (
     Agreement,
     Allowed,
@@ -25,11 +25,13 @@ from comparisons.checks.agreement import (
     Gaussian,
     gap_figures,
 )
-from comparisons.checks.causes import ALGEBRA_HINT
-from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
+from comparisons.checks.algebra import HINT
+from comparisons.checks.causes import FILTER_FAULTS
+from comparisons.checks.check import Answers
+from comparisons.checks.diagnosis.data_usage import DataFault
 from comparisons.checks.diagnosis.departure import Departure, departure_from, model_departure
 from comparisons.checks.diagnosis.known_model_errors import explain
-from comparisons.checks.diagnosis.model_differences import model_differences
+from comparisons.checks.diagnosis.model_differences import ModelDifference, model_differences
 from comparisons.checks.diagnosis.single_precision import (
     FACTOR,
     OPERATIONS,
@@ -39,7 +41,9 @@ from comparisons.checks.diagnosis.single_precision import (
     replay,
     restored_traces,
 )
-from comparisons.checks.verdict import Diagnosis, Verdict, judge
+from comparisons.checks.registry import OF_FILTER
+from comparisons.checks.spurious import CheckSpurious
+from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -53,7 +57,9 @@ from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
 from comparisons.pipeline.clock import Clock, no_progress
 from comparisons.pipeline.gaps import Gaps, Optimum, compute_gaps, optimum_of
+from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
+from comparisons.pipeline.records import Records
 from comparisons.trace.events import Snapshot
 from comparisons.trace.reader import Trace
 from ekf_reference.core.ekf import PoseReading
@@ -63,11 +69,7 @@ from ekf_reference.core.measurements import REJECTED
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions
 
-_RECORD = (
-    f"{ALGEBRA_HINT}; a snapshot of the covariance, recorded after each event, has the event named"
-)
-OWN = ("invalid", "data", "algebra", "model")
-"""Causes that a filter's trace shows whatever the smoother found."""
+_RECORD = f"{HINT}; a snapshot of the covariance, recorded after each event, has the event named"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,18 +98,21 @@ class TraceCheck(TraceFigures):
 
     own: what the trace's own equations lead to, at the log's epochs; None where a cause speaks
     against them. departure: where the trace first leaves the log's models, or the estimate the
-    trace's equations; None where neither does. run, gaps: of the filter that left it. sensors: its
+    trace's equations; None where neither does. known: of the filter that left it. sensors: its
     innovations.
     """
 
-    run: EkfRun
-    gaps: Gaps
+    known: Known
     sensors: tuple[SensorInnovations, ...]
-    agreement: Agreement
     algebra: Gap | None
     verdict: Verdict
     own: Reference | None
     departure: Departure | None
+
+    @property
+    def agreement(self) -> Agreement:
+        """The gaps between the filter and the smoother."""
+        return self.known.gaps.agreement
 
 
 def trace_run(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> tuple[EkfRun, Timeline]:
@@ -155,41 +160,40 @@ def check_trace(
         gaps = compute_gaps(
             log, run, optimum, clock, no_progress, timeline=own, covariance_known=known
         )
-        diagnosis = _diagnosis(log, run, gaps, file, same_steps=run.timeline is own)
+        kind = SingleRecords if file.rounding else TraceRecords
+        records = kind(gaps, file, positions, run.timeline is own)
+        limits = records.algebra.sigma, records.model.sigma
     except np.linalg.LinAlgError:
         raise InputError(
             f"{file.path}: a covariance that its equations need is singular to rounding"
         ) from None
-    labelled = prepared.labelled
-    untimely = _untimely(log, run, positions)
-    data_faulty = (
-        *untimely,
-        *data_faults(log, run, gaps.smoothed, labelled=labelled, timed=not untimely),
+    before = Known(
+        prepared=prepared,
+        result=gaps.result,
+        smoothed=gaps.smoothed,
+        landmark_index=run.landmark_index,
+        timeline=run.timeline,
+        positions=positions,
+        run=run,
+        chain=gaps,
+        kept=records,
     )
-    verdict = judge(
-        gaps.agreement,
-        gaps.result,
-        run,
-        diagnosis,
-        data_faults=data_faulty,
-    )
-    trace, found = run.trace, gaps.agreement
-    algebra = found.algebra if known else None
-    right = known and not any(one.gap in OWN for one in verdict.causes)
-    left = _departures(given, run, gaps, diagnosis, {one.gap for one in verdict.causes})
+    found = Answers(before, (CheckSpurious(), *OF_FILTER)).known
+    verdict, agreement, trace = judge(found), gaps.agreement, run.trace
+    algebra = agreement.algebra if known else None
+    causes = {one.gap for one in verdict.causes}
+    left = _departures(given, found, causes)
     sensors = event_innovations(run_events(run), run.sensors)
     return TraceCheck(
-        run=run,
-        gaps=gaps,
+        known=found,
         sensors=sensors,
-        own=_own_equations(run) if right else None,
+        own=_own_equations(run) if known and causes.isdisjoint(FILTER_FAULTS) else None,
         departure=min(left, key=lambda one: one.time_s, default=None),
-        agreement=found,
         algebra=algebra,
         verdict=verdict,
-        **gap_figures(algebra, found.model, found.linearisation),
-        algebra_limit_sigma=diagnosis.algebra.sigma,
-        model_limit_sigma=diagnosis.model.sigma,
+        **gap_figures(algebra, agreement.model, agreement.linearisation),
+        algebra_limit_sigma=limits[0],
+        model_limit_sigma=limits[1],
         steps=len(trace.departed),
         updates=len(trace.measurements[POINT].step),
         initialised=len(trace.initialisations[POINT].step),
@@ -198,18 +202,17 @@ def check_trace(
     )
 
 
-def _departures(
-    given: ExternalEstimate, run: EkfRun, gaps: Gaps, diagnosis: Diagnosis, causes: set[str]
-) -> Iterator[Departure]:
+def _departures(given: ExternalEstimate, known: Known, causes: set[str]) -> Iterator[Departure]:
     """Where the trace leaves the models, and the estimate what the trace leads to."""
+    log, run = known.prepared.log, known.ekf
     if "model" in causes:
-        found = model_departure(given, diagnosis.differences(), gaps.log)
+        found = model_departure(given, known.records.differences, log)
         if found is not None:
             yield found
     if "algebra" in causes:
         with np.errstate(all="ignore"):  # a wrong filter may have broken down
             own = _own_equations(run)
-        found = departure_from(given, [own], gaps.log, run.timeline)
+        found = departure_from(given, [own], log, run.timeline)
         if found is not None:
             yield found
 
@@ -233,63 +236,96 @@ def _own_equations(run: EkfRun) -> Reference:
     )
 
 
-def _diagnosis(
-    log: Log, run: EkfRun, gaps: Gaps, file: TraceFile, *, same_steps: bool
-) -> Diagnosis:
-    """What explains the gaps, and what storing in single precision does."""
-    rounding = file.rounding
+@dataclass(frozen=True, repr=False)
+class TraceRecords(Records):
+    """Those of somebody else's filter, in double precision. file: the trace. positions: S's.
 
-    def known_model_errors() -> tuple[str, ...]:
-        return explain(log, run, rounding, same_steps=same_steps)
-
-    def spurious() -> Learnt | None:
-        return learnt(run_events(run))
-
-    ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
-    algebra, model = gaps.algebra_rounding, gaps.model_rounding
-    covariance = stored_rounding(ekf.joint_covariance) > 0.0
-    if rounding or covariance:
-        algebra = algebra.plus(allowed_of_estimate(Gaussian.of(ekf), sigma, covariance=covariance))
-    if not rounding:
-        return Diagnosis(
-            differences=gaps.model_differences,
-            operations=lambda: _event_faults(file, algebra),
-            unnamed=_RECORD,
-            known_model_errors=known_model_errors,
-            spurious=spurious,
-            algebra=algebra,
-            model=model,
-        )
-
-    from_trace = allowed_gap(gaps.solved, run.trace, sigma)
-    algebra = algebra.plus(from_trace)
-    single = ""
-    if not gaps.agreement.algebra.explained_by(algebra):
-        single = computed_in_single(run, gaps.agreement.algebra, sigma)
-    model = model.plus(from_trace).plus(allowed_gap(gaps.model_solved, run.trace, sigma))
-    return Diagnosis(
-        differences=lambda: gaps.model_differences(_stored_differences(run, gaps)),
-        known_model_errors=known_model_errors,
-        spurious=spurious,
-        single=single,
-        algebra=algebra,
-        model=model.times(OPERATIONS) if single else model,
-    )
-
-
-def _event_faults(file: TraceFile, allowed: Allowed) -> tuple[str, ...]:
-    """Return what the trace's own snapshots, gains and corrections show.
-
-    A snapshot of the end alone shows no more than the gap does.
+    same_steps: its steps are the log's.
     """
-    if file.former or not file.path.is_file():
-        return ()
-    from comparisons.audit.algebra import faults_of
 
-    trace = Trace(file.path)
-    several = trace.counts.snapshots > 1
-    events = (one for one in trace if several or not isinstance(one, Snapshot))
-    return faults_of(events, max(allowed.sigma, allowed.covariance))
+    unnamed = _RECORD
+    file: TraceFile
+    positions: Positions | None
+    same_steps: bool
+
+    @cached_property
+    def algebra(self) -> Allowed:
+        """The algebra gap that rounding, and storing, explains."""
+        last, allowed = self.gaps.run.estimate, self.gaps.algebra_rounding
+        covariance = stored_rounding(last.joint_covariance) > 0.0
+        if not (self.file.rounding or covariance):
+            return allowed
+        stored = allowed_of_estimate(Gaussian.of(last), self._sigma, covariance=covariance)
+        return allowed.plus(stored)
+
+    @property
+    def _sigma(self) -> Array:
+        return np.sqrt(np.diag(self.gaps.smoothed.joint_covariance))
+
+    def known_model_errors(self) -> Sequence[str]:
+        """Return known mistakes that reproduce the records."""
+        gaps = self.gaps
+        return explain(gaps.log, gaps.run, self.file.rounding, same_steps=self.same_steps)
+
+    def operations(self) -> Sequence[str]:
+        """Return what the trace's own snapshots, gains and corrections show.
+
+        A snapshot of the end alone shows no more than the gap does.
+        """
+        file = self.file
+        if file.former or not file.path.is_file():
+            return ()
+        from comparisons.audit.algebra import faults_of
+
+        trace = Trace(file.path)
+        several = trace.counts.snapshots > 1
+        events = (one for one in trace if several or not isinstance(one, Snapshot))
+        return faults_of(events, self.algebra.largest)
+
+    def untimely(self) -> list[DataFault]:
+        """Return observations that are used at another instant than their own."""
+        return _untimely(self.gaps.log, self.gaps.run, self.positions)
+
+
+@dataclass(frozen=True, repr=False)
+class SingleRecords(TraceRecords):
+    """Those that were stored in single precision; no event is named."""
+
+    unnamed = ""
+
+    @cached_property
+    def _from_trace(self) -> Allowed:
+        return allowed_gap(self.gaps.solved, self.gaps.run.trace, self._sigma)
+
+    @cached_property
+    def algebra(self) -> Allowed:
+        """The algebra gap that rounding, and storing, explains."""
+        return super().algebra.plus(self._from_trace)
+
+    @cached_property
+    def model(self) -> Allowed:
+        """The model gap that rounding, and storing, explains."""
+        gaps = self.gaps
+        own = allowed_gap(gaps.model_solved, gaps.run.trace, self._sigma)
+        model = gaps.model_rounding.plus(self._from_trace).plus(own)
+        return model.times(OPERATIONS) if self.single else model
+
+    @cached_property
+    def single(self) -> str:
+        """How the algebra gap grows, if computing in single precision explains it."""
+        gap = self.gaps.agreement.algebra
+        if gap.explained_by(self.algebra):
+            return ""
+        return computed_in_single(self.gaps.run, gap, self._sigma)
+
+    @cached_property
+    def differences(self) -> Sequence[ModelDifference]:
+        """Where the models differ."""
+        return self.gaps.model_differences(_stored_differences(self.gaps.run, self.gaps))
+
+    def operations(self) -> Sequence[str]:
+        """Return none: rounding of each event may explain it."""
+        return ()
 
 
 def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]:

@@ -15,16 +15,15 @@ from comparisons.audit.spurious import Learnt
 from comparisons.checks.accuracy import Accuracies, AccuracyFinding
 from comparisons.checks.agreement import Agreement
 from comparisons.checks.association import AssociationFinding, AssociationScore
-from comparisons.checks.causes import log_fault, log_number
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
-from comparisons.checks.diagnosis.data_usage import data_faults, odometry_remarks
+from comparisons.checks.diagnosis.data_usage import odometry_remarks
 from comparisons.checks.finding import Finding
 from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
-from comparisons.checks.registry import CHECKS
+from comparisons.checks.registry import CHECKS, EXPLAINING, OF_FILTER
 from comparisons.checks.spurious import SpuriousFinding
-from comparisons.checks.verdict import Diagnosis, Verdict, judge
+from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import RunConfig, config_class
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -35,17 +34,16 @@ from comparisons.pipeline.gaps import Gaps, compute_gaps, optimum_of
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, check_memory, prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
+from comparisons.pipeline.records import Records
 from comparisons.pipeline.size import announce_time
 from comparisons.shown import Shown, render
-from comparisons.words import Cause
 from ekf_reference.core.ekf import Ekf
-from graphslam.optimum import ChiSquareTest
 from graphslam.smoother import SmootherOptions, SmootherResult
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from comparisons.checks.diagnosis.dropouts import Dropouts
+    from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.pipeline.beside import Beside
     from comparisons.trace.events import Event
 
@@ -226,6 +224,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
             positions=run.positions,
             run=run,
             chain=gaps,
+            kept=OwnRecords(gaps, prepared),
             beside=setup,
             started=started,
         )
@@ -234,30 +233,15 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         if second is not None:
             unchecked = _ask(second, own)
     progress("checks", 0, 0)
-    known = Answers(own, CHECKS).known
-    known.findings.update(own.findings)
-    known.absent.update(own.absent)
+    known = Answers(own, (*CHECKS, *OF_FILTER, *EXPLAINING)).known
     with clock.stage("checks"):
         return _judged(known, unchecked)
 
 
 def _judged(known: Known, unchecked: str) -> Comparison:
     """The verdict over all findings. unchecked: why nobody has checked the association."""
-    prepared, run, gaps = known.prepared, known.ekf, known.gaps
-    verdict = judge(
-        gaps.agreement,
-        gaps.result,
-        run,
-        _diagnosis(known),
-        data_faults=data_faults(prepared.log, run, gaps.smoothed, labelled=prepared.labelled),
-        causes=[cause for found in known.findings.values() for cause in found.causes],
-        conservative=prepared.ekf.conservative,
-    )
-    remarks = (
-        *odometry_remarks(prepared.log),
-        *verdict.remarks,
-        *known.remarks,
-    )
+    prepared, verdict = known.prepared, judge(known)
+    remarks = (*odometry_remarks(prepared.log), *verdict.remarks)
     return Comparison(
         known=known,
         verdict=qualified(
@@ -355,57 +339,6 @@ def run_filter(prepared: Prepared[Any]) -> tuple[EkfRun, FilterSetup]:
     return run, beside
 
 
-def _diagnosis(known: Known) -> Diagnosis:
-    """What is imported and done only where there is something to explain."""
-    log, run, gaps = known.prepared.log, known.ekf, known.gaps
-
-    def known_model_errors() -> Sequence[str]:
-        from comparisons.checks.diagnosis.known_model_errors import explain
-
-        return explain(log, run)
-
-    def dropouts() -> Dropouts | None:
-        from comparisons.checks.diagnosis.dropouts import find_dropouts
-
-        return find_dropouts(run, gaps.smoothed)
-
-    def log_causes(test: ChiSquareTest) -> Sequence[Cause]:
-        from comparisons.checks.diagnosis.first_pose import exchanged_rows
-        from comparisons.checks.diagnosis.log_doctor import examine_run
-        from comparisons.checks.diagnosis.log_fit import log_fits
-
-        known.prepared.progress("the log's own numbers", 0, 0)
-        first = gaps.smoothed.pose[0], gaps.smoothed.pose_covariance[0]
-        if rows := exchanged_rows(log.prior, *first):
-            return [log_fault(rows)]
-        if fits := log_fits(log, run, gaps.result):
-            return [log_number(fits, test)]
-        found = examine_run(log, run, gaps.result)
-        return [log_fault(found.words)] if found.findings else []
-
-    return Diagnosis(
-        differences=gaps.model_differences,
-        operations=lambda: _event_faults(known.prepared, run, gaps.algebra_rounding.covariance),
-        known_model_errors=known_model_errors,
-        growth=gaps.linearisation_growth,
-        spurious=lambda: known.value(SpuriousFinding),
-        dropouts=dropouts,
-        consistency=known.value(ConsistencyFinding),
-        log=log_causes,
-        algebra=gaps.algebra_rounding,
-        model=gaps.model_rounding,
-    )
-
-
-def _event_faults(prepared: Prepared[Any], run: EkfRun, tolerance: float) -> tuple[str, ...]:
-    """Return which events of the filter's algebra are wrong, and how."""
-    from comparisons.audit.algebra import AlgebraCheck
-
-    check = AlgebraCheck(tolerance)
-    repeat_filter(prepared, run, check.take)
-    return check.faults()
-
-
 def repeat_filter(prepared: Prepared[Any], run: EkfRun, take: Callable[[Event], object]) -> None:
     """Run the filter once more.
 
@@ -414,3 +347,50 @@ def repeat_filter(prepared: Prepared[Any], run: EkfRun, take: Callable[[Event], 
     # Last, for it is to see the filter with everything that others have planted.
     extensions = (*prepared.extensions, Modified(lambda ekf: watch(ekf, run, take)))
     run_filter(replace(prepared, progress=no_progress, extensions=extensions))
+
+
+@dataclass(frozen=True, repr=False)
+class OwnRecords(Records):
+    """Those of our own filter, which can be run once more."""
+
+    prepared: Prepared[Any]
+
+    def operations(self) -> tuple[str, ...]:
+        """Return which events make the filter's algebra wrong, and how."""
+        from comparisons.audit.algebra import AlgebraCheck
+
+        check = AlgebraCheck(self.algebra.covariance)
+        repeat_filter(self.prepared, self.gaps.run, check.take)
+        return check.faults()
+
+    def growth(self) -> LinearisationGrowth:
+        """Return where linearising cost something."""
+        return self.gaps.linearisation_growth()
+
+    def left_out(self) -> list[str]:
+        """Return why the filter did not use all measurements, in sentences."""
+        run, found = self.gaps.run, []
+        unused = {reason: count for reason, count in run.unused.items() if count}
+        if unused:
+            found.append(
+                f"{sum(unused.values())} of {len(run.landmark_index)} measurements were not used: "
+                + ", ".join(f"{count} {reason}" for reason, count in unused.items())
+            )
+        if run.cut_off:
+            from ekf_reference.association.joint_compatibility import JointCompatibility
+
+            found.append(
+                f"joint compatibility reached its limit of {JointCompatibility.most_nodes:,} nodes "
+                f"in {run.cut_off:,} scans and used the best association found until then"
+            )
+        if len(run.deactivated):
+            names = ", ".join(str(i) for i in run.estimate.landmark_id[run.deactivated].tolist())
+            if len(run.deactivated) == len(run.estimate.landmark):
+                found.append(
+                    "every landmark is deactivated: at the end the filter uses odometry alone"
+                )
+            found.append(
+                f"landmarks {names} are deactivated because something moves at their position: "
+                "their estimates no longer change, and no measurement is associated with them"
+            )
+        return found

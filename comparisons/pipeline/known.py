@@ -15,7 +15,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
-from comparisons.checks.finding import Finding, LackingError, Of, V, value_of
+from comparisons.checks.finding import Finding, LackingError, Of, OfFilter, V, value_of
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, Information
 from comparisons.estimates.reference import Reference
@@ -24,8 +24,9 @@ from comparisons.logs.log import Positions
 from comparisons.pipeline.beside import Beside
 from comparisons.pipeline.gaps import Gaps
 from comparisons.pipeline.prepared import Prepared
+from comparisons.pipeline.records import Records
 from comparisons.shown import Brief
-from comparisons.words import Row
+from comparisons.words import Cause, Row
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherResult
 
@@ -65,6 +66,7 @@ class Known(Brief):
         without: Why there is no filter.
         run: A filter with the events that it went through.
         chain: The gaps between that filter and S.
+        kept: What its records say.
         beside: What stood beside our filter, with what extensions offered.
         given: Somebody else's estimate that is judged.
         started: What extensions have started beside the smoother, by name.
@@ -83,6 +85,7 @@ class Known(Brief):
     without: str = "the job runs no filter"
     run: EkfRun | None = None
     chain: Gaps | None = None
+    kept: Records | None = None
     beside: FilterSetup | None = None
     given: Given | None = None
     started: Mapping[str, Beside[Any]] = field(default_factory=dict)
@@ -98,6 +101,11 @@ class Known(Brief):
     def gaps(self) -> Gaps:
         """The chain of estimates from that filter to the smoother."""
         return self._present(self.chain)
+
+    @property
+    def records(self) -> Records:
+        """What the records of that filter say."""
+        return self._present(self.kept)
 
     @property
     def setup(self) -> FilterSetup:
@@ -124,9 +132,15 @@ class Known(Brief):
         return dead_reckoned(problem.prior_pose, problem.increment)
 
     @property
+    def causes(self) -> list[Cause]:
+        """The causes of the findings."""
+        return [cause for one in self.findings.values() for cause in one.causes]
+
+    @property
     def remarks(self) -> list[str]:
-        """What the findings remark."""
-        return [remark for one in self.findings.values() for remark in one.remarks]
+        """What the findings remark, those of the filter itself first."""
+        found = sorted(self.findings.values(), key=lambda one: not isinstance(one, OfFilter))
+        return [remark for one in found for remark in one.remarks]
 
     @property
     def rows(self) -> list[Row]:

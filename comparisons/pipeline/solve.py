@@ -20,8 +20,8 @@ from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.association import AssociationFinding, AssociationScore
 from comparisons.checks.association_variants import AssociationCheck, check_association
 from comparisons.checks.check import Answers
+from comparisons.checks.optimum import misfit_remarks
 from comparisons.checks.registry import CHECKS
-from comparisons.checks.verdict import misfit_remarks
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate

@@ -9,7 +9,7 @@ from pkgutil import resolve_name
 
 from comparisons.checks.causes import EXPLANATIONS
 from comparisons.checks.check import Check
-from comparisons.checks.registry import CHECKS
+from comparisons.checks.registry import CHECKS, EXPLAINING, OF_FILTER
 from comparisons.config import config_class
 from comparisons.errors import InputError
 from comparisons.extension_names import EXTENSIONS
@@ -21,7 +21,7 @@ _WIDTH = 80
 
 def every_check(extensions: Iterable[str] = EXTENSIONS) -> Iterator[type[Check]]:
     """Yield the checks that every run is asked, then those of extensions, loaded one by one."""
-    yield from map(type, CHECKS)
+    yield from map(type, (*OF_FILTER, *CHECKS, *EXPLAINING))
     for name in extensions:
         yield resolve_name(config_class(name).extension)
 
@@ -42,7 +42,8 @@ def explained(kind: str) -> Explanation | None:
 def overview() -> str:
     """Return every check with its question, and every cause with its title."""
     asked = [(one.name, _question(one)) for one in every_check()]
-    checks, more = asked[: len(CHECKS)], asked[len(CHECKS) :]
+    own = len(asked) - len(EXTENSIONS)
+    checks, more = asked[:own], asked[own:]
     causes = [(name, one.title) for name, one in every_explanation().items()]
     longest = max(len(name) for name, _ in (*asked, *causes)) + 2
     lines = []

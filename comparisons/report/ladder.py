@@ -10,6 +10,7 @@ from comparisons.checks.agreement import (
     Agreement,
     GapFigures,
 )
+from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.qualifiers import TruthGap
 from comparisons.figures import finite
 from comparisons.report.models import Result
@@ -20,8 +21,6 @@ LINEAR_MODEL = "linear problem, smoother's factors"
 SMOOTHER = "smoother"
 OWN_ASSOCIATION = "smoother, its own association"
 TRUTH = "truth"
-_FILTER_FAULTS = frozenset({"data", "algebra", "model", "breakdown"})
-"""Causes after which the filter is not compared with the optimum."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +95,7 @@ def gap_steps(
     failed: gaps of the causes. verified: of the smoother's optimum. first: the filter's name. The
     last gap is judged at a verified optimum only, and where algebra and models are right.
     """
-    right = verified and _FILTER_FAULTS.isdisjoint(failed)
+    right = verified and FILTER_FAULTS.isdisjoint(failed)
     return [
         Step(
             gap=name,

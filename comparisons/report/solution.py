@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.checks.verdict import misfit_remarks
+from comparisons.checks.optimum import misfit_remarks
 from comparisons.figures import rounded
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.solve import Solution

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.smoother_input import build_problem, model_system_at, model_system_of
-from comparisons.checks import causes
 from comparisons.checks.diagnosis.data_usage import odometry_remarks
 from comparisons.checks.diagnosis.dropouts import find_dropouts
 from comparisons.checks.diagnosis.linearisation_growth import (
     LinearisationGrowth,
     linearisation_growth,
 )
+from comparisons.checks.explaining import dropout, noise
+from comparisons.checks.linearisation import _grew, linearisation_cause
 from comparisons.estimates.estimate import Estimate
+from comparisons.figures import degrees
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
@@ -136,7 +138,7 @@ def test_a_dropout_is_found_with_what_it_did() -> None:
     way = np.linalg.norm(np.diff(log.truth.poses.pose[inside, :2], axis=0), axis=1).sum()
     assert np.isclose(worst.way_m, way, rtol=0.1)
     assert worst.growth > 3.0
-    reported = causes.dropout(found)
+    reported = dropout(found)
     assert "the filter used no measurement from" in reported[0].evidence
     assert "rejected" not in reported[0].evidence
 
@@ -181,8 +183,8 @@ def test_sound_logs_have_neither_dropouts_nor_too_much_noise() -> None:
     found = find_dropouts(c.ekf, c.smoothed)
     assert not found.stretches
     assert found.coverage == 1.0
-    assert causes.dropout(found) == []
-    assert causes.noise(c.smoother.optimality.chi_square, c.consistency) == []
+    assert dropout(found) == []
+    assert noise(c.smoother.optimality.chi_square, c.consistency) == []
 
 
 def test_the_variance_that_is_off_most_is_named() -> None:
@@ -194,7 +196,7 @@ def test_the_variance_that_is_off_most_is_named() -> None:
         for one, ratio in zip(c.agreement.landmarks, (1.5, 10.0, 5.0), strict=False)
     ]  # fmt: skip
     blocks[2] = replace(blocks[2], variance_ratio_least=1.0, variance_ratio_largest=5.0)
-    said = causes.linearisation(replace(c.agreement, landmarks=tuple(blocks)), c.ekf).evidence
+    said = linearisation_cause(replace(c.agreement, landmarks=tuple(blocks)), c.ekf).evidence
     second = c.ekf.estimate.names[1]
     assert f"the variance of landmark {second} is 0.1 times the smoother's" in said
 
@@ -205,7 +207,7 @@ def test_the_headings_sigma_is_that_around_the_worst_relation() -> None:
     sigma = np.zeros(len(c.ekf.estimate.time_s))
     sigma[2:7] = np.radians((9.0, 4.0, 3.0, 7.0, 8.0))
     growth = LinearisationGrowth(np.ones(len(sigma)), "odometry", 4, -1, 2.0)
-    said = causes._grew(growth, c.ekf, sigma)
+    said = _grew(growth, c.ekf, sigma)
     assert "the largest linearisation error is that of odometry at " in said
     assert "the heading's sigma was 4.0 degrees" in said
 
@@ -215,14 +217,14 @@ def test_the_headings_sigma_is_that_around_the_worst_relation() -> None:
     [(2e-4, "0.011 degrees"), (0.01, "0.57 degrees"), (0.1, "5.7 degrees"), (1.0, "57.3 degrees")],
 )
 def test_a_small_angle_is_not_zero(angle: float, said: str) -> None:
-    assert causes._degrees(angle) == said
+    assert degrees(angle) == said
 
 
 def test_an_understated_sigma_is_named() -> None:
     log = simulated(seed=3, loop_s=30.0)
     stated = replace(log.measurements, sigma_range_m=log.measurements.sigma_range_m / 3.0)
     c = compared(replace(log, measurements=stated))
-    (named,) = causes.noise(c.smoother.optimality.chi_square, c.consistency)
+    (named,) = noise(c.smoother.optimality.chi_square, c.consistency)
     assert named.gap == "noise"
     assert named.gap not in GAPS
     assert "measurements' range" in named.hint

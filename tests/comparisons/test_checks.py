@@ -14,8 +14,10 @@ from comparisons.checks.agreement import (
     gap,
     largest_distance,
 )
-from comparisons.checks.verdict import Diagnosis, judge
-from comparisons.jobs.run import Comparison
+from comparisons.checks.check import Answers
+from comparisons.checks.registry import OF_FILTER
+from comparisons.checks.verdict import Verdict, judge
+from comparisons.jobs.run import Comparison, OwnRecords
 from comparisons.statistics import eigenvalue_range
 from ekf_reference.core.layout import Layout
 from graphslam.optimum import Optimality, Stationarity, chi_square_test
@@ -25,6 +27,22 @@ from tests.helpers import compared, present, random_covariance, simulated
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
     return compared(simulated(seed=2, loop_s=30.0))
+
+
+def judged(c: Comparison, *, kind: str = "full", **changed: object) -> Verdict:
+    """The verdict on the gaps of a run, of which some are others, and on another filter's."""
+    gaps = replace(c.gaps, **changed)  # type: ignore[arg-type]
+    prepared = replace(c.prepared, ekf=c.prepared.ekf.model_copy(update={"filter": kind}))
+    before = replace(
+        c.known,
+        prepared=prepared,
+        result=gaps.result,
+        chain=gaps,
+        kept=OwnRecords(gaps, prepared),
+        findings={},
+        absent={},
+    )
+    return judge(Answers(before, OF_FILTER).known)
 
 
 def gaussian(seed: int) -> Gaussian:
@@ -132,7 +150,7 @@ def test_the_map_as_a_whole_is_judged(comparison: Comparison) -> None:
     """Each landmark may agree while all of them together do not."""
     far = BlockAgreement.of(np.full(2, 10.0), np.eye(2), np.eye(2))
     a = replace(comparison.agreement, map=far)
-    verdict = judge(a, comparison.smoother, comparison.ekf, Diagnosis())
+    verdict = judged(comparison, agreement=a)
     assert verdict.outcome == "disagree"
     assert [cause.gap for cause in verdict.causes] == ["linearisation"]
 
@@ -150,9 +168,9 @@ def test_a_conservative_filter_may_have_too_much_covariance_alone(
     comparison: Comparison, gap_of_algebra: Gap, fails: bool
 ) -> None:
     a = replace(comparison.agreement, algebra=gap_of_algebra)
-    verdict = judge(a, comparison.smoother, comparison.ekf, Diagnosis(), conservative=True)
+    verdict = judged(comparison, agreement=a, kind="compressed-suboptimal")
     assert (verdict.outcome == "disagree") is fails
-    exact = judge(a, comparison.smoother, comparison.ekf, Diagnosis())
+    exact = judged(comparison, agreement=a)
     assert exact.outcome == "disagree"
 
 
@@ -166,7 +184,7 @@ def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
         agreed=False,
     )
     result = replace(comparison.smoother, optimality=unverified)
-    verdict = judge(comparison.agreement, result, comparison.ekf, Diagnosis())
+    verdict = judged(comparison, result=result)
     assert verdict.outcome == "unverified"
     assert [cause.gap for cause in verdict.causes] == ["oracle"]
     assert "only the start ekf reached the lowest error" in verdict.causes[0].evidence
@@ -182,7 +200,9 @@ def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:
     a = comparison.agreement
     red = replace(a, algebra=replace(a.algebra, covariance=float("inf")))
     result = replace(comparison.smoother, optimality=unverified)
-    assert judge(red, result, comparison.ekf, Diagnosis()).outcome == "disagree"
+    verdict = judged(comparison, agreement=red, result=result)
+    assert verdict.outcome == "disagree"
+    assert [cause.gap for cause in verdict.causes] == ["algebra"]
 
 
 @pytest.mark.parametrize(("sigma", "named"), [(1e-9, []), (1.0, ["model"])])
@@ -190,7 +210,7 @@ def test_a_model_gap_is_named_where_rounding_does_not_explain_it(
     comparison: Comparison, sigma: float, named: list[str]
 ) -> None:
     a = replace(comparison.agreement, model=Gap(sigma, 0.0))
-    verdict = judge(a, comparison.smoother, comparison.ekf, Diagnosis())
+    verdict = judged(comparison, agreement=a)
     assert [cause.gap for cause in verdict.causes] == named
 
 

@@ -4,24 +4,27 @@ import inspect
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from comparisons.checks.agreement import Allowed
 from comparisons.checks.check import Check
+from comparisons.checks.explaining import CheckDropouts, Explaining
 from comparisons.checks.finding import Absent, Finding
 from comparisons.checks.qualifiers import TRUTH_GAP
-from comparisons.checks.registry import CHECKS
-from comparisons.checks.verdict import decided
+from comparisons.checks.registry import CHECKS, EXPLAINING, OF_FILTER
+from comparisons.checks.verdict import counting, decided, faulty
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.figures import kept_fields, meanings
 from comparisons.jobs.check import check
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log, Truth
 from comparisons.pipeline.known import Known
+from comparisons.pipeline.records import Records
 from comparisons.pipeline.solve import solve
 from comparisons.report.explain import every_check
 from comparisons.report.html.page import page
@@ -52,7 +55,8 @@ def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(check: ty
 
 def unaccounted(c: Comparison) -> list[str]:
     """Checks that neither found something nor said why not, or did both."""
-    return [one.name for one in CHECKS if (one.name in c.findings) == (one.name in c.known.absent)]
+    asked = (*OF_FILTER, *CHECKS)
+    return [one.name for one in asked if (one.name in c.findings) == (one.name in c.known.absent)]
 
 
 @pytest.mark.slow
@@ -88,6 +92,14 @@ def test_what_is_found_and_what_is_not_stand_in_result_and_table() -> None:
     assert [(row.quantity.replace(" ", "_"), row.value) for row in rows] == lacking
 
 
+class Hidden(Records):
+    """Those of a filter of which double precision tells nothing."""
+
+    @cached_property
+    def algebra(self) -> Allowed:
+        return Allowed(1.0, 1.0)
+
+
 @cache
 def jobs() -> dict[str, tuple[Known, Report[Any, Any]]]:
     """A short log by each job whose checks are asked; its truth lies elsewhere."""
@@ -119,7 +131,8 @@ def test_every_job_asks_every_check_and_shows_what_it_says(
     job: str, lacking: dict[str, str]
 ) -> None:
     known, report = jobs()[job]
-    assert {*known.findings, *known.absent} == {one.name for one in CHECKS}
+    asked = (*CHECKS, *OF_FILTER) if job == "run" else CHECKS
+    assert {*known.findings, *known.absent} == {one.name for one in asked}
     assert not known.findings.keys() & known.absent.keys()
     assert known.absent.keys() == lacking.keys()
     assert all(words in known.absent[name] for name, words in lacking.items())
@@ -159,6 +172,50 @@ def test_the_kinds_of_causes_decide(kinds: tuple[str, ...], outcome: str) -> Non
     assert decided(causes) == decided(causes[::-1]) == outcome
 
 
+def found(known: Known, *kinds: str) -> list[str]:
+    """The causes that count of those that checks have found."""
+    causes = [Cause(kind, "evidence", "hint") for kind in kinds]
+    return [one.gap for one in counting(replace(known, findings={"all": Explaining(causes)}))]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "count"),
+    [
+        (("positions", "linearisation"), ("positions", "linearisation")),
+        (("motion", "linearisation", "log"), ("log", "linearisation", "motion")),
+        (("dropout", "noise"), ()),
+        (("dropout", "oracle", "noise"), ("oracle", "noise", "dropout")),
+        (("linearisation", "oracle", "association"), ("association", "oracle")),
+        (("log", "oracle", "model", "data"), ("model", "data")),
+    ],
+)  # fmt: skip
+def test_causes_count_by_their_kinds_in_the_order_of_the_catalogue(
+    kinds: tuple[str, ...], count: tuple[str, ...]
+) -> None:
+    known = jobs()["run"][0]
+    assert found(known, *kinds) == list(count)
+
+
+def test_where_rounding_hides_everything_no_other_cause_counts() -> None:
+    known = jobs()["run"][0]
+    hidden = replace(known, kept=Hidden(known.gaps))
+    kinds = "linearisation", "association", "oracle", "noise"
+    assert found(hidden, *kinds) == ["oracle"]
+    assert found(hidden, *kinds, "algebra") == ["algebra"]
+    assert faulty(hidden)
+    assert not faulty(known)
+
+
+def test_what_explains_is_asked_where_there_is_something_to_explain() -> None:
+    known = jobs()["run"][0]
+    off = replace(known, findings={"all": Explaining([Cause("linearisation", "far", "look")])})
+    for one in EXPLAINING:
+        assert one.find(known) is None
+    assert isinstance(CheckDropouts().find(off), Explaining)
+    wrong = replace(off, findings={"all": Explaining([Cause("model", "wrong", "look")])})
+    assert CheckDropouts().find(wrong) is None
+
+
 def test_a_finding_of_nothing_adds_nothing() -> None:
     found = Finding()
     assert not (*found.entries, *found.causes, *found.remarks, *found.rows(), *found.sections())
@@ -175,4 +232,4 @@ def test_explain_lists_checks_and_causes_and_says_what_each_means(tmp_path: Path
     assert "needs:  truth, or labels" in check
     assert "stands: the smoother is far from truth" in check
     assert "linearised at the wrong points" in works("explain", "linearisation", cwd=tmp_path)
-    assert "expected one of spurious_heading" in refused("explain", "weather", cwd=tmp_path)
+    assert "expected one of optimum, data, algebra" in refused("explain", "weather", cwd=tmp_path)

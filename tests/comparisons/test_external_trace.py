@@ -18,6 +18,7 @@ from comparisons.adapters.smoother_input import recorded_system_of, solve_record
 from comparisons.adapters.timeline import build_timeline
 from comparisons.audit.run_trace import write_run
 from comparisons.checks.agreement import Gap, Gaussian, gap
+from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.diagnosis.single_precision import replay
 from comparisons.config import CheckConfig, EkfConfig
@@ -28,7 +29,6 @@ from comparisons.estimates.trace_file import FORMER, TRACE, read_trace
 from comparisons.faults.catalogue import NAMED, catalogue
 from comparisons.faults.fault import Fault
 from comparisons.jobs.check import ExternalCheck, check, check_external
-from comparisons.jobs.external_trace import OWN
 from comparisons.jobs.run import Comparison
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
@@ -110,7 +110,7 @@ def test_gaps_are_those_from_within(tmp_path: Path, case: Case) -> None:
     found = checked(tmp_path, log, choices)
     assert_as_from_within(found, comparison)
     assert found.trace is not None
-    assert found.trace.gaps.result is found.solution.result, "S is solved twice"
+    assert found.trace.known.result is found.solution.result, "S is solved twice"
     of_events = ("NIS of ", "autocorrelation of innovations", "spurious knowledge of the heading")
     for one, there in ((found, True), (replace(found, answers=without_trace(found)), False)):
         titles = [panel.title for panel in external_panels(one)[1]]
@@ -287,7 +287,7 @@ def test_what_follows_from_a_fault_is_none(tmp_path: Path, plain: Plain, words: 
         run = filtered(fault.feed(log), choices)
     hand_in(run, tmp_path)
     causes = present(checked(tmp_path, log, choices).trace).verdict.causes
-    own = [one for one in causes if one.gap in OWN]
+    own = [one for one in causes if one.gap in FILTER_FAULTS]
     if fault.feed is not None:
         assert [one.gap for one in own] == ["data"]
         assert "measurements are used too early, by 0.025 s (median)" in own[0].evidence

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.stranger_faults import FORGETFUL, HINTS, Fault
 from benchmarks.strangers import Single
 from benchmarks.trust_hints import IN_SINGLE, Case, checked, hint_parts, simulated
-from comparisons.checks.causes import ALGEBRA_HINT
+from comparisons.checks.algebra import HINT
 from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
 from comparisons.estimates.stored_precision import SINGLE, restored, stored_rounding
 from comparisons.jobs.external_trace import TraceCheck
@@ -53,7 +53,7 @@ def test_computing_in_single_precision_is_named() -> None:
 
 def test_a_dropped_covariance_is_no_matter_of_precision(ready: Case) -> None:
     check = checked(FORGETFUL(ready.sound), ready, stored_single=True)
-    assert said(check) == [ALGEBRA_HINT]
+    assert said(check) == [HINT]
 
 
 def test_precision_is_recognised_by_every_number() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.checks.map_agreement import compare_maps
-from comparisons.checks.verdict import Diagnosis, judge
+from comparisons.checks.verdict import judge
 from comparisons.config import FrontEndConfig, Gps, OdometryConfig
 from comparisons.errors import InputError
 from comparisons.extensions.scan_motion.extension import ScanMotionFinding
@@ -153,7 +153,7 @@ def test_an_unproven_smoother_on_scans_has_no_say() -> None:
     apart = replace(three, ekf=replace(three.ekf, outside=three.ekf.landmarks, agrees=False))
     lost = replace(apart, verified=False)
     found = [ScanMotionFinding(c.known, motion, third) for third in (apart, lost)]
-    said = [judge(c.agreement, c.smoother, c.ekf, Diagnosis(), causes=f.causes) for f in found]
+    said = [judge(replace(c.known, findings={"scan motion": one})) for one in found]
     assert [v.outcome for v in said] == ["disagree", "agree"]
     assert any("not verified" in remark for remark in found[1].remarks)
 

@@ -13,7 +13,7 @@ from comparisons.audit import spurious
 from comparisons.audit.audit import audit
 from comparisons.audit.run_trace import write_run
 from comparisons.audit.spurious import HEADING, LargestShare, Learnt, LearntDirection
-from comparisons.checks import causes
+from comparisons.checks.linearisation import linearisation_cause
 from comparisons.checks.spurious import SpuriousFinding, spurious_rows
 from comparisons.jobs.run import Comparison
 from comparisons.report.html.curves import panel_data
@@ -68,7 +68,7 @@ def test_the_cause_says_it_where_it_matters() -> None:
     def evidence(own_deg: float, found: Learnt = found) -> str:
         own = np.tile(np.deg2rad(own_deg) ** 2 * np.eye(3), (len(c.ekf.estimate.pose), 1, 1))
         run = replace(c.ekf, estimate=replace(c.ekf.estimate, pose_covariance=own))
-        return causes.linearisation(c.agreement, run, None, found).evidence
+        return linearisation_cause(c.agreement, run, None, found).evidence
 
     assert evidence(0.2).endswith(
         "the filter has learnt its global heading to 0.8 degrees from measurements that cannot "

@@ -1,0 +1,103 @@
+"""Whether the smoother's optimum is a reference for the filter."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from comparisons.checks.check import Check
+from comparisons.checks.finding import OfFilter
+from comparisons.figures import rounded
+from comparisons.words import Cause
+from graphslam.optimum import DISTANCE_LIMIT, Optimality
+
+if TYPE_CHECKING:
+    from comparisons.pipeline.known import Known
+
+
+class OptimumFinding(OfFilter[Optimality]):
+    """The evidence for the optimum."""
+
+    def __init__(self, optimality: Optimality, robust: str, untold: str) -> None:
+        """robust: kernel of the smoother. untold: why double precision leaves a verdict open."""
+        self.value = optimality
+        if untold:
+            self.causes = [_untold(untold)]
+        elif not optimality.verified:
+            self.causes = [unverified(optimality)]
+        self.remarks = [*misfit_remarks(optimality), *_on_robust(robust)]
+
+
+class CheckOptimum(Check):
+    """Is the smoother's optimum verified, and told by double precision?"""
+
+    name = "optimum"
+    needs = "a filter with the events that it went through"
+    errs = "see docs/verified.md"
+
+    def find(self, known: Known) -> OptimumFinding:
+        """Return the evidence for S."""
+        records, result = known.records, known.result
+        untold = records.precision if records.untold else ""
+        return OptimumFinding(result.optimality, result.options.robust, untold)
+
+
+def unverified(optimality: Optimality) -> Cause:
+    """The optimum is not verified, and what the check lacks."""
+    if optimality.distance_sigma > DISTANCE_LIMIT:
+        hint = "use the batch smoother, or a longer lag"
+    elif optimality.chi_square.reading == "too high":
+        hint = (
+            "check the stated noise and the association; --accept-misfit accepts the lowest "
+            "minimum "
+            "despite its chi-square"
+        )
+    else:
+        hint = "check the stated noise and the association: the smoother may be in a local minimum"
+    return Cause("oracle", optimality.lacks, hint)
+
+
+def _untold(precision: str) -> Cause:
+    """Rounding hides what a verdict would be about."""
+    hint = "narrow the prior, end the log before its longest gap, or move the origin nearer"
+    return Cause("oracle", precision, hint)
+
+
+def doubted_association(against: int, variants: int) -> Cause:
+    """Neither the smoother's nor the reference filter's association without labels is certain."""
+    return Cause(
+        "oracle",
+        f"the log has no labels, and {against} of {variants} other ways to associate its "
+        "measurements contradict the smoother's, so that smoother and reference filter may be the "
+        "ones that are wrong",
+        "label the measurements, or give the filter's own association in a trace",
+    )
+
+
+def misfit_remarks(optimality: Optimality) -> list[str]:
+    """What a chi-square outside its band means, and whether it was accepted."""
+    test = optimality.chi_square
+    if test.reading == "plausible":
+        return []
+    meaning = {
+        "too high": "the noise is larger than stated, or the models or the association are wrong",
+        "too low": "the actual noise is smaller than stated",
+    }[test.reading]
+    if test.reading == "too high" and optimality.accept_misfit:
+        meaning += "; --accept-misfit accepts it"
+    chi2, lower, upper = map(rounded, (test.chi2, test.lower, test.upper))
+    return [
+        f"chi-square {chi2} for {test.dof} degrees of freedom is {test.reading} "
+        f"(band {lower} to {upper}): {meaning}"
+    ]
+
+
+def _on_robust(robust: str) -> list[str]:
+    if robust in ("huber", "cauchy"):
+        return [
+            f"the smoother's {robust} kernel reduces the weight of measurements that fit "
+            "badly: its "
+            "covariances are those of the weighted problem, and chi-square is not tested"
+        ]
+    if robust == "gnc":
+        return ["the smoother excluded outliers; the filter did not exclude them"]
+    return []
