@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from comparisons.checks.agreement import EXACT, AlgebraFigures, Allowed, Gap
-from comparisons.checks.check import Check
+from comparisons.checks.check import EVENTS, Check
 from comparisons.checks.finding import OfFilter
 from comparisons.statistics import ROUNDING
 from comparisons.words import Cause
@@ -24,23 +24,15 @@ _NAMED = 3
 """So many events of the filter's algebra are named."""
 
 
-class AlgebraFinding(OfFilter[Gap]):
-    """The algebra gap."""
-
-    def __init__(self, gap: Gap, causes: Sequence[Cause], remarks: Sequence[str]) -> None:
-        """causes: none where rounding explains it."""
-        self.value, self.causes, self.remarks = gap, causes, remarks
-
-
 class CheckAlgebra(Check):
     """Does the filter solve its own linear equations?"""
 
     name = "algebra"
-    needs = "a filter with the events that it went through"
+    needs = EVENTS
     errs = "not at all but by rounding, for which it allows"
     figures = (("agreement", AlgebraFigures),)
 
-    def find(self, known: Known) -> AlgebraFinding:
+    def find(self, known: Known) -> OfFilter[Gap]:
         """Return E against F1; a filter that is conservative by design may be larger."""
         records, conservative = known.records, known.prepared.ekf.conservative
         gap, allowed = known.gaps.agreement.algebra, records.algebra
@@ -56,7 +48,7 @@ class CheckAlgebra(Check):
                 "the filter is conservative by design: its covariance exceeds the exact one by up "
                 f"to {gap.covariance:.2g} (relative), its mean differs by {mean} sigma"
             )
-        return AlgebraFinding(gap, causes, remarks)
+        return OfFilter(gap, causes, remarks)
 
 
 def _conservative(gap: Gap, allowed: Allowed) -> bool:

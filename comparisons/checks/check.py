@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
 
 
+EVENTS = "a filter with the events that it went through"
+"""What checks of a filter need."""
+
+
 class Check:
     """One question about a job, which is the first line of a check's docstring."""
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from comparisons.checks.check import Check
+from comparisons.checks.check import EVENTS, Check
 from comparisons.checks.diagnosis.data_usage import DataFault, data_faults
-from comparisons.checks.finding import Finding, OfFilter
+from comparisons.checks.finding import OfFilter
 from comparisons.checks.verdict import faulty
 from comparisons.words import Cause
 
@@ -18,18 +17,12 @@ if TYPE_CHECKING:
 class DataFinding(OfFilter[tuple[DataFault, ...]]):
     """What the filter did to the data."""
 
-    def __init__(self, faults: Sequence[DataFault], remarks: Sequence[str]) -> None:
-        """remarks: on what it left out."""
-        self.value = tuple(faults)
-        self.causes = [Cause("data", one.evidence, one.hint) for one in faults]
-        self.remarks = remarks
-
 
 class CheckData(Check):
     """Does the filter use each measurement once, in time, and for the landmark of its label?"""
 
     name = "data"
-    needs = "a filter with the events that it went through"
+    needs = EVENTS
     errs = "not measured; a gate is at fault at a probability of 1e-6"
 
     def find(self, known: Known) -> DataFinding:
@@ -43,33 +36,26 @@ class CheckData(Check):
             labelled=prepared.labelled,
             timed=not untimely,
         )
-        return DataFinding((*untimely, *found), records.left_out())
-
-
-class BreakdownFinding(OfFilter[str]):
-    """What stopped the filter."""
-
-    def __init__(self, breakdown: str, *, explained: bool) -> None:
-        """explained: another cause says why."""
-        self.value = breakdown
-        if explained:
-            self.remarks = [f"{breakdown}; all comparisons end at that time"]
-        else:
-            hint = (
-                "check the measurements and their sigmas at that time; the gaps are computed up "
-                "to it"
-            )
-            self.causes = [Cause("breakdown", breakdown, hint)]
+        faults = (*untimely, *found)
+        causes = [Cause("data", one.evidence, one.hint) for one in faults]
+        return DataFinding(faults, causes, records.left_out())
 
 
 class CheckBreakdown(Check):
     """Did the filter reach the end of the log?"""
 
     name = "breakdown"
-    needs = "a filter with the events that it went through"
+    needs = EVENTS
     errs = "not at all"
 
-    def find(self, known: Known) -> Finding:
-        """Return what stopped it, and nothing where it reached the end."""
+    def find(self, known: Known) -> OfFilter[str | None]:
+        """Return what stopped it, which is a remark where another cause explains it."""
         breakdown = known.ekf.breakdown
-        return BreakdownFinding(breakdown, explained=faulty(known)) if breakdown else Finding()
+        if not breakdown:
+            return OfFilter(None, ())
+        if faulty(known):
+            return OfFilter(breakdown, (), [f"{breakdown}; all comparisons end at that time"])
+        hint = (
+            "check the measurements and their sigmas at that time; the gaps are computed up to it"
+        )
+        return OfFilter(breakdown, [Cause("breakdown", breakdown, hint)])

@@ -72,6 +72,10 @@ class Of(Finding, Generic[V]):
 class OfFilter(Of[V]):
     """What is found of a filter by itself, and first decides about it; its remarks come first."""
 
+    def __init__(self, value: V, causes: Sequence[Cause], remarks: Sequence[str] = ()) -> None:
+        """value: what was looked at."""
+        self.value, self.causes, self.remarks = value, causes, remarks
+
 
 class Absent(NamedTuple):
     """No finding. why: what the job lacks for it, as `the log has no truth`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.audit.spurious import HEADING, Learnt
 from comparisons.checks.agreement import LEAST_VARIANCE_RATIO, Agreement, LinearisationFigures
-from comparisons.checks.check import Check
+from comparisons.checks.check import EVENTS, Check
 from comparisons.checks.finding import OfFilter
 from comparisons.checks.spurious import SpuriousFinding
 from comparisons.checks.verdict import faulty
@@ -26,30 +25,22 @@ _MATTERS = 10.0
 """Times the heading's largest sigma: what is learnt less surely than that changes nothing."""
 
 
-class LinearisationFinding(OfFilter[Agreement]):
-    """The filter against the optimum."""
-
-    def __init__(self, agreement: Agreement, causes: Sequence[Cause]) -> None:
-        """causes: none where pose, landmarks and map agree, or other faults come first."""
-        self.value, self.causes = agreement, causes
-
-
 class CheckLinearisation(Check):
     """Do the filter's pose, landmarks and map agree with the smoother's optimum?"""
 
     name = "linearisation"
-    needs = "a filter with the events that it went through"
+    needs = EVENTS
     errs = "see docs/verdicts.md, False alarms"
     figures = (("agreement", LinearisationFigures),)
 
-    def find(self, known: Known) -> LinearisationFinding:
+    def find(self, known: Known) -> OfFilter[Agreement]:
         """Return E against S, explained where algebra and models are right."""
         gaps, agreement = known.gaps, known.gaps.agreement
         causes = []
         if not agreement.agrees and known.result.optimality.verified and not faulty(known):
             growth, spurious = known.records.growth(), known.value(SpuriousFinding)
             causes.append(linearisation_cause(agreement, gaps.run, growth, spurious))
-        return LinearisationFinding(agreement, causes)
+        return OfFilter(agreement, causes)
 
 
 def linearisation_cause(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from comparisons.checks.agreement import EXACT, Allowed, Gap, ModelFigures
-from comparisons.checks.check import Check
+from comparisons.checks.check import EVENTS, Check
 from comparisons.checks.data import DataFinding
 from comparisons.checks.finding import OfFilter
 from comparisons.words import Cause
@@ -23,23 +23,15 @@ HINT = (
 )
 
 
-class ModelFinding(OfFilter[Gap]):
-    """The model gap."""
-
-    def __init__(self, gap: Gap, causes: Sequence[Cause]) -> None:
-        """causes: none where rounding or the use of the data explains it."""
-        self.value, self.causes = gap, causes
-
-
 class CheckModel(Check):
     """Are the filter's models those of the log, where the filter was linearised?"""
 
     name = "model"
-    needs = "a filter with the events that it went through"
+    needs = EVENTS
     errs = "not at all but by rounding, for which it allows"
     figures = (("agreement", ModelFigures),)
 
-    def find(self, known: Known) -> ModelFinding:
+    def find(self, known: Known) -> OfFilter[Gap]:
         """Return F1 against F2."""
         records, gap = known.records, known.gaps.agreement.model
         untold, causes = gap.explained_by(records.model), []
@@ -49,7 +41,7 @@ class CheckModel(Check):
             misused = known.value(DataFinding)
             if differences or known_errors or not (untold or misused):
                 causes.append(model_cause(gap, differences, known_errors, records.model))
-        return ModelFinding(gap, causes)
+        return OfFilter(gap, causes)
 
 
 def model_cause(

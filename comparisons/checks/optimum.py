@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from comparisons.checks.check import Check
+from comparisons.checks.check import EVENTS, Check
 from comparisons.checks.finding import OfFilter
 from comparisons.figures import rounded
 from comparisons.words import Cause
@@ -14,31 +14,22 @@ if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
 
 
-class OptimumFinding(OfFilter[Optimality]):
-    """The evidence for the optimum."""
-
-    def __init__(self, optimality: Optimality, robust: str, untold: str) -> None:
-        """robust: kernel of the smoother. untold: why double precision leaves a verdict open."""
-        self.value = optimality
-        if untold:
-            self.causes = [_untold(untold)]
-        elif not optimality.verified:
-            self.causes = [unverified(optimality)]
-        self.remarks = [*misfit_remarks(optimality), *_on_robust(robust)]
-
-
 class CheckOptimum(Check):
     """Is the smoother's optimum verified, and told by double precision?"""
 
     name = "optimum"
-    needs = "a filter with the events that it went through"
+    needs = EVENTS
     errs = "see docs/verified.md"
 
-    def find(self, known: Known) -> OptimumFinding:
+    def find(self, known: Known) -> OfFilter[Optimality]:
         """Return the evidence for S."""
-        records, result = known.records, known.result
-        untold = records.precision if records.untold else ""
-        return OptimumFinding(result.optimality, result.options.robust, untold)
+        records, result, causes = known.records, known.result, []
+        if records.untold:
+            causes = [_untold(records.precision)]
+        elif not result.optimality.verified:
+            causes = [unverified(result.optimality)]
+        remarks = [*misfit_remarks(result.optimality), *_on_robust(result.options.robust)]
+        return OfFilter(result.optimality, causes, remarks)
 
 
 def unverified(optimality: Optimality) -> Cause:

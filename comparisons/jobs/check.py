@@ -553,9 +553,8 @@ def check_external(
         *solution.notes,
     )
     if short:
-        own = tuple(
-            one for one in causes if one.gap in FILTER_FAULTS
-        )  # a wrong filter may have broken down
+        # A wrong filter may have broken down.
+        own = tuple(one for one in causes if one.gap in FILTER_FAULTS)
         rest = tuple(one for one in causes if one.gap not in FILTER_FAULTS)
         causes = (*own, _short(given, inside, covered, min_coverage), *rest)
     return ExternalCheck(
