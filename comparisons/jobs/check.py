@@ -593,7 +593,6 @@ def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known
         solution.answers.before,
         without="the estimate has no trace that shows its filter's events",
         run=None if traced is None else traced.known.run,
-        chain=None if traced is None else traced.known.chain,
         kept=None if traced is None else traced.known.kept,
         given=given,
     )

@@ -169,13 +169,11 @@ def check_trace(
         ) from None
     before = Known(
         prepared=prepared,
-        result=gaps.result,
-        smoothed=gaps.smoothed,
+        solved=(gaps.result, gaps.smoothed),
         landmark_index=run.landmark_index,
         timeline=run.timeline,
         positions=positions,
         run=run,
-        chain=gaps,
         kept=records,
     )
     found = Answers(before, (CheckSpurious(), *OF_FILTER)).known

@@ -217,13 +217,11 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         gaps = compute_gaps(log, run, optimum, clock, progress)
         own = Known(
             prepared=prepared,
-            result=gaps.result,
-            smoothed=gaps.smoothed,
+            solved=(gaps.result, gaps.smoothed),
             landmark_index=run.landmark_index,
             timeline=run.timeline,
             positions=run.positions,
             run=run,
-            chain=gaps,
             kept=OwnRecords(gaps, prepared),
             beside=setup,
             started=started,

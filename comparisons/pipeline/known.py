@@ -22,7 +22,7 @@ from comparisons.estimates.reference import Reference
 from comparisons.innovations import SensorInnovations
 from comparisons.logs.log import Positions
 from comparisons.pipeline.beside import Beside
-from comparisons.pipeline.gaps import Gaps
+from comparisons.pipeline.gaps import Gaps, Optimum
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.records import Records
 from comparisons.shown import Brief
@@ -55,18 +55,16 @@ class Known(Brief):
 
     Attributes:
         prepared: The log as the estimators read it, and the configuration.
-        result: The smoother's optimum S with its evidence.
-        smoothed: S as an estimate.
-        landmark_index: (M,) the landmark of each measurement in S, negative for unused.
-        timeline: Of S.
-        positions: Absolute positions that S fuses.
+        landmark_index: (M,) the landmark of each measurement, negative for unused.
+        timeline: Of the estimates.
+        positions: Absolute positions that they fuse.
+        solved: The smoother's optimum S with its evidence, and as an estimate.
         called: What reports call S.
         ways: (K, 3) poses without covariances at S's epochs, by what reports call them; None for
             where the odometry alone leads.
-        without: Why there is no filter.
+        without: Why there is no filter, or no S.
         run: A filter with the events that it went through.
-        chain: The gaps between that filter and S.
-        kept: What its records say.
+        kept: What its records say, and the gaps between it and S.
         beside: What stood beside our filter, with what extensions offered.
         given: Somebody else's estimate that is judged.
         started: What extensions have started beside the smoother, by name.
@@ -75,16 +73,14 @@ class Known(Brief):
     """
 
     prepared: Prepared[Any]
-    result: SmootherResult
-    smoothed: Estimate
     landmark_index: Index
     timeline: Timeline
     positions: Positions | None
+    solved: Optimum | None = None
     called: str = "smoother"
     ways: Mapping[str, Array] | None = None
     without: str = "the job runs no filter"
     run: EkfRun | None = None
-    chain: Gaps | None = None
     kept: Records | None = None
     beside: FilterSetup | None = None
     given: Given | None = None
@@ -100,7 +96,7 @@ class Known(Brief):
     @property
     def gaps(self) -> Gaps:
         """The chain of estimates from that filter to the smoother."""
-        return self._present(self.chain)
+        return self.records.gaps
 
     @property
     def records(self) -> Records:
@@ -111,6 +107,16 @@ class Known(Brief):
     def setup(self) -> FilterSetup:
         """What stood beside our filter."""
         return self._present(self.beside)
+
+    @property
+    def result(self) -> SmootherResult:
+        """S with its evidence."""
+        return self._present(self.solved)[0]
+
+    @property
+    def smoothed(self) -> Estimate:
+        """S as an estimate."""
+        return self._present(self.solved)[1]
 
     def _present(self, one: T | None) -> T:
         if one is None:
@@ -123,7 +129,7 @@ class Known(Brief):
         judged = {} if self.run is None else {"EKF": self.run.estimate}
         if self.given is not None:
             judged = {"estimate": self.given.estimate.padded()}
-        return {**judged, self.called: self.smoothed}
+        return judged if self.solved is None else {**judged, self.called: self.smoothed}
 
     @cached_property
     def dead_reckoned(self) -> Array:

@@ -95,8 +95,7 @@ class Solution(Shown):
         """Of the checks, when they are asked for."""
         known = Known(
             prepared=self.prepared,
-            result=self.result,
-            smoothed=self.estimate,
+            solved=(self.result, self.estimate),
             landmark_index=self.landmark_index,
             timeline=self.prepared.timeline,
             positions=self.prepared.positions,

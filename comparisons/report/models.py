@@ -41,7 +41,7 @@ class LogResult(Model):
 
 
 class JobResult(Model):
-    """What every job on a log says beside its findings.
+    """What every job on a log says; each check that found something adds its entries.
 
     Attributes:
         config: all settings.
@@ -52,7 +52,10 @@ class JobResult(Model):
         cpu_s: processor time, by stage.
         versions: versions of the packages.
         files: files of the folder.
+        not_checked: checks without an answer, and what the job lacks for it.
     """
+
+    model_config = ConfigDict(extra="allow")
 
     config: LeftOut[dict[str, Any]] = Field(default_factory=dict)
     settings: LeftOut[SettingsResult] = SettingsResult(preset="", differing=[])
@@ -62,22 +65,19 @@ class JobResult(Model):
     cpu_s: LeftOut[dict[str, float] | None] = None
     versions: dict[str, str]
     files: tuple[str, ...] = ()
+    not_checked: dict[str, str] = Field(default_factory=dict)
 
 
 class CheckedResult(JobResult):
-    """What every job says whose checks are asked; each that found something adds its entries.
+    """What every job says that has a verdict.
 
     Attributes:
         verdict: the verdict.
         qualifiers: reservations beside the verdict, such as `truth gap`.
-        not_checked: checks without an answer, and what the job lacks for it.
     """
-
-    model_config = ConfigDict(extra="allow")
 
     verdict: str
     qualifiers: list[str] = Field(default_factory=list)
-    not_checked: dict[str, str] = Field(default_factory=dict)
 
     @property
     def headline(self) -> str:

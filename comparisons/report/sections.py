@@ -65,7 +65,7 @@ def log_result(log: Log) -> LogResult:
     )
 
 
-def found_entries(known: Known, result: type[CheckedResult]) -> dict[str, Any]:
+def found_entries(known: Known, result: type[JobResult]) -> dict[str, Any]:
     """Return what checks found as a result's arguments, and what they lack."""
     entries = {
         key: entry if key in result.model_fields else stored(entry)

@@ -36,8 +36,7 @@ def judged(c: Comparison, *, kind: str = "full", **changed: object) -> Verdict:
     before = replace(
         c.known,
         prepared=prepared,
-        result=gaps.result,
-        chain=gaps,
+        solved=(gaps.result, gaps.smoothed),
         kept=OwnRecords(gaps, prepared),
         findings={},
         absent={},

@@ -120,7 +120,7 @@ def test_gaps_are_those_from_within(tmp_path: Path, case: Case) -> None:
 def without_trace(found: ExternalCheck) -> Answers:
     before = found.answers.before
     given = replace(present(before.given), sensors=())
-    return replace(found.answers, before=replace(before, run=None, chain=None, given=given))
+    return replace(found.answers, before=replace(before, run=None, kept=None, given=given))
 
 
 @pytest.mark.slow

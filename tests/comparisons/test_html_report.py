@@ -337,8 +337,8 @@ def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> N
     panels = consistency_panels(c)
     panels = replace(panels, errors=tuple(_lengthened(panel, poses) for panel in panels.errors))
     grown = altered(c, "known.run.estimate", long(c.ekf.estimate))
-    grown = altered(grown, "known.chain.smoothed", long(c.smoothed))
-    grown = altered(grown, "known.chain.agreement.landmarks", blocks)
+    grown = altered(grown, "known.kept.gaps.smoothed", long(c.smoothed))
+    grown = altered(grown, "known.kept.gaps.agreement.landmarks", blocks)
     report = RunReport.of(grown)
     vars(report)["panels"] = panels
     text = page(report.page())
@@ -388,7 +388,7 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
         for b in c.agreement.landmarks
     )
     broken = altered(c, "known.run.estimate", replace(ekf, pose=gone * ekf.pose, landmark=landmark))
-    broken = altered(broken, "known.chain.agreement.landmarks", blocks)
+    broken = altered(broken, "known.kept.gaps.agreement.landmarks", blocks)
     worse = altered(c.consistency, "ekf.poses.error", gone[1:] * poses.error)
     worse = altered(worse, "ekf.poses.sigma", gone[1:] * poses.sigma)
     findings = {**c.findings, "consistency": ConsistencyFinding(worse)}

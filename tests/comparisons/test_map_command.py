@@ -36,6 +36,14 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert result.resolution_m == 0.4
     assert result.returns.fused + result.returns.late > 10_000
     assert set(result.surface_errors) == {"points", "occupancy", "classic"}
+    kept = json.loads((folder / "map.json").read_text())
+    assert 0.8 < kept["consistency"]["innovations"][0]["nis"][0]["mean"] / 2.0 < 1.2
+    assert kept["consistency"]["smoother"] is None
+    assert kept["spurious_heading"]["information"] > 0.0
+    assert "no optimum" in result.not_checked["truth_gap"]
+    assert "consistency: per dof, expect 1: NEES" in printed
+    page = (folder / "report.html").read_text()
+    assert "the job solves for no optimum" in page
     other = ("map", "occupancy-loop", "--out", "map")
     said = refused(*other, cwd=tmp_path)
     assert "map: holds another run (extensions.dense_maps.layers" in said

@@ -80,7 +80,7 @@ def test_a_converted_log_keeps_its_hash(name: str, shared_data: Path, tmp_path: 
 def test_figures_that_do_not_exist_are_null(comparison: Comparison) -> None:
     gaps = comparison.gaps
     agreement = replace(gaps.agreement, algebra_gap_covariance=float("inf"))
-    broken = altered(comparison, "known.chain.agreement", agreement)
+    broken = altered(comparison, "known.kept.gaps.agreement", agreement)
     text = RunReport.build(broken).model_dump_json()
     assert '"algebra_gap_covariance":null' in text
     assert "Infinity" not in text

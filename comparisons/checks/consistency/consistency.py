@@ -127,18 +127,18 @@ def check_innovations(run: EkfRun) -> tuple[SensorInnovations, ...]:
 
 
 def check_consistency(
-    log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool, robust: str = "none"
+    log: Log, run: EkfRun, smoothed: Estimate | None, *, labelled: bool, robust: str = "none"
 ) -> Consistency:
     """Everything the log allows. labelled: see accuracy.assess. robust: the smoother's kernel."""
     e = run.estimate
     compared = None
-    if smoothed.information == "smoothed" and robust == "none":
+    if smoothed is not None and smoothed.information == "smoothed" and robust == "none":
         compared = filter_against_smoother(
             e.time_s, e.pose, e.pose_covariance, smoothed.pose, smoothed.pose_covariance
         )
     return Consistency(
         against_truth(e, log, labelled=labelled),
-        against_truth(smoothed, log, labelled=labelled),
+        None if smoothed is None else against_truth(smoothed, log, labelled=labelled),
         check_innovations(run),
         compared,
         not labelled,

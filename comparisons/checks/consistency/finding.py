@@ -126,8 +126,10 @@ class CheckConsistency(Check):
             return ConsistencyFinding(external_consistency(known, known.given), "estimate")
         if known.run is None:
             return _of_smoother(known)
-        labelled, robust = known.prepared.labelled, known.result.options.robust
-        log, smoothed = known.prepared.log, known.smoothed
+        log, labelled = known.prepared.log, known.prepared.labelled
+        smoothed, robust = None, "none"
+        if known.solved is not None:
+            smoothed, robust = known.smoothed, known.result.options.robust
         return ConsistencyFinding(
             check_consistency(log, known.ekf, smoothed, labelled=labelled, robust=robust)
         )

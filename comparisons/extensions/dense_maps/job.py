@@ -9,11 +9,14 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.checks.check import Answers
+from comparisons.checks.registry import CHECKS
 from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, classic_grid
 from comparisons.logs.log import Log
 from comparisons.pipeline.clock import Progress, no_progress
+from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepare import Required, prepare
 from comparisons.pipeline.prepared import Prepared
 from comparisons.shown import Shown
@@ -39,6 +42,7 @@ class DenseMapping(Shown):
         layers: What each layer holds there, by its name.
         classic: The same scans in one grid in the world's frame, as is usual without regions.
         errors: Distances from true surfaces by layer, `classic` among them; empty without truth.
+        answers: Of the checks on the filter, when they are asked for.
     """
 
     prepared: Prepared[MapConfig]
@@ -49,6 +53,7 @@ class DenseMapping(Shown):
     layers: Mapping[str, Samples]
     classic: Samples
     errors: Mapping[str, SurfaceError]
+    answers: Answers
 
     def __repr__(self) -> str:
         """Return log and layers in one line."""
@@ -58,6 +63,11 @@ class DenseMapping(Shown):
     def log(self) -> Log:
         """The log as the filter read it."""
         return self.prepared.log
+
+    @property
+    def known(self) -> Known:
+        """What is known of the filter, with what the checks find that need no smoother."""
+        return self.answers.known
 
 
 def map_log(
@@ -90,6 +100,14 @@ def map_log(
     placed = dense.dense.regions.placed(dense.landmark)
     layers = {name: layer.samples(placed) for name, layer in dense.dense.layers.items()}
     usual = classic.samples()
+    known = Known(
+        prepared=prepared,
+        landmark_index=run.landmark_index,
+        timeline=run.timeline,
+        positions=run.positions,
+        without="the job solves for no optimum",
+        run=run,
+    )
     return DenseMapping(
         prepared=prepared,
         setup=setup,
@@ -99,6 +117,7 @@ def map_log(
         layers=layers,
         classic=usual,
         errors=_errors(prepared.log, placed, layers, usual),
+        answers=Answers(known, CHECKS),
     )
 
 

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from comparisons.arrays import Array
-from comparisons.checks.accuracy import Accuracy, accuracy_line, accuracy_rows, assess
+from comparisons.checks.accuracy import Accuracy
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, SurfaceError, surface_error_rows
 from comparisons.extensions.dense_maps.check import FirstCondition
 from comparisons.extensions.dense_maps.figure import (
@@ -26,6 +26,7 @@ from comparisons.extensions.dense_maps.figure import (
 from comparisons.extensions.dense_maps.job import DenseMapping
 from comparisons.figures import Model
 from comparisons.pipeline.clock import Clock
+from comparisons.pipeline.known import Known
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.map import estimate_map
 from comparisons.report.html.page import PageContent, write_page
@@ -35,7 +36,7 @@ from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import EkfResult, JobResult
 from comparisons.report.picture import blank
 from comparisons.report.rows import ekf_rows, log_rows, seconds_rows
-from comparisons.report.sections import about_job, ekf_result, job_page
+from comparisons.report.sections import about_job, ekf_result, found_entries, job_page
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
@@ -136,7 +137,7 @@ class MapResult(JobResult):
     """
 
     ekf: EkfResult
-    accuracy: Accuracy | None
+    accuracy: Accuracy | None = None
     scan_landmarks: int
     regions: int
     first_condition: FirstCondition
@@ -158,7 +159,6 @@ class MapReport(Report[DenseMapping, MapResult]):
         before = m.dense.before
         return MapResult(
             ekf=ekf_result(m.ekf, m.prepared.ekf),
-            accuracy=assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled),
             scan_landmarks=len(m.ekf.estimate.pose_landmarks),
             regions=len(m.placed.triangle),
             first_condition=FirstCondition.of(m.dense),
@@ -175,7 +175,8 @@ class MapReport(Report[DenseMapping, MapResult]):
             if before is None
             else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
             dynamic=_dynamic(m),
-            remarks=_remarks(m),
+            remarks=[*_remarks(m), *m.known.remarks],
+            **found_entries(m.known, MapResult),
             **about_job(m.prepared, m.dense.clock.after(read, m.prepared.clock), m.prepared.ekf),
         )
 
@@ -201,9 +202,9 @@ class MapReport(Report[DenseMapping, MapResult]):
                     [("surfaces", f"median distance to true ones: {', '.join(errors)}")]
                     * bool(errors)
                 ),
-                *accuracy_line({"EKF": result.accuracy}),
+                *self.found.known.lines,
             ],
-            rows=_map_rows(result),
+            rows=_map_rows(result, self.found.known),
         )
 
     def page(self) -> PageContent:
@@ -242,7 +243,7 @@ class MapReport(Report[DenseMapping, MapResult]):
         )
 
 
-def _map_rows(result: MapResult) -> list[Row]:
+def _map_rows(result: MapResult, known: Known) -> list[Row]:
     returns = result.returns
     counts = {
         "scans": returns.scans,
@@ -255,7 +256,7 @@ def _map_rows(result: MapResult) -> list[Row]:
         *log_rows(result.log),
         *settings_rows(result.settings),
         *ekf_rows(result.ekf),
-        *accuracy_rows("the EKF", result.accuracy),
+        *known.rows,
     ]
     if result.scan_landmarks:
         rows.append(Row("EKF", "scan landmarks", f"{result.scan_landmarks:,}"))

@@ -150,8 +150,7 @@ def run_front_end(
         wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
     known = Known(
         prepared=scanned,
-        result=graph,
-        smoothed=estimate,
+        solved=(graph, estimate),
         landmark_index=landmark_index,
         timeline=timeline,
         positions=scanned.positions,
