@@ -5,10 +5,10 @@ A check reads what the job knows. It returns a `Finding`, or says why there is n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from comparisons.checks.finding import Absent, Finding, LackingError
 from comparisons.shown import Brief
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
 
 
+T = TypeVar("T")
 EVENTS = "a filter with the events that it went through"
 """What checks of a filter need."""
 
@@ -71,14 +72,17 @@ class Answers(Brief):
 
     @cached_property
     def known(self) -> Known:
-        """The same with the findings, what was found before among them, and last."""
+        """The same with the findings; what others have found before comes last."""
         before = self.before
         found = replace(before, findings=dict(before.findings), absent=dict(before.absent))
         with found.prepared.clock.stage("checks"):
             for check in self.checks:
-                check.ask(found)
-        for name in before.findings:
-            found.findings[name] = found.findings.pop(name)
-        for name in before.absent:
-            found.absent[name] = found.absent.pop(name)
-        return found
+                if check.name not in {*found.findings, *found.absent}:
+                    check.ask(found)
+        order = [*(one.name for one in self.checks), *before.findings, *before.absent]
+        findings, absent = _by(order, found.findings), _by(order, found.absent)
+        return replace(found, findings=findings, absent=absent)
+
+
+def _by(order: Iterable[str], found: Mapping[str, T]) -> dict[str, T]:
+    return {name: found[name] for name in order if name in found}

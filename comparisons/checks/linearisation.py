@@ -38,7 +38,7 @@ class CheckLinearisation(Check):
         gaps, agreement = known.gaps, known.gaps.agreement
         causes = []
         if not agreement.agrees and known.result.optimality.verified and not faulty(known):
-            growth, spurious = known.records.growth(), known.value(SpuriousFinding)
+            growth, spurious = gaps.linearisation_growth(), known.value(SpuriousFinding)
             causes.append(linearisation_cause(agreement, gaps.run, growth, spurious))
         return OfFilter(agreement, causes)
 

@@ -36,6 +36,7 @@ from comparisons.checks.external_agreement import (
     coverage,
     within_log,
 )
+from comparisons.checks.finding import OfFilter
 from comparisons.checks.grade import GRADES, LIKE_SIGMA, LIKE_VARIANCE, Grade, Likeness, likeness
 from comparisons.checks.optimum import doubted_association, unverified
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
@@ -589,13 +590,16 @@ def check_external(
 
 def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known:
     """What the checks may read: the smoother, the estimate, and the events of a sound trace."""
-    return replace(
+    known = replace(
         solution.answers.before,
         without="the estimate has no trace that shows its filter's events",
-        run=None if traced is None else traced.known.run,
-        kept=None if traced is None else traced.known.kept,
         given=given,
     )
+    if traced is None:
+        return known
+    events = traced.known
+    others = {k: one for k, one in events.findings.items() if not isinstance(one, OfFilter)}
+    return replace(known, run=events.run, kept=events.kept, findings=others, absent=events.absent)
 
 
 def _left_open(solution: Solution, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:

@@ -43,7 +43,6 @@ from graphslam.smoother import SmootherOptions, SmootherResult
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.pipeline.beside import Beside
     from comparisons.trace.events import Event
 
@@ -360,10 +359,6 @@ class OwnRecords(Records):
         check = AlgebraCheck(self.algebra.covariance)
         repeat_filter(self.prepared, self.gaps.run, check.take)
         return check.faults()
-
-    def growth(self) -> LinearisationGrowth:
-        """Return where linearising cost something."""
-        return self.gaps.linearisation_growth()
 
     def left_out(self) -> list[str]:
         """Return why the filter did not use all measurements, in sentences."""

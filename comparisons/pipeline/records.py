@@ -15,7 +15,6 @@ from comparisons.pipeline.gaps import Gaps
 from comparisons.shown import Brief
 
 if TYPE_CHECKING:
-    from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.model_differences import ModelDifference
 
 
@@ -87,10 +86,6 @@ class Records(Brief):
     def operations(self) -> Sequence[str]:
         """Return which events make the filter's algebra wrong, and how."""
         return ()
-
-    def growth(self) -> LinearisationGrowth | None:
-        """Return where linearising cost something, None where that is not looked for."""
-        return None
 
     def untimely(self) -> Sequence[DataFault]:
         """Return observations that are used at another instant than their own."""
