@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from comparisons.atomic import OWN, write_whole
 from comparisons.experiments.montecarlo.chunk_files import CONFIG, LOGS
-from comparisons.experiments.montecarlo.external import FailedRun
+from comparisons.experiments.montecarlo.external import Failure
 from comparisons.experiments.montecarlo.page import study_page
 from comparisons.experiments.montecarlo.plots import curves_figure
 from comparisons.experiments.montecarlo.statistics import (
@@ -21,7 +21,6 @@ from comparisons.experiments.montecarlo.statistics import (
     ERRORS,
     LEVEL,
     FilterFigures,
-    FilterResult,
     Pair,
     per_run,
 )
@@ -74,10 +73,10 @@ class MonteCarloResult:
     duration_s: float
     landmarks: int
     level: float
-    filters: Mapping[str, FilterResult]
+    filters: Mapping[str, FilterFigures]
     pairs: list[Pair]
     final_map: bool
-    failures: Mapping[str, tuple[FailedRun, ...]]
+    failures: Mapping[str, tuple[Failure, ...]]
 
     @classmethod
     def of(cls, outcome: Outcome) -> MonteCarloResult:
