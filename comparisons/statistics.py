@@ -97,8 +97,8 @@ def mean_band(count: float, dof: float, outside: float = _OUTSIDE) -> Band:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NormalisedFigures:
-    """Normalised errors squared, each with `dof` degrees of freedom.
+class Normalised:
+    """Normalised errors squared, e^T P^-1 e, each with `dof` degrees of freedom.
 
     Over time, and over landmarks of one run, the values are correlated: no band holds for their
     average.
@@ -112,6 +112,8 @@ class NormalisedFigures:
         inside: share of the values in it.
         unusable: errors without a value, by reason: `not finite`, `asymmetric`, `not positive
             definite`.
+        row: (n,) which of the errors given have a value; no part of a result file.
+        squared: (n,) finite numbers; likewise.
     """
 
     dof: LeftOut[int]
@@ -121,14 +123,8 @@ class NormalisedFigures:
     single_band: Band
     inside: Share95[float | None]
     unusable: Mapping[str, int]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Normalised(NormalisedFigures):
-    """e^T P^-1 e of errors. row: (n,) which of the errors given; squared: (n,) finite numbers."""
-
-    row: Index
-    squared: Array
+    row: Aside[Index]
+    squared: Aside[Array]
 
 
 def normalise(error: Array, covariance: Array) -> Normalised:
