@@ -188,20 +188,16 @@ def audit_rows(audit: Audit) -> list[Row]:
         rows.append(Row("Algebra", "recursion against least squares, until a fault", text))
     for one in audit.sensors:
         rows += _sensor_rows(one)
+    blocks = audit.nees_by_block.items()
     for name, found in (
         ("filter minus smoother, per dof (1)", audit.smoother),
         ("NEES per dof (1)", audit.nees),
+        *((f"NEES per dof of block {block} (1)", one) for block, one in blocks),
     ):
         if found is not None:
-            low, high = found.band
-            inside = low <= found.mean <= high
+            (low, high), inside = found.band, found.band.holds(found.mean)
             band = f"{low:.3g} to {high:.3g}"
             rows.append(Row("Consistency", name, f"{found.mean:.3g}", band, inside))
-    for name, of in audit.nees_by_block.items():
-        low, high = of.band
-        band, inside = f"{low:.3g} to {high:.3g}", low <= of.mean <= high
-        quantity = f"NEES per dof of block {name} (1)"
-        rows.append(Row("Consistency", quantity, f"{of.mean:.3g}", band, inside))
     for way in audit.spurious or ():
         sigma = "none" if way.largest is None else f"{way.sigma:.3g} {way.unit}".rstrip()
         rows.append(Row("Spurious information", f"{way.name}, seems known to", sigma))
