@@ -55,7 +55,7 @@ FALSE_ALARMS = 1e-3
 MOST_ANCHORS = 200
 LARGEST_ANCHORED = 500
 """Entries of a state whose smoothed marginals are kept on the way."""
-_MOST_GAPS, _MOST_BLOCKS = 2_000, 200
+_MOST_GAPS = 2_000
 _CONSEQUENCE = 0.5
 """What innovations show explains other figures: these go first only where they show far more."""
 
@@ -83,10 +83,6 @@ class AlgebraGap:
     def worst(self) -> float:
         """The larger of both."""
         return max(self.sigma, self.covariance)
-
-
-def _first_blocks(blocks: Mapping[str, int]) -> dict[str, int]:
-    return dict(islice(blocks.items(), _MOST_BLOCKS))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +125,7 @@ class Audit:
     updates: int
     snapshots: int
     remarks: tuple[str, ...]
-    blocks: Annotated[Mapping[str, int], PlainSerializer(_first_blocks)]
+    blocks: Annotated[Mapping[str, int], PlainSerializer(lambda b: dict(islice(b.items(), 200)))]
     tolerance: float
     verdict: Verdict
     findings: tuple[Finding, ...]
