@@ -53,7 +53,7 @@ def judge(path: Path, planted: Planted, fault: Fault) -> Judged:
     event = first.event in range(planted.event, _next_snapshot(path, planted.event))
     blocks = _same_blocks(first, planted)
     if fault.statistical:
-        margin = 0.1 * result.counts.events
+        margin = 0.1 * result.events
         event = first.event is not None and abs(first.event - planted.event) <= margin
         blocks = first.sensor == planted.sensor
     return Judged(found=True, event=event, blocks=blocks, first=first)

@@ -113,7 +113,7 @@ def audited(path: Path) -> None:
     found = audit(path)
     took_s = time.process_time() - begin
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    events = found.counts.events
+    events = found.events
     verdict = "sound" if found.sound else "faulty"
     print(
         f"audit: {events / took_s:,.0f} events a second, {1e6 * took_s / events:.1f} us an "

@@ -80,11 +80,11 @@ class _Unread:
     """Of a field whose type is nobody's business but its owner's."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        return core_schema.any_schema()
+        return core_schema.with_default_schema(core_schema.any_schema(), default=None)
 
 
 Aside = Annotated[T, Field(exclude=True), _Unread()]
-"""What a finding holds and result files leave out: of any type."""
+"""What a finding holds and result files leave out: of any type, None of what a file holds."""
 
 Side = Literal["less", "more", "nominal", "same", "count", "left out"]
 """Which change of a figure is for the better: less, more, nearer to its nominal value, or none. A

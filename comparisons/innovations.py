@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, gammainc, gammaincinv
 
 from comparisons.arrays import Array, Index
-from comparisons.figures import Key, Mark
+from comparisons.figures import Aside, Key, Mark
 from comparisons.statistics import Nis, Whiteness, average, faults, mean_band, whiteness
 from comparisons.trace.events import Sensor
 from comparisons.words import Row
@@ -140,17 +140,25 @@ class SensorInnovations(InnovationFigures):
     event, time_s: (n,). squared: (n,) NIS, of dof (n,) entries each. components: (n, c) whitened,
     with their names; None where measurements differ in size. least: of the expected NIS, what a
     gate within batches leaves at least; 1 where its effect is undone.
+
+    Attributes:
+        measured: measurements with a valid innovation covariance.
+        rejected: those of them that the filter's gate rejected.
+        nominal_rejected: the share that it rejects of sound ones, if it has a gate.
     """
 
-    windows: Windows
-    gating: Gating
-    event: Index
-    time_s: Array
-    squared: Array
-    dof: Index
-    components: Array | None
-    names: tuple[str, ...]
-    least: float = 1.0
+    measured: int
+    rejected: int
+    nominal_rejected: float | None
+    windows: Aside[Windows]
+    gating: Aside[Gating]
+    event: Aside[Index]
+    time_s: Aside[Array]
+    squared: Aside[Array]
+    dof: Aside[Index]
+    components: Aside[Array | None]
+    names: Aside[tuple[str, ...]]
+    least: Aside[float] = 1.0
 
 
 class InnovationLog:
@@ -225,18 +233,22 @@ class InnovationLog:
             components = values[kept[row]].reshape(len(dof), -1)
             if len(names) != dof[0]:
                 names = tuple(f"component {i}" for i in range(dof[0]))
+        gating = Gating(
+            rows[judged, 1].astype(np.intp)[usable],
+            rows[judged, 2][usable],
+            used[usable] == 0,
+            gate,
+        )
         return SensorInnovations(
             sensor=self._name,
             nis=tuple(_nis(self._name, squared, dof, components, names)),
             whiteness=tuple(_whiteness(components, names, time_s, landmark[kept])),
             windows=_windows(event, time_s, squared, dof),
             unusable=int(np.count_nonzero(~usable)),
-            gating=Gating(
-                rows[judged, 1].astype(np.intp)[usable],
-                rows[judged, 2][usable],
-                used[usable] == 0,
-                gate,
-            ),
+            measured=len(gating.event),
+            rejected=gating.count,
+            nominal_rejected=None if gate is None else 1.0 - gate,
+            gating=gating,
             event=event,
             time_s=time_s,
             squared=squared,

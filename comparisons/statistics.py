@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 from scipy.special import chdtr, chdtrc, fdtri, gammaincinv
 
 from comparisons.arrays import Array, Index
-from comparisons.figures import Key, LeftOut, Nominal, OfDof, Share95
+from comparisons.figures import Aside, Figure, Key, LeftOut, Nominal, OfDof, Share95
 
 _OUTSIDE = 0.05
 """Of the figures that a band is for, as many lie outside, half of them on either side."""
@@ -97,8 +97,8 @@ def mean_band(count: float, dof: float, outside: float = _OUTSIDE) -> Band:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NormalisedFigures:
-    """Normalised errors squared, each with `dof` degrees of freedom.
+class Normalised:
+    """Normalised errors squared, e^T P^-1 e, each with `dof` degrees of freedom.
 
     Over time, and over landmarks of one run, the values are correlated: no band holds for their
     average.
@@ -112,6 +112,8 @@ class NormalisedFigures:
         inside: share of the values in it.
         unusable: errors without a value, by reason: `not finite`, `asymmetric`, `not positive
             definite`.
+        row: (n,) which of the errors given have a value; no part of a result file.
+        squared: (n,) finite numbers; likewise.
     """
 
     dof: LeftOut[int]
@@ -121,14 +123,8 @@ class NormalisedFigures:
     single_band: Band
     inside: Share95[float | None]
     unusable: Mapping[str, int]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Normalised(NormalisedFigures):
-    """e^T P^-1 e of errors. row: (n,) which of the errors given; squared: (n,) finite numbers."""
-
-    row: Index
-    squared: Array
+    row: Aside[Index]
+    squared: Aside[Array]
 
 
 def normalise(error: Array, covariance: Array) -> Normalised:
@@ -309,19 +305,23 @@ def independent(values: Array) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Averaged:
-    """Squared errors per degree of freedom: 1 is right.
+    """Squared errors per degree of freedom, of snapshots or epochs.
 
-    band: that 95 % of sound runs keep, by the effective number of independent ones. p_value: the
-    same, two-sided. count: how many. worst: number of the one that is largest. dof: degrees of
-    freedom of all independent ones together.
+    Attributes:
+        mean: the average; 1 is right.
+        band: of 95 % of sound runs, by the effective number of independent ones.
+        p_value: the same, two-sided.
+        snapshots: how many.
+        worst: number of the one that is largest; no part of a result file.
+        dof: degrees of freedom of all independent ones together; likewise.
     """
 
-    mean: float
+    mean: Figure
     band: Band
-    p_value: float
-    count: int
-    worst: int
-    dof: float
+    p_value: Figure
+    snapshots: int
+    worst: Aside[int]
+    dof: Aside[float]
 
 
 def averaged(squared: Array, dof: Index, number: Index) -> Averaged | None:
@@ -340,7 +340,7 @@ def averaged(squared: Array, dof: Index, number: Index) -> Averaged | None:
         mean=mean,
         band=Band(low / each, high / each),
         p_value=two_sided(mean * count * each, count * each),
-        count=len(per),
+        snapshots=len(per),
         worst=int(number[some][np.argmax(per)]),
         dof=count * each,
     )

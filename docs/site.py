@@ -29,7 +29,7 @@ from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
 from comparisons.config import JOBS, Configured, config_class
-from comparisons.experiments.montecarlo.folder import MonteCarloResult
+from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.experiments.reproduction.interface import ReproductionResult
 from comparisons.extensions.dense_maps.report import MapResult
 from comparisons.extensions.scan_motion.report import FrontEndResult
@@ -54,7 +54,7 @@ RESULTS: dict[str, tuple[type, ...]] = {
     "solution.json": (SolutionResult,),
     "odometry.json": (FrontEndResult,),
     "map.json": (MapResult,),
-    "montecarlo.json": (MonteCarloResult,),
+    "montecarlo.json": (Outcome,),
     "claims.json": (ReproductionResult,),
 }
 """Files of results, and the models or dataclasses of their contents."""

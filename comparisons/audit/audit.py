@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import PlainSerializer
 
 from comparisons.arrays import Array, Index
 from comparisons.audit.algebra import AlgebraCheck, Finding
@@ -27,9 +29,9 @@ from comparisons.audit.consistency import (
     first_error,
 )
 from comparisons.audit.replay import Fused, Layout, apart
-from comparisons.audit.spurious import Learnt, SpuriousInformation
+from comparisons.audit.spurious import Learnt, LearntDirection, SpuriousInformation
 from comparisons.errors import InputError
-from comparisons.figures import Figure
+from comparisons.figures import Aside, Figure, package_versions
 from comparisons.innovations import SensorInnovations
 from comparisons.statistics import ROUNDING, SINGULAR, Averaged, covariance_gap, rarity, units
 from comparisons.trace.events import (
@@ -44,7 +46,7 @@ from comparisons.trace.events import (
     Snapshot,
     Update,
 )
-from comparisons.trace.reader import Trace, TraceCounts
+from comparisons.trace.reader import Trace
 from graphslam.arrays import Marginal
 from graphslam.event_smoother import EventSmoother
 
@@ -88,56 +90,60 @@ class Audit:
     """What an audit found, and the figures that it rests on.
 
     Attributes:
-        trace: The file.
-        counts: Its events, updates and snapshots.
-        remarks: On the file.
-        blocks: Dimensions of all blocks that there ever were, by name.
-        tolerance: What rounding explains, in standard deviations.
-        findings: Faults first: of the algebra in the order of time, then what is rarest; what is
+        trace: the file; of it a result file has the name.
+        events: how many.
+        updates: of them.
+        snapshots: of them.
+        remarks: on the file.
+        blocks: dimensions of all blocks that there ever were, by name; in a result file at most
+            200.
+        tolerance: largest difference that counts as rounding, in standard deviations.
+        verdict: `sound`, `faulty` or `nothing checked`: no snapshot, gain or correction.
+        findings: faults first: of the algebra in the order of time, then what is rarest; what is
             slight last.
-        gaps: Snapshots against least squares, evenly thinned where there are many.
-        largest: The largest gap of all snapshots.
-        first_open: The first that is more than the tolerance.
-        unsolved: The event from which on nothing is compared with least squares, for its noise is
-            no covariance.
-        agreement: Largest difference of the two solutions, in sigmas, up to the first fault.
-        compared: How many snapshots were compared, those of the prior apart.
-        gains: How many gains and corrections were compared with Kalman's.
-        sensors: Innovations by sensor.
-        smoother: Filter against smoother.
-        nees: Errors against the recorded truth; None without.
-        nees_by_block: The same of each block that the prior has, where it has several.
-        spurious: What was learnt of directions that sensors cannot tell; None where none are
-            recorded.
-        timed: Every update has a time, and times do not fall.
+        largest_gap: the snapshot that is farthest from least squares.
+        first_open: the first that is farther than the tolerance.
+        gaps: of snapshots, evenly thinned where there are many.
+        oracle_agreement: largest difference of the two solutions, in standard deviations, up to the
+            first fault.
+        gains_compared: how many gains and corrections were compared with Kalman's.
+        sensors: innovations by sensor.
+        smoother: filter against smoother.
+        nees: errors by the recorded truth.
+        nees_by_block: the same of each block that the prior has, where it has several.
+        spurious: what was learnt of directions that sensors cannot tell, if recorded.
+        versions: of packages.
+        files: in the folder.
+        learnt: what `spurious` is of, with curves; no part of a result file.
+        unsolved: the event from which on nothing is compared with least squares, for its noise is
+            no covariance; likewise.
+        timed: every update has a time, and times do not fall; likewise.
     """
 
-    trace: Path
-    counts: TraceCounts
+    trace: Annotated[Path, PlainSerializer(lambda path: path.name, str)]
+    events: int
+    updates: int
+    snapshots: int
     remarks: tuple[str, ...]
-    blocks: Mapping[str, int]
+    blocks: Annotated[Mapping[str, int], PlainSerializer(lambda b: dict(islice(b.items(), 200)))]
     tolerance: float
+    verdict: Verdict
     findings: tuple[Finding, ...]
-    gaps: tuple[AlgebraGap, ...]
-    largest: AlgebraGap | None
+    largest_gap: AlgebraGap | None
     first_open: AlgebraGap | None
-    unsolved: int | None
-    agreement: float
-    compared: int
-    gains: int
+    gaps: tuple[AlgebraGap, ...]
+    oracle_agreement: float
+    gains_compared: int
     sensors: tuple[SensorInnovations, ...]
     smoother: Averaged | None
     nees: Averaged | None
     nees_by_block: Mapping[str, Averaged]
-    spurious: Learnt | None
-    timed: bool
-
-    @property
-    def verdict(self) -> Verdict:
-        """Without a snapshot, gain or correction no algebra was checked."""
-        if any(one.fault for one in self.findings):
-            return "faulty"
-        return "sound" if self.compared or self.gains else "nothing checked"
+    spurious: tuple[LearntDirection, ...] | None
+    versions: dict[str, str] = field(default_factory=package_versions)
+    files: tuple[str, ...] = ()
+    learnt: Aside[Learnt | None]
+    unsolved: Aside[int | None]
+    timed: Aside[bool]
 
     @property
     def sound(self) -> bool:
@@ -209,25 +215,28 @@ class _Pass:
             self._judge_innovations(figures, level)
         self._judge_smoother(smoothed.averaged, level)
         self._judge_errors(nees, smoothed, level)
+        findings = self.algebra.findings()
+        verdict: Verdict = "sound" if self.compared or self.algebra.gains else "nothing checked"
         return Audit(
             trace=self.trace.path,
-            counts=self.trace.counts,
+            **self.trace.counts._asdict(),
             remarks=(*self.trace.remarks, *self._unsolved()),
             blocks=self.blocks,
             tolerance=self.tolerance,
-            findings=self.algebra.findings(),
-            gaps=tuple(self.gaps),
-            largest=self.largest,
+            verdict="faulty" if any(one.fault for one in findings) else verdict,
+            findings=findings,
+            largest_gap=self.largest,
             first_open=self.first_open,
-            unsolved=self.unsolved,
-            agreement=self.agreement,
-            compared=self.compared,
-            gains=self.algebra.gains,
+            gaps=tuple(self.gaps),
+            oracle_agreement=self.agreement,
+            gains_compared=self.algebra.gains,
             sensors=sensors,
             smoother=smoothed.averaged,
             nees=nees.pop("", None),
             nees_by_block=nees,
-            spurious=spurious,
+            spurious=None if spurious is None else spurious.directions,
+            learnt=spurious,
+            unsolved=self.unsolved,
             timed=self.timed,
         )
 

@@ -71,8 +71,8 @@ def reproduce(
                 raise
             progress("gallery", 0, 0)
             write_gallery(found, out)
-        print_text(lambda console: print_claims(found.result, out, console))
-        raise SystemExit(AGREE if found.result.holds else DISAGREE)
+        print_text(lambda console: print_claims(found, out, console))
+        raise SystemExit(AGREE if found.holds else DISAGREE)
 
 
 def _list() -> None:

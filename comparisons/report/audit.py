@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
 from typing import TYPE_CHECKING
@@ -11,14 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from comparisons.arrays import Array
-from comparisons.audit.algebra import Finding
-from comparisons.audit.audit import AlgebraGap, Audit, Verdict
+from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.spurious import Learnt, LearntDirection
-from comparisons.figures import Model, finite, package_versions
-from comparisons.innovations import InnovationFigures, SensorInnovations
+from comparisons.innovations import SensorInnovations
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.job import Report
@@ -34,7 +30,6 @@ from comparisons.report.marks import (
 )
 from comparisons.report.picture import blank, draw_panel
 from comparisons.report.terminal import STYLES, Summary
-from comparisons.statistics import Averaged
 from comparisons.words import Row
 
 if TYPE_CHECKING:
@@ -54,115 +49,13 @@ _LEAST = 1e-17
 """What a gap of nothing is drawn as."""
 
 
-class AveragedResult(Model):
-    """Squared errors per degree of freedom over snapshots.
-
-    Attributes:
-        mean: the average; 1 is right.
-        band: of 95 % of sound runs.
-        p_value: two-sided.
-        snapshots: how many.
-    """
-
-    mean: float | None
-    band: tuple[float, float]
-    p_value: float | None
-    snapshots: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorResult(InnovationFigures):
-    """One sensor's innovations, and what its gate rejected.
-
-    Attributes:
-        measured: measurements with a valid innovation covariance.
-        rejected: those of them that the filter's gate rejected.
-        nominal_rejected: the share that it rejects of sound ones, if it has a gate.
-    """
-
-    measured: int
-    rejected: int
-    nominal_rejected: float | None
-
-
-class AuditResult(Model):
-    """Everything that the audit says of a trace.
-
-    Attributes:
-        trace: the file's name.
-        events: how many.
-        updates: of them.
-        snapshots: of them.
-        remarks: on the file.
-        blocks: dimensions of all blocks that there ever were, by name; at most 200.
-        tolerance: largest difference that counts as rounding, in standard deviations.
-        verdict: `sound`, `faulty` or `nothing checked`.
-        findings: faults first.
-        largest_gap: the snapshot that is farthest from least squares.
-        first_open: the first that is farther than the tolerance.
-        gaps: of snapshots, thinned.
-        oracle_agreement: largest difference of the two solutions, in standard deviations.
-        gains_compared: how many updates recorded a gain or a correction.
-        sensors: innovations by sensor.
-        smoother: filter against smoother.
-        nees: errors by the recorded truth.
-        nees_by_block: the same of each block that the prior has, where it has several.
-        spurious: directions that sensors cannot tell, if recorded.
-        versions: of packages.
-        files: in the folder.
-    """
-
-    trace: str
-    events: int
-    updates: int
-    snapshots: int
-    remarks: list[str]
-    blocks: dict[str, int]
-    tolerance: float
-    verdict: Verdict
-    findings: tuple[Finding, ...]
-    largest_gap: AlgebraGap | None
-    first_open: AlgebraGap | None
-    gaps: tuple[AlgebraGap, ...]
-    oracle_agreement: float
-    gains_compared: int
-    sensors: list[SensorResult]
-    smoother: AveragedResult | None
-    nees: AveragedResult | None
-    nees_by_block: dict[str, AveragedResult]
-    spurious: tuple[LearntDirection, ...] | None
-    versions: dict[str, str]
-    files: list[str] = Field(default_factory=list)
-
-
-class AuditReport(Report[Audit, AuditResult]):
+class AuditReport(Report[Audit, Audit]):
     """Report of `slamcheck audit`."""
 
     @staticmethod
-    def build(audit: Audit, read: Clock | None = None) -> AuditResult:
-        """Return the findings as they are stored."""
-        return AuditResult(
-            trace=audit.trace.name,
-            events=audit.counts.events,
-            updates=audit.counts.updates,
-            snapshots=audit.counts.snapshots,
-            remarks=list(audit.remarks),
-            blocks=dict(list(audit.blocks.items())[:200]),
-            tolerance=audit.tolerance,
-            verdict=audit.verdict,
-            findings=audit.findings,
-            largest_gap=audit.largest,
-            first_open=audit.first_open,
-            gaps=audit.gaps,
-            oracle_agreement=audit.agreement,
-            gains_compared=audit.gains,
-            sensors=[_sensor(one) for one in audit.sensors],
-            smoother=_averaged(audit.smoother),
-            nees=_averaged(audit.nees),
-            nees_by_block={name: _shown(one) for name, one in audit.nees_by_block.items()},
-            spurious=None if audit.spurious is None else audit.spurious.directions,
-            versions=package_versions(),
-        )
+    def build(audit: Audit, read: Clock | None = None) -> Audit:
+        """Return the findings, which are stored as they are."""
+        return audit
 
     def summary(self) -> Summary:
         """Return what the command prints."""
@@ -174,12 +67,11 @@ class AuditReport(Report[Audit, AuditResult]):
         headline = f"verdict: {audit.verdict}"
         if wrong:
             headline += f" ({len(wrong)} finding{'s' if len(wrong) > 1 else ''})"
-        counts = audit.counts
         lines = [
             (
                 "trace",
-                f"{counts.events:,} events, {counts.updates:,} updates, {counts.snapshots:,} "
-                f"snapshot{'s' if counts.snapshots != 1 else ''}",
+                f"{audit.events:,} events, {audit.updates:,} updates, {audit.snapshots:,} "
+                f"snapshot{'s' if audit.snapshots != 1 else ''}",
             ),
             ("algebra", _algebra_line(audit)),
             ("gains", _gains_line(audit)),
@@ -234,50 +126,24 @@ class AuditReport(Report[Audit, AuditResult]):
         return _STYLES[self.found.verdict]
 
 
-def _averaged(one: Averaged | None) -> AveragedResult | None:
-    return None if one is None else _shown(one)
-
-
-def _shown(one: Averaged) -> AveragedResult:
-    return AveragedResult(
-        mean=finite(one.mean),
-        band=one.band,
-        p_value=finite(one.p_value),
-        snapshots=one.count,
-    )
-
-
-def _sensor(one: SensorInnovations) -> SensorResult:
-    gating = one.gating
-    return SensorResult(
-        sensor=one.sensor,
-        nis=one.nis,
-        whiteness=one.whiteness,
-        unusable=one.unusable,
-        measured=len(gating.event),
-        rejected=gating.count,
-        nominal_rejected=None if gating.passes is None else 1.0 - gating.passes,
-    )
-
-
-def _spurious_line(found: Learnt) -> str:
+def _spurious_line(found: Sequence[LearntDirection]) -> str:
     some = [
         f"{one.name} to {one.sigma:.3g} {one.unit}".rstrip()
-        for one in found.directions
+        for one in found
         if one.largest is not None
     ]
     if not some:
-        return f"nothing learnt of {', '.join(one.name for one in found.directions)}"
+        return f"nothing learnt of {', '.join(one.name for one in found)}"
     return f"learnt from measurements that cannot tell it: {', '.join(some)}"
 
 
 def _algebra_line(audit: Audit) -> str:
     until = "" if audit.unsolved is None else f" before event {audit.unsolved:,}"
-    if audit.largest is None:
+    if audit.largest_gap is None:
         return f"not checked: the trace has no snapshot{until}"
     gap = audit.first_open
     if gap is None or audit.sound:  # what only least squares sees is small, and no finding
-        worst = audit.largest.worst
+        worst = audit.largest_gap.worst
         return f"equal to least squares at every snapshot{until}, to {worst:.1g}"
     at = f" ({gap.time_s:.6g} s)" if audit.timed and gap.time_s is not None else ""
     return (
@@ -287,55 +153,52 @@ def _algebra_line(audit: Audit) -> str:
 
 
 def _gains_line(audit: Audit) -> str:
-    if not audit.gains:
+    if not audit.gains_compared:
         return "not recorded"
     unlike = sum(one.check == "gain" for one in audit.findings)
-    return f"{audit.gains:,} compared, {'all Kalman' if not unlike else 'some are not Kalman'}'s"
+    whose = "some are not Kalman's" if unlike else "all Kalman's"
+    return f"{audit.gains_compared:,} compared, {whose}"
 
 
 def _sensor_line(one: SensorInnovations) -> str:
     if not one.nis:
         return f"{one.sensor}: no innovation"
-    nis, gating = one.nis[0], one.gating
+    nis = one.nis[0]
     text = f"{one.sensor}: NIS {nis.mean:.3g} ({nis.band.low:.3g} to {nis.band.high:.3g} expected)"
-    if gating.count or gating.passes is not None:
-        text += f", {gating.count:,} of {len(gating.event):,} rejected"
+    if one.rejected or one.gating.passes is not None:
+        text += f", {one.rejected:,} of {one.measured:,} rejected"
     return text
 
 
 def audit_rows(audit: Audit) -> list[Row]:
     """Return all figures."""
     rows = [
-        Row("Trace", "events", f"{audit.counts.events:,}"),
-        Row("Trace", "updates", f"{audit.counts.updates:,}"),
-        Row("Trace", "snapshots", f"{audit.counts.snapshots:,}"),
+        Row("Trace", "events", f"{audit.events:,}"),
+        Row("Trace", "updates", f"{audit.updates:,}"),
+        Row("Trace", "snapshots", f"{audit.snapshots:,}"),
         Row("Trace", "blocks, ever", f"{len(audit.blocks):,}"),
     ]
     most = f"at most {audit.tolerance:.0e}"
-    if audit.largest is not None:
-        gap = audit.largest
+    if audit.largest_gap is not None:
+        gap = audit.largest_gap
         for what, value in (("estimate [sigma]", gap.sigma), ("covariance", gap.covariance)):
             inside = value <= audit.tolerance
             rows.append(Row("Algebra", f"largest gap of the {what}", f"{value:.2g}", most, inside))
-        text = f"{audit.agreement:.1g} sigma^2"
+        text = f"{audit.oracle_agreement:.1g} sigma^2"
         rows.append(Row("Algebra", "recursion against least squares, until a fault", text))
     for one in audit.sensors:
         rows += _sensor_rows(one)
+    blocks = audit.nees_by_block.items()
     for name, found in (
         ("filter minus smoother, per dof (1)", audit.smoother),
         ("NEES per dof (1)", audit.nees),
+        *((f"NEES per dof of block {block} (1)", one) for block, one in blocks),
     ):
         if found is not None:
-            low, high = found.band
-            inside = low <= found.mean <= high
+            (low, high), inside = found.band, found.band.holds(found.mean)
             band = f"{low:.3g} to {high:.3g}"
             rows.append(Row("Consistency", name, f"{found.mean:.3g}", band, inside))
-    for name, of in audit.nees_by_block.items():
-        low, high = of.band
-        band, inside = f"{low:.3g} to {high:.3g}", low <= of.mean <= high
-        quantity = f"NEES per dof of block {name} (1)"
-        rows.append(Row("Consistency", quantity, f"{of.mean:.3g}", band, inside))
-    for way in () if audit.spurious is None else audit.spurious.directions:
+    for way in audit.spurious or ():
         sigma = "none" if way.largest is None else f"{way.sigma:.3g} {way.unit}".rstrip()
         rows.append(Row("Spurious information", f"{way.name}, seems known to", sigma))
     if audit.verdict == "faulty":
@@ -352,13 +215,12 @@ def _sensor_rows(one: SensorInnovations) -> list[Row]:
             "at least 0.001", w.p_value >= 0.001)
         for w in one.whiteness
     ]  # fmt: skip
-    count = len(gating.event)
-    rejected, limits, inside = f"{gating.count:,} of {count:,}", "", None
+    rejected, limits, inside = f"{one.rejected:,} of {one.measured:,}", "", None
     if gating.band is not None:
         low, high = gating.band
         limits, inside = (
             f"{100.0 * low:.2g} to {100.0 * high:.2g} %",
-            low <= gating.count / count <= high,
+            low <= one.rejected / one.measured <= high,
         )
     return [*rows, Row(group, "rejected by the gate", rejected, limits, inside)]
 
@@ -391,9 +253,9 @@ def audit_panels(audit: Audit) -> list[Panel]:
         for one in audit.sensors
         if len(one.windows.event) > 1
     ]
-    if audit.spurious is not None and len(audit.spurious.event) > 1:
-        at = _along(audit, audit.spurious.event, audit.spurious.time_s)
-        panels.append(_spurious_panel(audit.spurious, at, x_label))
+    if audit.learnt is not None and len(audit.learnt.event) > 1:
+        at = _along(audit, audit.learnt.event, audit.learnt.time_s)
+        panels.append(_spurious_panel(audit.learnt, at, x_label))
     return panels
 
 

@@ -7,10 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pydantic import BaseModel
-
 from comparisons.atomic import LIST, fresh_folder
-from comparisons.figures import json_text
+from comparisons.figures import json_text, stored
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,14 +23,14 @@ CONFIG = "config.toml"
 class JobFolder:
     """What goes into it.
 
-    name: of the result's file, without suffix. result: a model with `files`, the names of all that
+    name: of the result's file, without suffix. result: has `files`, the names of all that
     the folder holds, which are filled in last. config: None of a job that no file repeats.
     estimates: by folder. figures: by name without suffix, in formats as picture.save takes them.
     files: others by name, each written by a function that is given its path, in the end.
     """
 
     name: str
-    result: BaseModel
+    result: object
     config: JobConfig | None = None
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     figures: Mapping[str, Figure] = field(default_factory=dict)
@@ -50,7 +48,7 @@ def write_job_folder(content: JobFolder, folder: Path) -> None:
             (work / CONFIG).write_text(content.config.toml(), encoding="utf-8")
         for name, write in content.files.items():
             write(work / name)
-        found = content.result.model_dump(mode="json")
+        found = stored(content.result)
         files = sorted(p.relative_to(work).as_posix() for p in work.rglob("*") if p.is_file())
         found["files"] = sorted([*files, file, LIST])
         (work / file).write_text(json_text(found, indent=2) + "\n", encoding="utf-8")

@@ -8,8 +8,6 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
-from pydantic import BaseModel
-
 from comparisons.report.folder import JobFolder, write_job_folder
 from comparisons.report.terminal import Summary
 
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
     from comparisons.report.html.page import PageContent
 
 F = TypeVar("F")
-R = TypeVar("R", bound=BaseModel)
+R = TypeVar("R")
 
 REPORTS = {
     "Audit": "comparisons.report.audit:AuditReport",

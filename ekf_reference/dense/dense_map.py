@@ -21,9 +21,14 @@ from ekf_reference.dense.view import FilterView
 
 @dataclass
 class Tally:
-    """What became of all returns: fused at once, after a wait (`late`), or not at all.
+    """What became of all returns; those not counted here wait, or are counted there.
 
-    outside: in no region, nor in a potential one. The others wait, or are counted there.
+    Attributes:
+        scans: number of scans.
+        returns: number of returns.
+        fused: returns that entered the map at once.
+        late: returns that entered it after a wait.
+        outside: returns where no region can be.
     """
 
     scans: int = 0

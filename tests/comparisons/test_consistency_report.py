@@ -28,7 +28,7 @@ from comparisons.report.figures.run import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.run import RunReport, run_rows
-from comparisons.statistics import Band, NormalisedFigures
+from comparisons.statistics import Band, Normalised
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import Correction, KalmanState
@@ -174,7 +174,7 @@ def test_without_truth_the_smoother_is_the_measure(short: Log, tmp_path: Path) -
 @pytest.mark.parametrize("mean", [2.0, 10.0])
 @pytest.mark.parametrize("unusable", [{}, {"not positive definite": 4}])
 def test_a_nees_has_its_band_and_what_has_none(unusable: dict[str, int], mean: float) -> None:
-    pose = NormalisedFigures(
+    pose = Normalised(
         dof=3,
         count=23,
         mean=mean,
@@ -182,6 +182,8 @@ def test_a_nees_has_its_band_and_what_has_none(unusable: dict[str, int], mean: f
         single_band=Band(0.22, 9.35),
         inside=0.5,
         unusable=unusable,
+        row=np.arange(23),
+        squared=np.full(23, mean),
     )
     others = dict.fromkeys(set(TruthConsistencyResult.model_fields) - {"pose", "too_short"})
     *rest, found, share = nees_rows("My", TruthConsistencyResult(pose=pose, too_short=0, **others))

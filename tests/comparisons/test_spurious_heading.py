@@ -124,7 +124,7 @@ def test_run_and_audit_say_the_same(name: str, tmp_path: Path) -> None:
     c, trace = GOLDEN[name](), tmp_path / "run.trace"
     said = learnt(c).of(HEADING).sigma
     write_run(c.ekf, trace)
-    found = present(audit(trace).spurious)
+    found = present(audit(trace).learnt)
     assert 0.0 < said < 180.0
     assert found.of(HEADING).sigma == pytest.approx(said, rel=1e-6)
     for broken in (half_of_the_updates, first_estimates):

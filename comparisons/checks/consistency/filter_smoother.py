@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.figures import LeftOut, Less, Nominal, Share95
+from comparisons.figures import Aside, LeftOut, Less, Nominal, Share95
 from comparisons.statistics import (
     Averaged,
     Band,
@@ -38,8 +38,10 @@ BLOCKS = {"position": slice(0, 2), "heading": slice(2, 3)}
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterAgainstSmootherFigures:
+class FilterAgainstSmoother:
     """Filtered poses compared with smoothed ones.
+
+    Epochs share their future: averages have no plain band.
 
     Attributes:
         epochs: poses that were compared.
@@ -54,6 +56,13 @@ class FilterAgainstSmootherFigures:
         overconfident_since_s: time of the first one.
         unusable: epochs that could not be compared, by reason.
         departure: block and stretch that are off, where squared_per_dof leaves its band.
+        time_s: (n,) of the epochs that can be used; no part of a result file, as what follows.
+        error: (n, 3) e = x_E - x_S, additive, heading wrapped.
+        sigma: (n, 3) of the diagonal of P_E - P_S, zero where that is negative.
+        squared: (n,) e^T (P_E - P_S)^-1 e in the directions in which P_E - P_S is clearly positive.
+        dof: (n,) how many directions these are.
+        ratio: (n,) least P_E over P_S of all directions; below 1 the filter is overconfident.
+        overconfident: the epochs at which it clearly is.
     """
 
     epochs: int
@@ -66,26 +75,13 @@ class FilterAgainstSmootherFigures:
     overconfident_since_s: LeftOut[float | None]
     unusable: Mapping[str, int]
     departure: LeftOut[BlockDeparture | None] = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class FilterAgainstSmoother(FilterAgainstSmootherFigures):
-    """Per epoch; those whose covariances cannot be used are left out.
-
-    time_s: (n,). error: (n, 3) e. sigma: (n, 3) of the diagonal of P_E - P_S, zero where that is
-    negative. squared: (n,) e^T (P_E - P_S)^-1 e over the dof (n,) directions in which the
-    difference is clearly positive, e = x_E - x_S, additive, heading wrapped. ratio: (n,) least
-    P_E over P_S of all directions; below 1 the filter is overconfident. overconfident: the epochs
-    at which it clearly is. Epochs share their future: averages have no plain band.
-    """
-
-    time_s: Array
-    error: Array
-    sigma: Array
-    squared: Array
-    dof: Index
-    ratio: Array
-    overconfident: Index
+    time_s: Aside[Array]
+    error: Aside[Array]
+    sigma: Aside[Array]
+    squared: Aside[Array]
+    dof: Aside[Index]
+    ratio: Aside[Array]
+    overconfident: Aside[Index]
 
 
 def filter_against_smoother(

@@ -14,12 +14,12 @@ from comparisons.checks.consistency.consistency import (
     external_consistency,
     inconsistencies,
 )
-from comparisons.checks.consistency.filter_smoother import FilterAgainstSmootherFigures
+from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency, against_truth
 from comparisons.checks.finding import Absent, Of
 from comparisons.figures import LeftOut, Model, band
 from comparisons.innovations import InnovationFigures
-from comparisons.statistics import BlockDeparture, Normalised, NormalisedFigures
+from comparisons.statistics import BlockDeparture, Normalised
 from comparisons.words import Row
 
 if TYPE_CHECKING:
@@ -47,14 +47,14 @@ class TruthConsistencyResult(Model):
         departure: block and stretch that are off, where the poses pass the limit of a verdict.
     """
 
-    pose: NormalisedFigures | None
-    position: NormalisedFigures | None
-    heading: NormalisedFigures | None
-    landmarks: NormalisedFigures | None
-    map: NormalisedFigures | None
-    whole: NormalisedFigures | None
-    distance: NormalisedFigures | None
-    distances: NormalisedFigures | None
+    pose: Normalised | None
+    position: Normalised | None
+    heading: Normalised | None
+    landmarks: Normalised | None
+    map: Normalised | None
+    whole: Normalised | None
+    distance: Normalised | None
+    distances: Normalised | None
     too_short: int
     departure: LeftOut[BlockDeparture | None] = None
 
@@ -72,7 +72,7 @@ class ConsistencyResult(Model):
     ekf: TruthConsistencyResult | None
     smoother: TruthConsistencyResult | None
     innovations: list[InnovationFigures]
-    filter_against_smoother: FilterAgainstSmootherFigures | None
+    filter_against_smoother: FilterAgainstSmoother | None
 
 
 class ExternalConsistencyResult(Model):
@@ -85,7 +85,7 @@ class ExternalConsistencyResult(Model):
     """
 
     truth: TruthConsistencyResult | None
-    filter_against_smoother: FilterAgainstSmootherFigures | None
+    filter_against_smoother: FilterAgainstSmoother | None
     unjudged: str
 
 
@@ -242,11 +242,11 @@ def nees_rows(name: str, t: TruthConsistencyResult | None, bands: str = "95 % ba
     return rows
 
 
-def _expected(group: str, what: str, n: NormalisedFigures, limits: str, *, inside: bool) -> Row:
+def _expected(group: str, what: str, n: Normalised, limits: str, *, inside: bool) -> Row:
     return Row(group, f"{what} (expected {n.dof})", f"{n.mean:.3g}", limits, inside)
 
 
-def smoothed_rows(name: str, f: FilterAgainstSmootherFigures | None) -> list[Row]:
+def smoothed_rows(name: str, f: FilterAgainstSmoother | None) -> list[Row]:
     """Return a filter compared with the smoother, where that can be judged. name: of the filter."""
     if f is None or f.squared_per_dof is None or f.least_ratio is None:
         return []

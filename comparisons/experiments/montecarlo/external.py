@@ -27,6 +27,7 @@ from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.experiments.montecarlo.config import FILTER_NAMES
 from comparisons.experiments.montecarlo.runs import Records, planar_nees, recorded_steps
 from comparisons.experiments.scenarios.world import World, log_of_run
+from comparisons.figures import Aside
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from ekf_reference.core.geometry import wrap_angle
@@ -50,24 +51,20 @@ class EstimatorError(Exception):
 
 
 @dataclass(frozen=True)
-class FailedRun:
+class Failure:
     """A run in which an external filter failed.
 
     Attributes:
         seed: seed of the run.
         reason: what happened.
+        output: end of what it wrote on standard error; no part of a result file.
+        log: folder of its log, where that is kept; likewise.
     """
 
     seed: int
     reason: str
-
-
-@dataclass(frozen=True)
-class Failure(FailedRun):
-    """With the end of what it wrote on standard error, and the folder of a log that is kept."""
-
-    output: str = ""
-    log: Path | None = None
+    output: Aside[str] = ""
+    log: Aside[Path | None] = None
 
 
 @dataclass(frozen=True)

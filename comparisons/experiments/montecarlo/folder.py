@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from pydantic import TypeAdapter
 
 from comparisons.atomic import OWN, write_whole
 from comparisons.experiments.montecarlo.chunk_files import CONFIG, LOGS
-from comparisons.experiments.montecarlo.external import FailedRun
 from comparisons.experiments.montecarlo.page import study_page
 from comparisons.experiments.montecarlo.plots import curves_figure
 from comparisons.experiments.montecarlo.statistics import (
@@ -21,8 +17,6 @@ from comparisons.experiments.montecarlo.statistics import (
     ERRORS,
     LEVEL,
     FilterFigures,
-    FilterResult,
-    Pair,
     per_run,
 )
 from comparisons.experiments.montecarlo.study import Outcome
@@ -42,68 +36,9 @@ _PLACES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class MonteCarloResult:
-    """`montecarlo.json`: a Monte Carlo study, the same bytes however the work was spread.
-
-    Attributes:
-        config: all settings; they repeat the study.
-        scenario: name of the scenario.
-        description: what it is.
-        sha256: hash of the scenario.
-        runs: number of runs.
-        steps: steps of a run.
-        recorded_steps: steps at which figures were recorded.
-        duration_s: duration of a run.
-        landmarks: landmarks of the scenario.
-        level: level of bands and intervals.
-        filters: each filter, by name.
-        pairs: each pair of filters.
-        final_map: figures of landmarks are of the last step alone, since an external filter takes
-            part.
-        failures: failed runs of external filters, by name.
-    """
-
-    config: dict[str, Any]
-    scenario: str
-    description: str
-    sha256: str
-    runs: int
-    steps: int
-    recorded_steps: int
-    duration_s: float
-    landmarks: int
-    level: float
-    filters: Mapping[str, FilterResult]
-    pairs: list[Pair]
-    final_map: bool
-    failures: Mapping[str, tuple[FailedRun, ...]]
-
-    @classmethod
-    def of(cls, outcome: Outcome) -> MonteCarloResult:
-        """Without what depends on the machine."""
-        study, scenario = outcome.study, outcome.study.scenario
-        return cls(
-            config=study.config.model_dump(mode="json"),
-            scenario=study.name,
-            description=scenario.description,
-            sha256=study.sha256,
-            runs=study.config.runs,
-            steps=scenario.steps,
-            recorded_steps=len(outcome.time_s),
-            duration_s=scenario.steps * scenario.step_s,
-            landmarks=outcome.landmarks,
-            level=LEVEL,
-            filters=outcome.figures,
-            pairs=outcome.pairs,
-            final_map=outcome.final_map,
-            failures=outcome.failures,
-        )
-
-
 def write_montecarlo(outcome: Outcome, folder: Path) -> None:
     """Write the settings, the figures, those of each run, page and picture, each whole."""
-    result = TypeAdapter(MonteCarloResult).dump_json(MonteCarloResult.of(outcome), indent=2)
+    result = TypeAdapter(Outcome).dump_json(outcome, indent=2)
     texts = {
         CONFIG: outcome.study.config.toml(),
         RESULT: result.decode() + "\n",
@@ -118,7 +53,7 @@ def write_montecarlo(outcome: Outcome, folder: Path) -> None:
 def _run_rows(outcome: Outcome) -> str:
     """A line per run and filter; empty where there is no such figure."""
     lines = ["seed,filter,ate_m,heading_rmse_rad,landmark_rmse_m,pose_nees,last_pose_nees"]
-    for name, figures in outcome.figures.items():
+    for name, figures in outcome.filters.items():
         kept = figures.kept
         run = per_run(kept)
         columns = [run[f"{what}_rmse"] for what in ERRORS]
@@ -145,19 +80,18 @@ def _places(figures: FilterFigures) -> str:
 
 def montecarlo_summary(outcome: Outcome) -> Summary:
     """Return what the command prints: consistent filters, then NEES and errors of each filter."""
-    study = outcome.study
     repeated = []
     if outcome.reused:
         repeated.append(f"results of commands that were used again: {outcome.reused}")
     if outcome.damaged:
         repeated.append(f"damaged chunk files, computed again: {outcome.damaged}")
     alike: dict[str, list[str]] = {}
-    for name, figures in outcome.figures.items():
+    for name, figures in outcome.filters.items():
         alike.setdefault(_places(figures), []).append(name)
     found = [f"{', '.join(names)} {words}" for words, names in alike.items()]
-    shown = list(outcome.figures.items())[:_MOST_FILTERS]
+    shown = list(outcome.filters.items())[:_MOST_FILTERS]
     lines = [(name, _filter_line(figures)) for name, figures in shown]
-    if more := len(outcome.figures) - len(shown):
+    if more := len(outcome.filters) - len(shown):
         lines.append(("more", f"{more} filters in the report"))
     return Summary(
         headline=f"NEES: {'; '.join(found)}",
@@ -166,8 +100,8 @@ def montecarlo_summary(outcome: Outcome) -> Summary:
         lines=[
             (
                 "study",
-                f"{study.config.runs:,} runs of {study.scenario.steps:,} steps, "
-                f"{outcome.landmarks} landmarks ({study.name})",
+                f"{outcome.runs:,} runs of {outcome.steps:,} steps, "
+                f"{outcome.landmarks} landmarks ({outcome.scenario})",
             ),
             *lines,
         ],
@@ -186,7 +120,7 @@ def _filter_line(figures: FilterFigures) -> str:
 
 def _rows(outcome: Outcome) -> list[Row]:
     rows = []
-    for name, figures in outcome.figures.items():
+    for name, figures in outcome.filters.items():
         group = f"Filter {name} ({100 * LEVEL:.0f} % bands)"
         for block, one in figures.consistency.items():
             known = one.place != "not given"
@@ -207,10 +141,10 @@ def _rows(outcome: Outcome) -> list[Row]:
 def remarks(outcome: Outcome) -> list[str]:
     """What stands beside the figures: runs that are left out, and what was not handed in."""
     lines = []
-    for name, figures in outcome.figures.items():
+    for name, figures in outcome.filters.items():
         failed = outcome.failures.get(name, ())
         if failed:
-            lines.append(f"{name}: {len(failed)} of {outcome.study.config.runs} runs failed")
+            lines.append(f"{name}: {len(failed)} of {outcome.runs} runs failed")
         elif figures.lost:
             lines.append(f"{name}: {figures.lost} runs broke down and are left out")
         for one in failed[:_MOST_FAILURES]:

@@ -35,13 +35,12 @@ def framed_page(outcome: Outcome) -> str:
 
 def study_page(outcome: Outcome, remarks: list[str], *, stored: bool = True) -> str:
     """The whole page. remarks: what stands beside the figures. stored: beside its config.toml."""
-    study = outcome.study
     reported = "".join(f"<li>{escape(remark.strip())}</li>" for remark in remarks)
     rows = sum(pair.runs > 0 for pair in outcome.pairs)
     parts = [
-        f"<header><h1>{escape(study.name)}</h1><p>{study.config.runs:,} runs of "
-        f"{study.scenario.steps:,} steps, {outcome.landmarks} landmarks</p></header>",
-        f'<p class="note">{escape(study.scenario.description)}</p>',
+        f"<header><h1>{escape(outcome.scenario)}</h1><p>{outcome.runs:,} runs of "
+        f"{outcome.steps:,} steps, {outcome.landmarks} landmarks</p></header>",
+        f'<p class="note">{escape(outcome.description)}</p>',
         f'<ul class="note">{reported}</ul>' if reported else "",
         again("montecarlo") if stored else "",
         "<h2>Consistency: mean NEES</h2>",
@@ -65,13 +64,13 @@ def study_page(outcome: Outcome, remarks: list[str], *, stored: bool = True) -> 
         "table). A lower error is better; a NEES is best near its degrees of freedom, 3.</p>",
         data_block({"start": 0.0, "panels": [panel_data(one, 0.0) for one in _panels(outcome)]}),
     ]
-    return document(f"{study.name}: Monte Carlo", parts, script(_SCRIPTS))
+    return document(f"{outcome.scenario}: Monte Carlo", parts, script(_SCRIPTS))
 
 
 def _consistency(outcome: Outcome) -> str:
     rows: list[tuple[str, ...]] = []
     bad: list[int] = []
-    for name, figures in outcome.figures.items():
+    for name, figures in outcome.filters.items():
         cells = [
             "none"
             if c.place == "not given"
@@ -98,7 +97,7 @@ _PLACES = {
 
 def _errors(outcome: Outcome) -> str:
     rows = []
-    for name, figures in outcome.figures.items():
+    for name, figures in outcome.filters.items():
         ate = per_run(figures.kept)["position_rmse"]
         runs = np.flatnonzero(np.isfinite(ate))
         middle, worst = np.nan, "none"
@@ -136,7 +135,7 @@ def _wide(content: str) -> str:
 
 def _panels(outcome: Outcome) -> list[Panel]:
     """NEES with its band, then RMSE."""
-    figures, time_s = outcome.figures, outcome.time_s
+    figures, time_s = outcome.filters, outcome.time_s
     panels = []
     for block, dof in DOF.items():
         widest = max(

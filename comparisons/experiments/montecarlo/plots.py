@@ -43,7 +43,7 @@ def curves_figure(outcome: Outcome) -> Figure:
     """ANEES above, RMSE below."""
     figure = blank(15.0, 6.8)
     above, below = figure.subplots(2, 4, sharex=True)
-    time, by_filter = outcome.time_s, outcome.figures
+    time, by_filter = outcome.time_s, outcome.filters
     for axis, block in zip(above, DOF, strict=True):
         band = next(iter(by_filter.values())).consistency[block].band
         curves = {name: f.nees_curve[block] for name, f in by_filter.items()}
@@ -58,6 +58,5 @@ def curves_figure(outcome: Outcome) -> Figure:
     below[0].legend(*above[0].get_legend_handles_labels(), loc="center", frameon=False)
     for axis in above:
         axis.tick_params(labelbottom=True)
-    study = outcome.study
-    figure.suptitle(f"{study.name}: {study.config.runs} runs", fontsize=11)
+    figure.suptitle(f"{outcome.scenario}: {outcome.runs} runs", fontsize=11)
     return figure

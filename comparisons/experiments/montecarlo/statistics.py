@@ -14,6 +14,7 @@ from scipy import stats
 
 from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.runs import Records
+from comparisons.figures import Aside
 
 LEVEL = 0.95
 DOF = {"pose": 3, "position": 2, "heading": 1, "landmarks": 2}
@@ -71,7 +72,7 @@ class LastPoses:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterResult:
+class FilterFigures:
     """One filter of the study.
 
     Attributes:
@@ -81,6 +82,9 @@ class FilterResult:
         rmse_heading_rad: root mean square error of the headings.
         rmse_landmark_m: root mean square error of the landmarks.
         last_pose_inside: NEES of the last poses.
+        nees_curve: (T,) by DOF, over the runs; no part of a result file, as what follows.
+        rmse_curve: (T,) by ERRORS.
+        kept: what all of this is of.
     """
 
     lost: int
@@ -89,21 +93,15 @@ class FilterResult:
     rmse_heading_rad: float
     rmse_landmark_m: float
     last_pose_inside: LastPoses
+    nees_curve: Aside[dict[str, Array]]
+    rmse_curve: Aside[dict[str, Array]]
+    kept: Aside[Tally]
 
     @property
     def rmse(self) -> dict[str, float]:
         """By ERRORS."""
         found = (self.rmse_position_m, self.rmse_heading_rad, self.rmse_landmark_m)
         return dict(zip(ERRORS, found, strict=True))
-
-
-@dataclass(frozen=True, kw_only=True)
-class FilterFigures(FilterResult):
-    """With what is drawn: nees_curve and rmse_curve (T,) by DOF and by ERRORS, over the runs."""
-
-    nees_curve: dict[str, Array]
-    rmse_curve: dict[str, Array]
-    kept: Tally
 
 
 @dataclass(frozen=True, kw_only=True)

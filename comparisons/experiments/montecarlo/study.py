@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from comparisons.experiments.montecarlo.external import (
 )
 from comparisons.experiments.montecarlo.runs import Records, recorded_steps, run_filter
 from comparisons.experiments.montecarlo.statistics import (
+    LEVEL,
     FilterFigures,
     Pair,
     compare_pairs,
@@ -35,6 +36,7 @@ from comparisons.experiments.montecarlo.statistics import (
 from comparisons.experiments.montecarlo.workers import check_workers, spread
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
 from comparisons.experiments.scenarios.world import World, build_world, log_of_run, measure
+from comparisons.figures import Aside
 from comparisons.logs.log_folder import write_log_folder
 
 if TYPE_CHECKING:
@@ -86,34 +88,55 @@ def read_study(config: MonteCarloConfig, *, allow_changed: bool = False) -> Stud
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Hold what many runs of several filters found.
+    """Hold what many runs of several filters found, the same however the work was spread.
 
     Attributes:
-        study: Configuration and scenario.
+        config: all settings; they repeat the study.
+        scenario: name of the scenario.
+        description: what it is.
+        sha256: hash of the scenario.
+        runs: number of runs.
+        steps: steps of a run.
+        recorded_steps: steps at which figures were recorded.
+        duration_s: duration of a run.
+        landmarks: landmarks of the scenario.
+        level: level of bands and intervals.
+        filters: each filter, by name.
+        pairs: each pair of filters.
+        final_map: figures of landmarks are of the last step alone, since an external filter takes
+            part.
+        failures: failed runs of external filters, by name.
+        study: configuration and scenario; no part of `montecarlo.json`, as what follows.
         time_s: (T,) of the recorded steps.
-        landmarks: How many the scenario has.
-        figures: NEES with its band, and errors, by filter.
-        pairs: Every two filters, compared run by run.
-        computed: Chunks of runs that were not in the folder yet.
-        damaged: Files of the folder that had to be replaced.
-        failures: Of external filters, by name, in the order of seeds.
-        reused: Runs of external filters that were not computed again.
+        computed: chunks of runs that were not in the folder yet.
+        damaged: files of the folder that had to be replaced.
+        reused: runs of external filters that were not computed again.
     """
 
-    study: Study
-    time_s: np.ndarray[tuple[int], np.dtype[np.float64]]
+    config: dict[str, Any]
+    scenario: str
+    description: str
+    sha256: str
+    runs: int
+    steps: int
+    recorded_steps: int
+    duration_s: float
     landmarks: int
-    figures: dict[str, FilterFigures]
+    level: float = LEVEL
+    filters: dict[str, FilterFigures]
     pairs: list[Pair]
-    computed: int
-    damaged: int
-    failures: dict[str, tuple[Failure, ...]] = field(default_factory=dict)
-    reused: int = 0
+    final_map: bool
+    failures: dict[str, tuple[Failure, ...]]
+    study: Aside[Study]
+    time_s: Aside[np.ndarray[tuple[int], np.dtype[np.float64]]]
+    computed: Aside[int]
+    damaged: Aside[int]
+    reused: Aside[int]
 
     def __repr__(self) -> str:
         """Return scenario, runs and filters in one line."""
-        runs = f"{self.study.config.runs:,} runs"
-        return f"<MonteCarlo of {self.study.name}: {runs}, filters {', '.join(self.figures)}>"
+        runs = f"{self.runs:,} runs"
+        return f"<MonteCarlo of {self.scenario}: {runs}, filters {', '.join(self.filters)}>"
 
     def _repr_html_(self) -> str:
         shown: str = resolve_name("comparisons.experiments.montecarlo.page:framed_page")(self)
@@ -135,11 +158,6 @@ class Outcome:
         """
         frame = resolve_name("comparisons.experiments.montecarlo.tables:study_frame")
         return cast("DataFrame", frame(self, table))
-
-    @property
-    def final_map(self) -> bool:
-        """Whether figures of landmarks are those of the last step alone."""
-        return bool(self.failures)
 
 
 @dataclass(frozen=True)
@@ -234,15 +252,25 @@ def run_study(
     kept = {
         name: tally(_finished(files, name, config.runs), used, final_map=final) for name in names
     } | {name: tally(one.records(), used, final_map=final) for name, one in theirs.items()}
+    scenario = study.scenario
     return Outcome(
-        study=study,
-        time_s=study.scenario.step_s * np.array(steps, dtype=float)[used],
+        config=config.model_dump(mode="json"),
+        scenario=study.name,
+        description=scenario.description,
+        sha256=study.sha256,
+        runs=config.runs,
+        steps=scenario.steps,
+        recorded_steps=int(np.count_nonzero(used)),
+        duration_s=scenario.steps * scenario.step_s,
         landmarks=len(world.landmark),
-        figures={name: figures_of(of_filter) for name, of_filter in kept.items()},
+        filters={name: figures_of(of_filter) for name, of_filter in kept.items()},
         pairs=compare_pairs(kept),
+        final_map=final,
+        failures={name: one.failures for name, one in theirs.items()},
+        study=study,
+        time_s=scenario.step_s * np.array(steps, dtype=float)[used],
         computed=len(wanted),
         damaged=damaged,
-        failures={name: one.failures for name, one in theirs.items()},
         reused=sum(one.reused for one in theirs.values()),
     )
 

@@ -26,7 +26,7 @@ def study_frame(outcome: Outcome, table: str) -> DataFrame:
 
 def _filters(outcome: Outcome) -> Columns:
     rows = []
-    for name, figures in outcome.figures.items():
+    for name, figures in outcome.filters.items():
         row: dict[str, Any] = {"filter": name, "lost": figures.lost}
         for block, found in figures.consistency.items():
             low, high = found.band
@@ -47,7 +47,7 @@ def _nees(outcome: Outcome) -> Columns:
             "low": found.band[0],
             "high": found.band[1],
         }
-        for name, figures in outcome.figures.items()
+        for name, figures in outcome.filters.items()
         for block, found in figures.consistency.items()
         for time_s, nees in zip(
             outcome.time_s.tolist(), figures.nees_curve[block].tolist(), strict=True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
@@ -12,21 +11,19 @@ from rich.console import Console
 
 from comparisons.atomic import fresh_folder
 from comparisons.experiments.reproduction.interface import Claim, FigureResult, ReproductionResult
-from comparisons.experiments.reproduction.runner import Picture, Reproduction
 from comparisons.report.html.shell import document, picture, table
 
 CLAIMS = "claims.json"
 """By which such a folder is told from others."""
 
 
-def write_gallery(found: Reproduction, folder: Path) -> None:
+def write_gallery(result: ReproductionResult, folder: Path) -> None:
     """Write everything; the folder appears whole or not at all. Raises InputError."""
-    result, pictures = found
     with fresh_folder(folder, CLAIMS) as work:
-        for name, one in pictures.items():
-            (work / f"{name}.png").write_bytes(one.png)
-            (work / f"{name}.pdf").write_bytes(one.pdf)
-        (work / "gallery.html").write_text(_gallery(result, pictures), encoding="utf-8")
+        for one in result.figures:
+            (work / f"{one.name}.png").write_bytes(one.png)
+            (work / f"{one.name}.pdf").write_bytes(one.pdf)
+        (work / "gallery.html").write_text(_gallery(result), encoding="utf-8")
         text = TypeAdapter(ReproductionResult).dump_json(result, indent=2)
         (work / CLAIMS).write_bytes(text + b"\n")
 
@@ -49,7 +46,7 @@ def print_claims(result: ReproductionResult, folder: Path, console: Console) -> 
     console.print("\n".join(lines), highlight=False, markup=False)
 
 
-def _gallery(result: ReproductionResult, pictures: Mapping[str, Picture]) -> str:
+def _gallery(result: ReproductionResult) -> str:
     """The page: every figure with what its document claims and what was measured here."""
     kind, outcome = ("agree", "all hold") if result.holds else ("disagree", "not all hold")
     contents = [(figure.name, figure.title, _met(figure)) for figure in result.figures]
@@ -60,7 +57,7 @@ def _gallery(result: ReproductionResult, pictures: Mapping[str, Picture]) -> str
         '<p class="note">Claims are in our words. Environments are those of the documents as '
         "far as these describe them; where things stand in simulated ones is ours.</p>",
         table(("figure", "", "claims that hold"), contents, bad),
-        *(_figure(figure, pictures[figure.name].png) for figure in result.figures),
+        *map(_figure, result.figures),
     ]
     if result.skipped:
         rows = [(s.name, s.title, s.reason) for s in result.skipped]
@@ -69,7 +66,7 @@ def _gallery(result: ReproductionResult, pictures: Mapping[str, Picture]) -> str
     return document("slamcheck: reproduced figures", parts)
 
 
-def _figure(figure: FigureResult, png: bytes) -> str:
+def _figure(figure: FigureResult) -> str:
     shared = f", shared with {', '.join(figure.shared)}" if figure.shared else ""
     bad = [number for number, claim in enumerate(figure.claims) if not claim.holds]
     rows = [
@@ -86,7 +83,7 @@ def _figure(figure: FigureResult, png: bytes) -> str:
         f"<p>{escape(figure.says)}</p>"
         f'<p class="note">{escape(figure.source)}. Log: {escape(figure.log)}. '
         f"{figure.seconds:.1f} s{escape(shared)}.</p>"
-        f"{picture(figure.title, png)}{table(('claim', 'measured', 'limit', ''), rows, bad)}"
+        f"{picture(figure.title, figure.png)}{table(('claim', 'measured', 'limit', ''), rows, bad)}"
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.errors import InputError
-from comparisons.figures import finite
+from comparisons.figures import Aside, finite
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 
@@ -262,6 +262,8 @@ class FigureResult:
         shared: figures of the same experiment.
         holds: whether all its claims hold.
         claims: its claims.
+        png: as it was drawn; no part of a result file.
+        pdf: likewise.
     """
 
     name: str
@@ -274,6 +276,8 @@ class FigureResult:
     shared: tuple[str, ...]
     holds: bool
     claims: tuple[Claim, ...]
+    png: Aside[bytes]
+    pdf: Aside[bytes]
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable
 
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.workers import check_workers, spread
@@ -24,34 +23,12 @@ from graphslam.scan.libraries import MissingLibraryError, require
 Progress = Callable[[str, int, int], None]
 
 
-class Picture(NamedTuple):
-    """A figure as it was drawn, in both formats."""
-
-    png: bytes
-    pdf: bytes
-
-
-class Reproduction(NamedTuple):
-    """All figures that were asked for. pictures: by name, of those that were run."""
-
-    result: ReproductionResult
-    pictures: Mapping[str, Picture]
-
-
-class _Experiment(NamedTuple):
-    """What one experiment left; its time is of all its figures."""
-
-    figures: list[FigureResult]
-    pictures: dict[str, Picture]
-    cpu_s: float
-
-
 def reproduce(
     names: tuple[str, ...],
     sources: Sources,
     workers: int = 1,
     progress: Progress = lambda stage, done, total: None,
-) -> Reproduction:
+) -> ReproductionResult:
     """The figures of these names in the catalogue's order; the same with any number of workers.
 
     Raises InputError for unknown names, unreadable data, or where nothing can be run.
@@ -68,17 +45,16 @@ def reproduce(
         raise InputError(f"nothing to run: {', '.join(reasons)}")
     tasks = [(tuple(group), sources) for group in groups.values()]
     progress("figures", 0, len(tasks))
-    each = list[_Experiment]()
+    each = list[tuple[list[FigureResult], float]]()
     for place, found in spread(_experiment, tasks, workers):
         each.append(found)
         progress(f"figures ({', '.join(tasks[place][0])} done)", len(each), len(tasks))
-    done = {figure.name: figure for found in each for figure in found.figures}
-    pictures = {name: one for found in each for name, one in found.pictures.items()}
-    result = ReproductionResult(
+    done = {figure.name: figure for found, _ in each for figure in found}
+    return ReproductionResult(
         holds=all(figure.holds for figure in done.values()),
         drives=sources.drives,
         seconds=round(time.perf_counter() - start, 3),
-        cpu_s=round(sum(found.cpu_s for found in each), 3),
+        cpu_s=round(sum(cpu_s for _, cpu_s in each), 3),
         figures=tuple(done[figure.name] for figure in figures if figure.name in done),
         skipped=tuple(
             SkippedResult(figure.name, figure.title, figure.source, reason)
@@ -87,7 +63,6 @@ def reproduce(
         ),
         versions=package_versions(),
     )
-    return Reproduction(result, pictures)
 
 
 def _lacking(figure: AnyFigure, sources: Sources) -> str:
@@ -102,8 +77,11 @@ def _lacking(figure: AnyFigure, sources: Sources) -> str:
     return ""
 
 
-def _experiment(names: tuple[str, ...], sources: Sources) -> _Experiment:
-    """One experiment and its figures; by name, which is how processes tell each other."""
+def _experiment(names: tuple[str, ...], sources: Sources) -> tuple[list[FigureResult], float]:
+    """Run the experiment of figures; by name, which is how processes tell each other.
+
+    Return the figures, and the processor time of all of them together.
+    """
     figures = chosen(names)
     start, cpu = time.perf_counter(), time.process_time()
     try:
@@ -111,11 +89,11 @@ def _experiment(names: tuple[str, ...], sources: Sources) -> _Experiment:
     except (InputError, FilterDivergedError) as error:
         raise InputError(f"{', '.join(names)}: {error}") from None
     seconds, cpu_s = time.perf_counter() - start, time.process_time() - cpu
-    results, pictures = list[FigureResult](), dict[str, Picture]()
+    results = list[FigureResult]()
     for figure in figures:
         canvas = blank(*figure.size)
         figure.draw(canvas, data)
-        pictures[figure.name] = Picture(*encoded(canvas))
+        png, pdf = encoded(canvas)
         claims = figure.judged(data)
         one = FigureResult(
             name=figure.name,
@@ -128,6 +106,8 @@ def _experiment(names: tuple[str, ...], sources: Sources) -> _Experiment:
             shared=tuple(name for name in names if name != figure.name),
             holds=all(claim.holds for claim in claims),
             claims=claims,
+            png=png,
+            pdf=pdf,
         )
         results.append(one)
-    return _Experiment(results, pictures, cpu_s)
+    return results, cpu_s

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from comparisons.extensions.dense_maps.figure import (
     thinned,
 )
 from comparisons.extensions.dense_maps.job import DenseMapping
+from comparisons.extensions.dense_maps.source import BeforeClosing
 from comparisons.figures import Model
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.known import Known
@@ -40,7 +42,7 @@ from comparisons.report.sections import about_job, ekf_result, found_entries, jo
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
-from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.dense_map import DenseMap, Tally
 from ekf_reference.dense.dynamic import DynamicLayer, places
 from ekf_reference.dense.layers.layer import Samples
 from graphslam.scan.clouds import write_cloud
@@ -60,38 +62,17 @@ class LayerResult(Model):
     occupied: int
 
 
-class ReturnsResult(Model):
+@dataclass(kw_only=True)
+class ReturnsResult(Tally):
     """What became of the scanner's returns.
 
     Attributes:
-        scans: number of scans.
-        returns: number of returns.
-        fused: returns that entered the map.
-        late: of these, those that entered after a wait.
-        outside: returns where no region can be.
         waiting: returns that still wait at the end.
         lost: returns that a full buffer dropped, or that were lost with a landmark.
     """
 
-    scans: int
-    returns: int
-    fused: int
-    late: int
-    outside: int
     waiting: int
     lost: int
-
-
-class ClosingResult(Model):
-    """The update that moved the regions the most.
-
-    Attributes:
-        time_s: time of the update.
-        shift_m: root mean square shift of the regions.
-    """
-
-    time_s: float
-    shift_m: float
 
 
 class DynamicResult(Model):
@@ -145,7 +126,7 @@ class MapResult(JobResult):
     returns: ReturnsResult
     layers: dict[str, LayerResult]
     surface_errors: dict[str, SurfaceError]
-    closing: ClosingResult | None
+    closing: BeforeClosing | None
     dynamic: DynamicResult | None
 
 
@@ -156,7 +137,6 @@ class MapReport(Report[DenseMapping, MapResult]):
     def build(mapping: DenseMapping, read: Clock | None = None) -> MapResult:
         """The findings, read being the time that reading the log took."""
         m = mapping
-        before = m.dense.before
         return MapResult(
             ekf=ekf_result(m.ekf, m.prepared.ekf),
             scan_landmarks=len(m.ekf.estimate.pose_landmarks),
@@ -171,9 +151,7 @@ class MapReport(Report[DenseMapping, MapResult]):
                 for name, s in m.layers.items()
             },
             surface_errors=dict(m.errors),
-            closing=None
-            if before is None
-            else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
+            closing=m.dense.before,
             dynamic=_dynamic(m),
             remarks=[*_remarks(m), *m.known.remarks],
             **found_entries(m.known, MapResult),

@@ -15,6 +15,7 @@ from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.figures import Aside
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.clock import Clock
@@ -106,17 +107,21 @@ def build_map(
 
 @dataclass(frozen=True)
 class BeforeClosing:
-    """The map just before the update that moved it the most, as a rule a loop's closing.
+    """The map just before the update that moved its regions the most, as a rule a loop's closing.
 
-    time_s: of the update. shift_m: root mean square over the landmarks that are corners of
-    regions. landmark: (L, 2), triangle: (R, 3, 2), and layers: what each held, as they then lay.
+    Attributes:
+        time_s: time of the update.
+        shift_m: root mean square shift of the landmarks that are corners of regions.
+        landmark: (L, 2) as they then lay; no part of a result file, as what follows.
+        triangle: (R, 3, 2) likewise.
+        layers: what each held.
     """
 
     time_s: float
     shift_m: float
-    landmark: Array
-    triangle: Array
-    layers: Mapping[str, Samples]
+    landmark: Aside[Array]
+    triangle: Aside[Array]
+    layers: Aside[Mapping[str, Samples]]
 
 
 @dataclass(frozen=True, kw_only=True)

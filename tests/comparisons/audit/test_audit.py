@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from comparisons.arrays import Array
-from comparisons.audit.algebra import Finding
 from comparisons.audit.audit import FALSE_ALARMS, Audit, audit
 from comparisons.report.audit import AuditReport, audit_rows
 from comparisons.trace.recorder import Recorder
@@ -181,9 +180,9 @@ def test_a_sound_filter_is_sound(tmp_path: Path, every: int) -> None:
     found = audited(tmp_path, Toy(seed=1, every=every))
     assert found.sound, found.findings
     assert found.findings == ()
-    assert max(present(found.largest).sigma, present(found.largest).covariance) < 1e-9
-    assert found.agreement < 1e-10
-    assert found.gains > 100
+    assert max(present(found.largest_gap).sigma, present(found.largest_gap).covariance) < 1e-9
+    assert found.oracle_agreement < 1e-10
+    assert found.gains_compared > 100
     assert {one.sensor for one in found.sensors} == {"doppler", "gps", "way"}
 
 
@@ -634,7 +633,7 @@ def test_under_sound_nothing_is_said_to_be_out(tmp_path: Path) -> None:
         assert found.sound
         assert all(row.inside is not False for row in audit_rows(found))
         assert "gap opens" not in str(AuditReport.of(found).summary())
-        faulty = replace(found, findings=(Finding("nees", True, "off", None),))
+        faulty = replace(found, verdict="faulty")
         marked += sum(row.inside is False for row in audit_rows(faulty))
     assert marked
 
@@ -649,7 +648,7 @@ def test_single_precision_is_recognised(tmp_path: Path, precision: type) -> None
     proposed = [one for one in found.findings if "--tolerance 0.001" in one.text]
     assert bool(proposed) == (precision is np.float32)
     assert found.sound
-    assert present(found.largest).worst > found.tolerance or not proposed
+    assert present(found.largest_gap).worst > found.tolerance or not proposed
     assert audit(found.trace, tolerance=1e-3).sound
 
 

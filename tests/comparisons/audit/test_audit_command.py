@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import slamcheck
-from comparisons.report.audit import AuditReport, AuditResult, audit_panels
+from comparisons.report.audit import AuditReport, audit_panels
 from comparisons.report.html.page import page
 from tests.commands import refused
 from tests.commands import slamcheck as command
@@ -38,10 +38,10 @@ def test_exit_codes_folder_and_json(tmp_path: Path) -> None:
     assert sorted(p.name for p in folder.iterdir()) == names
     faulty = command("audit", "faulty.trace", "--json", "--out", "there", cwd=tmp_path)
     assert faulty.returncode == 1
-    found = AuditResult.model_validate(json.loads(faulty.stdout))
-    assert found.verdict == "faulty"
-    assert found.findings[0].blocks == ("position", "bias")
-    assert sorted(found.files) == names
+    found = json.loads(faulty.stdout)
+    assert found["verdict"] == "faulty"
+    assert found["findings"][0]["blocks"] == ["position", "bias"]
+    assert sorted(found["files"]) == names
     assert (tmp_path / "there" / "audit.json").read_text() == faulty.stdout
     again = command("audit", "faulty.trace", "--quiet", "--out", "there", cwd=tmp_path)
     assert (again.returncode, again.stdout) == (1, "")
@@ -63,7 +63,7 @@ def test_a_trace_of_an_earlier_version_is_a_remark_and_a_damaged_one_is_one_line
     shutil.copy(KEPT / "toy.trace", tmp_path / "old.trace")
     done = command("audit", "old.trace", "--json", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
-    (said,) = AuditResult.model_validate(json.loads(done.stdout)).remarks
+    (said,) = json.loads(done.stdout)["remarks"]
     assert said.startswith("old.trace is of slamcheck 0.2, and the next release will not read it")
     shown = command("audit", "old.trace", cwd=tmp_path)
     assert said in " ".join(shown.stdout.split())
@@ -136,7 +136,7 @@ def test_a_trace_without_snapshots_is_judged_by_its_innovations(tmp_path: Path) 
     Toy(seed=1, every=10_000).record(path)
     found = slamcheck.audit(path)
     assert found.sound
-    assert found.largest is not None  # the one after the prior
+    assert found.largest_gap is not None  # the one after the prior
     assert len(found.sensors) == 3
 
 

@@ -216,6 +216,6 @@ def test_audit_and_run_measure_the_same_algebra_gap(name: str | None, tmp_path: 
     c = compared(simulated(seed=3, loop_s=40.0), *planted)
     write_run(c.ekf, tmp_path / "run.trace")
     found = audit(tmp_path / "run.trace")
-    right, gap = c.agreement.algebra.covariance, present(found.largest).covariance
+    right, gap = c.agreement.algebra.covariance, present(found.largest_gap).covariance
     assert gap == pytest.approx(right, rel=1e-9, abs=1e-9)
     assert (right < 1e-9) == found.sound == (name is None)

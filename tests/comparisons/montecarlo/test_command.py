@@ -149,7 +149,7 @@ def test_fewer_runs_and_other_filters_use_what_is_there(finished: Path, tmp_path
     assert more.computed == 2
     fewer = run_study(study, tmp_path)
     assert fewer.computed == 0
-    assert fewer.figures["oc"].rmse == first.figures["oc"].rmse
+    assert fewer.filters["oc"].rmse == first.filters["oc"].rmse
 
 
 def test_chunks_of_another_scenario_are_refused(tmp_path: Path) -> None:
@@ -266,10 +266,10 @@ def test_bundled_scenarios(name: str) -> None:
 def test_the_circle_shows_what_the_paper_does(tmp_path: Path) -> None:
     """50 runs: the standard EKF is above its band, those with the right null space are not."""
     outcome = run_study(study_of(short("circle", 1000), 50), tmp_path)
-    place = {name: f.consistency["pose"].place for name, f in outcome.figures.items()}
+    place = {name: f.consistency["pose"].place for name, f in outcome.filters.items()}
     assert place.pop("ekf") == "above"
     assert set(place.values()) == {"inside"}
-    rmse = {name: f.rmse["position"] for name, f in outcome.figures.items()}
+    rmse = {name: f.rmse["position"] for name, f in outcome.filters.items()}
     assert rmse["ideal"] < rmse["oc"] <= rmse["fej"] < rmse["ekf"]
     worse = [p for p in outcome.pairs if p.first == "ekf" and p.what == "pose_nees"]
     assert len(worse) == 4

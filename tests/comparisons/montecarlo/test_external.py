@@ -95,7 +95,7 @@ def test_our_filter_handed_in_has_our_figures(name: str) -> None:
     external = External({"mine": ekf, "sure": lambda log: overconfident(ekf(log))})
     with tempfile.TemporaryDirectory() as folder:
         outcome = run_study(study_of(scenario, 4, "ekf"), Path(folder), external=external)
-    ours, mine, sure = outcome.figures.values()
+    ours, mine, sure = outcome.filters.values()
     for block, found in mine.consistency.items():
         assert found.mean == pytest.approx(ours.consistency[block].mean, rel=1e-2)
         assert found.band == ours.consistency[block].band

@@ -1,7 +1,7 @@
 """`slamcheck reproduce`: the list, the gallery, the folder, and what it says of faults."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,8 @@ from comparisons.experiments.reproduction.interface import (
     ours,
     theirs,
 )
-from comparisons.experiments.reproduction.runner import Picture, Reproduction, reproduce
+from comparisons.experiments.reproduction.runner import reproduce
+from comparisons.figures import stored
 from tests.commands import refused, slamcheck, works
 from tests.comparisons.test_html_report import HOSTILE, read
 
@@ -54,8 +55,7 @@ def claims(number: Number) -> Claims:
     yield at_least("never a number", float("nan"), 0.0, why=theirs(HOSTILE))
 
 
-def run_and_skipped(found: Reproduction) -> tuple[list[str], list[str]]:
-    result = found.result
+def run_and_skipped(result: ReproductionResult) -> tuple[list[str], list[str]]:
     return [one.name for one in result.figures], [one.name for one in result.skipped]
 
 
@@ -108,7 +108,8 @@ def test_claims_come_back_as_they_were_written(tmp_path: Path) -> None:
     found = reproduce(("G1", "G2"), Sources(drives=2))
     write_gallery(found, tmp_path / "out")
     text = (tmp_path / "out/claims.json").read_text(encoding="utf-8")
-    assert TypeAdapter(ReproductionResult).validate_json(text) == found.result
+    again = TypeAdapter(ReproductionResult).validate_json(text)
+    assert stored(again) == stored(found) == json.loads(text)
     met, unmet = json.loads(text)["figures"][0]["claims"]
     assert (met["holds"], met["measured"], met["why"]) == (True, 2.0, None)
     assert (unmet["holds"], unmet["measured"], unmet["why"]) == (False, None, HOSTILE)
@@ -116,7 +117,7 @@ def test_claims_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert "1 of 2 claims hold (the others: 1 the document's);" in (
         tmp_path / "out/gallery.html"
     ).read_text(encoding="utf-8").replace("&#x27;", "'")
-    assert not found.result.holds
+    assert not found.holds
     assert "NaN" not in text
 
 
@@ -125,9 +126,9 @@ def test_the_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     found, out = reproduce(("G1",), Sources()), tmp_path / "out"
     write_gallery(found, out)
     before = {p.name: p.read_bytes() for p in out.iterdir()}
-    broken = Picture(found.pictures["G1"].png, None)  # type: ignore[arg-type]
+    broken = replace(found.figures[0], pdf=None)  # type: ignore[arg-type]
     with pytest.raises(TypeError):
-        write_gallery(found._replace(pictures={"G1": broken}), out)
+        write_gallery(replace(found, figures=(broken,)), out)
     assert {p.name: p.read_bytes() for p in out.iterdir()} == before
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     (out / "mine.txt").write_text("keep")
@@ -155,11 +156,10 @@ def test_faults_are_told_with_the_figure(tmp_path: Path) -> None:
 def test_processes_find_the_same() -> None:
     names, sources = ("N2.12", "N3.5", "N3.12"), Sources(drives=1)
     alone, together = (reproduce(names, sources, workers) for workers in (1, 2))
-    each = zip(alone.result.figures, together.result.figures, strict=True)
-    for first, second in each:
+    for first, second in zip(alone.figures, together.figures, strict=True):
         assert (first.name, first.claims) == (second.name, second.claims)
-    assert alone.pictures == together.pictures
-    assert alone.result.figures[1].shared == ("N3.12",)
+        assert (first.png, first.pdf) == (second.png, second.pdf)
+    assert alone.figures[1].shared == ("N3.12",)
 
 
 def test_each_experiment_runs_once(monkeypatch: pytest.MonkeyPatch) -> None:
