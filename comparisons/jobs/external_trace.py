@@ -51,7 +51,7 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
-from comparisons.figures import Same
+from comparisons.figures import Aside, Same
 from comparisons.innovations import InnovationFigures, SensorInnovations
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.stamps import at_instants, resolved
@@ -73,7 +73,7 @@ _RECORD = f"{HINT}; a snapshot of the covariance, recorded after each event, has
 
 
 @dataclass(frozen=True, kw_only=True)
-class TraceFigures(GapFigures):
+class TraceCheck(GapFigures):
     """The recorded equations of an external filter; gaps as in `result.json`.
 
     Attributes:
@@ -83,6 +83,14 @@ class TraceFigures(GapFigures):
         positions: absolute positions.
         innovations: by sensor, whitened by the recorded equations; none of a trace of 0.2, which
             has no events.
+        known: of the filter that left it; no part of a result file, as what follows.
+        algebra: None where the estimate lacks the joint covariance.
+        verdict: with causes.
+        own: what the trace's own equations lead to, at the log's epochs; None where a cause speaks
+            against them.
+        departure: where the trace first leaves the log's models, or the estimate the trace's
+            equations; None where neither does.
+        sensors: its innovations.
     """
 
     steps: int
@@ -90,24 +98,12 @@ class TraceFigures(GapFigures):
     initialised: int
     positions: int
     innovations: Same[list[InnovationFigures]] = field(default_factory=list)
-
-
-@dataclass(frozen=True, kw_only=True)
-class TraceCheck(TraceFigures):
-    """With causes. algebra: None where the estimate lacks the joint covariance.
-
-    own: what the trace's own equations lead to, at the log's epochs; None where a cause speaks
-    against them. departure: where the trace first leaves the log's models, or the estimate the
-    trace's equations; None where neither does. known: of the filter that left it. sensors: its
-    innovations.
-    """
-
-    known: Known
-    sensors: tuple[SensorInnovations, ...]
-    algebra: Gap | None
-    verdict: Verdict
-    own: Reference | None
-    departure: Departure | None
+    known: Aside[Known]
+    algebra: Aside[Gap | None]
+    verdict: Aside[Verdict]
+    own: Aside[Reference | None]
+    departure: Aside[Departure | None]
+    sensors: Aside[tuple[SensorInnovations, ...]]
 
     @property
     def agreement(self) -> Agreement:

@@ -35,7 +35,7 @@ from comparisons.figures import (
     shown,
 )
 from comparisons.jobs.check import ExternalCheck
-from comparisons.jobs.external_trace import TraceFigures
+from comparisons.jobs.external_trace import TraceCheck
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.known import Known
 from comparisons.report.figures.run import map_figure
@@ -379,7 +379,7 @@ class CheckResult(VerdictResult):
     consistency: ExternalConsistencyResult
     accuracy: Accuracy | None = None
     smoother_accuracy: Accuracy | None = None
-    trace: Count[TraceFigures | None]
+    trace: Count[TraceCheck | None]
     grade: Literal["equal", "like", "plausible", "wrong"] | None
     required: Literal["equal", "like", "plausible"]
     nearest: NearestResult | None
