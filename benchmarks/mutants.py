@@ -63,13 +63,16 @@ GROUPS = {
     "checks": Group(
         (
             *("comparisons/checks/agreement.py", "comparisons/checks/verdict.py"),
-            *("comparisons/checks/causes.py", "comparisons/checks/grade.py"),
+            *("comparisons/checks/algebra.py", "comparisons/checks/model.py"),
+            *("comparisons/checks/linearisation.py", "comparisons/checks/explaining.py"),
+            *("comparisons/checks/optimum.py", "comparisons/checks/grade.py"),
             *("comparisons/checks/qualifiers.py", "comparisons/checks/external_agreement.py"),
             *("comparisons/checks/association.py", "comparisons/statistics.py"),
             "comparisons/checks/consistency/*.py",
         ),
         (
             *("tests/comparisons/test_checks.py", "tests/comparisons/test_causes.py"),
+            "tests/comparisons/test_checks_contract.py",
             *("tests/comparisons/test_grades.py", "tests/comparisons/test_qualifiers.py"),
             *("tests/comparisons/test_consistency.py", "tests/comparisons/test_bands.py"),
             *("tests/comparisons/test_consistency_checks.py", "tests/comparisons/test_one_nis.py"),

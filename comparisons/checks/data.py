@@ -49,12 +49,10 @@ class CheckBreakdown(Check):
     errs = "not at all"
 
     def find(self, known: Known) -> OfFilter[str | None]:
-        """Return what stopped it, which is a remark where another cause explains it."""
+        """Return what stopped it, which is a cause where no other explains it."""
         breakdown = known.ekf.breakdown
-        if not breakdown:
-            return OfFilter(None, ())
-        if faulty(known):
-            return OfFilter(breakdown, (), [f"{breakdown}; all comparisons end at that time"])
+        if not breakdown or faulty(known):
+            return OfFilter(breakdown, ())
         hint = (
             "check the measurements and their sigmas at that time; the gaps are computed up to it"
         )

@@ -75,8 +75,10 @@ def judge(known: Known) -> Verdict:
     compares the filter with linear algebra. Otherwise an optimum that is not verified gives no
     verdict at all.
     """
-    found = counting(known)
-    return Verdict(outcome=decided(found), causes=tuple(found), remarks=tuple(known.remarks))
+    found, remarks, stopped = counting(known), known.remarks, known.ekf.breakdown
+    if stopped and not any(one.gap == "breakdown" for one in found):
+        remarks = [f"{stopped}; all comparisons end at that time", *remarks]
+    return Verdict(outcome=decided(found), causes=tuple(found), remarks=tuple(remarks))
 
 
 def faulty(known: Known) -> bool:
