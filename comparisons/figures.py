@@ -8,7 +8,7 @@ import json
 import math
 import platform
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from functools import cache
@@ -30,6 +30,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 from pydantic_core import CoreSchema, core_schema
 
 from comparisons.errors import InputError
+from comparisons.words import Row
 
 T = TypeVar("T")
 _PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
@@ -110,6 +111,30 @@ class Mark:
     together: Callable[[Any], object] | None = None
 
 
+METRES = "{:.3f} m"
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """Return a share in hundredths."""
+    return f"{100.0 * share:.{digits}f} %"
+
+
+@dataclass(frozen=True)
+class Named:
+    """What tables call the figure of a field, and how they write it, with its unit.
+
+    form: of the value, and of what the field is of.
+    """
+
+    name: str
+    form: str | Callable[[Any], str] = "{:,}"
+
+    def row(self, group: str, value: Any, of: Any, before: str) -> Row:
+        """Return the row of a table."""
+        text = self.form.format(value, of) if isinstance(self.form, str) else self.form(value)
+        return Row(group, f"{before}{self.name}", text)
+
+
 _UNMARKED = Mark()
 Less = Annotated[T, Mark("less")]
 More = Annotated[T, Mark("more")]
@@ -140,10 +165,11 @@ def stored(found: object, kind: type | None = None) -> Any:
 
 
 class Declared(NamedTuple):
-    """A field that result files keep. hint: its type."""
+    """A field that result files keep. hint: its type. named: None where tables leave it out."""
 
     hint: Any
     mark: Mark
+    named: Named | None
 
 
 @cache
@@ -169,10 +195,29 @@ def kept_fields(kind: Any) -> Mapping[str, Declared]:
         name: Declared(
             float | None if any(isinstance(one, PlainSerializer) for one in extra) else hint,
             next((one for one in extra if isinstance(one, Mark)), _UNMARKED),
+            next((one for one in extra if isinstance(one, Named)), None),
         )
         for name, (hint, extra) in found.items()
         if not any(getattr(one, "exclude", None) for one in extra)
     }
+
+
+def rows_of(group: str, found: Any, only: Iterable[str] = (), before: str = "") -> list[Row]:
+    """Return a row for each field that has a name in tables, and is not None.
+
+    Args:
+        group: Of the rows.
+        found: A model, or a dataclass.
+        only: Names of the fields, in this order; all without.
+        before: Stands before each name.
+    """
+    kind: Any = type(found)
+    fields = kept_fields(kind)
+    return [
+        named.row(group, value, found, before)
+        for name in only or fields
+        if (named := fields[name].named) and (value := getattr(found, name)) is not None
+    ]
 
 
 def numbers(

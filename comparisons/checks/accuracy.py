@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import Count, Less, More
+from comparisons.figures import METRES, Count, Less, More, Named, percent, rows_of
 from comparisons.logs.log import Log
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
@@ -37,6 +37,13 @@ _KEYS = {"odometry": "dead_reckoning", "scans": "scan_odometry", "wheels": "whee
 """What rows and results call what a line calls shortly."""
 _COMPLEX = np.array([1.0, 1.0j])
 """Takes points to complex numbers."""
+_ALIGNED = "distance to GPS, aligned"
+Error = Less[float | None]
+"""None where the log has no such reference."""
+
+
+def _turn(angle_rad: float) -> str:
+    return f"{math.degrees(angle_rad):.2f} deg"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,41 +68,20 @@ class Accuracy:
         coverage: share of the reference's instants within the estimate's time.
     """
 
-    ate_m: Less[float | None] = None
-    ate_aligned_m: Less[float | None] = None
-    rpe_10m_m: Less[float | None] = None
-    rpe_10m_rad: Less[float | None] = None
-    landmark_rmse_m: Less[float | None] = None
-    landmark_rmse_aligned_m: Less[float | None] = None
-    landmarks_found: More[int | None] = None
+    ate_m: Annotated[Error, Named("path (ATE)", METRES)] = None
+    ate_aligned_m: Annotated[Error, Named("path, aligned (ATE)", METRES)] = None
+    rpe_10m_m: Annotated[Error, Named("motion over 10 m (RPE)", METRES)] = None
+    landmark_rmse_m: Annotated[Error, Named("landmarks (rms)", METRES)] = None
+    landmark_rmse_aligned_m: Annotated[Error, Named("landmarks, aligned (rms)", METRES)] = None
+    gps_median_m: Annotated[Error, Named("distance to GPS (median)", METRES)] = None
+    gps_median_aligned_m: Annotated[Error, Named(f"{_ALIGNED} (median)", METRES)] = None
+    gps_rms_aligned_m: Annotated[Error, Named(f"{_ALIGNED} (rms)", METRES)] = None
+    rpe_10m_rad: Annotated[Error, Named("turn over 10 m (RPE)", _turn)] = None
+    landmarks_found: Annotated[
+        More[int | None], Named("true landmarks found", "{} of {.landmarks_true}")
+    ] = None
     landmarks_true: Count[int | None] = None
-    gps_median_m: Less[float | None] = None
-    gps_median_aligned_m: Less[float | None] = None
-    gps_rms_aligned_m: Less[float | None] = None
-    coverage: More[float | None] = None
-
-    def rows(self, of: str) -> list[Row]:
-        """Return a row for each error. of: whose, as `the EKF`."""
-        metres = {
-            "path (ATE)": self.ate_m,
-            "path, aligned (ATE)": self.ate_aligned_m,
-            "motion over 10 m (RPE)": self.rpe_10m_m,
-            "landmarks (rms)": self.landmark_rmse_m,
-            "landmarks, aligned (rms)": self.landmark_rmse_aligned_m,
-            "distance to GPS (median)": self.gps_median_m,
-            "distance to GPS, aligned (median)": self.gps_median_aligned_m,
-            "distance to GPS, aligned (rms)": self.gps_rms_aligned_m,
-        }
-        found = [(name, f"{value:.3f} m") for name, value in metres.items() if value is not None]
-        if self.rpe_10m_rad is not None:
-            found.append(("turn over 10 m (RPE)", f"{math.degrees(self.rpe_10m_rad):.2f} deg"))
-        if self.landmarks_true is not None:
-            found.append(
-                ("true landmarks found", f"{self.landmarks_found} of {self.landmarks_true}")
-            )
-        if self.coverage is not None:
-            found.append(("coverage of the log's time", f"{100 * self.coverage:.1f} %"))
-        return [Row(f"Accuracy of {of}", *one) for one in found]
+    coverage: Annotated[More[float | None], Named("coverage of the log's time", percent)] = None
 
 
 @dataclass(frozen=True)
@@ -119,7 +105,7 @@ class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
     def __init__(self, each: Mapping[str, Accuracy | None], entries: Mapping[str, Any]) -> None:
         """each: by the name of the estimate. entries: as the job's result has them."""
         self.value, self.entries = each, entries
-        self.line = next(iter(accuracy_line(each)), None)
+        self.line = accuracy_line(each)
 
     def rows(self) -> Sequence[Row]:
         """Return the rows of each."""
@@ -165,7 +151,7 @@ class CheckAccuracy(Check):
         return AccuracyFinding(each | beside, entries)
 
 
-def accuracy_line(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:
+def accuracy_line(each: Mapping[str, Accuracy | None]) -> tuple[str, str] | None:
     """Return one line with an error of each estimate, by the best reference that all have."""
     for name, field in (
         ("ATE", "ate_m"),
@@ -175,13 +161,13 @@ def accuracy_line(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:
         found = {whose: getattr(a, field) for whose, a in each.items() if a is not None}
         known = [f"{whose} {value:.3g} m" for whose, value in found.items() if value is not None]
         if known:
-            return [("accuracy", f"{name}: {', '.join(known)}")]
-    return []
+            return "accuracy", f"{name}: {', '.join(known)}"
+    return None
 
 
 def accuracy_rows(of: str, found: Accuracy | None) -> list[Row]:
     """Return the rows of errors, where there are any. of: whose, as `the EKF`."""
-    return [] if found is None else found.rows(of)
+    return [] if found is None else rows_of(f"Accuracy of {of}", found)
 
 
 def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:

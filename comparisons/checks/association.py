@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
-from comparisons.figures import More
+from comparisons.figures import More, Named, rows_of
 from comparisons.logs.log import Log
 from comparisons.words import Row
 
@@ -36,8 +36,8 @@ class PartitionScore:
         recall: share of the pairs that belong together that it has.
     """
 
-    precision: More[float]
-    recall: More[float]
+    precision: Annotated[More[float], Named("precision", "{:.3f}")]
+    recall: Annotated[More[float], Named("recall", "{:.3f}")]
 
 
 @dataclass(frozen=True)
@@ -56,26 +56,16 @@ class AssociationScore:
 
     landmarks: PartitionScore
     clusters: PartitionScore | None
-    used: int | None = None
-    labelled: int | None = None
+    used: Annotated[int | None, Named("landmarks used")] = None
+    labelled: Annotated[int | None, Named("landmarks labelled")] = None
 
     def rows(self, whose: str) -> list[Row]:
         """Return its figures. whose: as `the filter`."""
         group = f"Association by {whose} against the log's labels"
-        found = []
-        if self.used is not None:
-            found += [
-                Row(group, "landmarks used", f"{self.used:,}"),
-                Row(group, "landmarks labelled", f"{self.labelled:,}"),
-            ]
-        kinds = [("same landmark", self.landmarks)]
+        found, pairs = rows_of(group, self), "pairs of measurements, same"
+        found += rows_of(group, self.landmarks, before=f"{pairs} landmark: ")
         if self.clusters is not None:
-            kinds.append(("same cluster of landmarks", self.clusters))
-        for name, pairs in kinds:
-            found += [
-                Row(group, f"pairs of measurements, {name}: precision", f"{pairs.precision:.3f}"),
-                Row(group, f"pairs of measurements, {name}: recall", f"{pairs.recall:.3f}"),
-            ]
+            found += rows_of(group, self.clusters, before=f"{pairs} cluster of landmarks: ")
         return found
 
 

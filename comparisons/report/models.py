@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import chain
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -15,9 +16,22 @@ from comparisons.checks.consistency.finding import ConsistencyResult
 from comparisons.checks.qualifiers import TruthGap
 from comparisons.checks.spurious import SpuriousHeadingResult
 from comparisons.extension_names import EXTENSIONS
-from comparisons.figures import Count, Exact, LeftOut, Less, Model, Number, Same, numbers
+from comparisons.figures import (
+    Count,
+    Exact,
+    LeftOut,
+    Less,
+    Model,
+    Named,
+    Number,
+    Same,
+    numbers,
+    percent,
+)
 from comparisons.report.settings import SettingsResult
 from comparisons.words import Cause
+
+_WHOLE = partial(percent, digits=0)
 
 
 class LogResult(Model):
@@ -132,24 +146,29 @@ class EkfResult(Model):
             is exact, more is quick.
     """
 
-    filter: str
-    association: str
-    landmarks: Exact[int]
-    rejected: int
-    ambiguous: int
-    candidate: int
-    dynamic: int = 0
-    deactivated: int = 0
+    filter: Annotated[str, Named("filter", "{}")]
+    association: Annotated[str, Named("association", "{}")]
+    landmarks: Annotated[Exact[int], Named("point landmarks")]
+    rejected: Annotated[int, Named("measurements rejected by the gate")]
+    ambiguous: Annotated[int, Named("ambiguous measurements, not used")]
+    candidate: Annotated[int, Named("measurements of landmark candidates")]
+    dynamic: Annotated[int, Named("measurements of moving objects, left out")] = 0
+    deactivated: Annotated[int, Named("landmarks on moving objects, deactivated")] = 0
     cut_off: int = 0
-    attributes: str = "off"
+    attributes: Annotated[str, Named("landmark attributes in the association", "{}")] = "off"
     gps: str
-    fixes_fused: int
-    fixes_rejected: int
-    fixes_in_streaks: int = 0
-    longest_streak: int = 0
-    fixes_rejected_by_smoother: int = 0
-    global_updates: int
-    global_update_spared: Same[float]
+    fixes_fused: Annotated[int, Named("GPS positions fused")]
+    fixes_rejected: Annotated[int, Named("GPS positions rejected")]
+    fixes_in_streaks: Annotated[int, Named("GPS positions rejected five or more in a row")] = 0
+    longest_streak: Annotated[int, Named("most GPS positions rejected in a row")] = 0
+    fixes_rejected_by_smoother: Annotated[
+        int, Named("GPS positions rejected that the smoother's optimum rejects as well")
+    ] = 0
+    global_updates: Annotated[int, Named("global updates")]
+    global_update_spared: Annotated[
+        Same[float],
+        Named("passive covariance that a global update leaves unchanged", _WHOLE),
+    ]
 
 
 class StartResult(Model):
@@ -293,9 +312,9 @@ class PoseGraphResult(Model):
         initial_chi2: chi-square where odometry alone leads, and guesses where there is none.
     """
 
-    loop_closures: int
-    unmeasured: int
-    initial_chi2: float
+    loop_closures: Annotated[int, Named("loop closures")]
+    unmeasured: Annotated[int, Named("steps without odometry")]
+    initial_chi2: Annotated[float, Named("chi-square of dead reckoning", "{:.6g}")]
 
 
 class SolutionResult(CheckedResult):

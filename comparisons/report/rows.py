@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from comparisons.checks.agreement import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO, BlockAgreement
-from comparisons.figures import band, in_sigma, rounded, shown
+from comparisons.figures import band, in_sigma, rounded, rows_of, shown
 from comparisons.report.ladder import Step
 from comparisons.report.models import EkfResult, LogResult, SmootherResult
 from comparisons.words import SPENT, Row
@@ -37,47 +37,18 @@ def log_rows(log: LogResult) -> list[Row]:
 
 def ekf_rows(ekf: EkfResult) -> list[Row]:
     """Return the filter, and which measurements it used."""
-    used = {
-        "measurements rejected by the gate": ekf.rejected,
-        "ambiguous measurements, not used": ekf.ambiguous,
-        "measurements of landmark candidates": ekf.candidate,
-    }
-    found = [
-        ("filter", ekf.filter),
-        ("association", ekf.association),
-        ("point landmarks", f"{ekf.landmarks:,}"),
-        *((name, f"{count:,}") for name, count in used.items()),
-    ]
+    names = ["filter", "association", "landmarks", "rejected", "ambiguous", "candidate"]
     if ekf.attributes != "off":
-        found.append(("landmark attributes in the association", ekf.attributes))
+        names.append("attributes")
     if ekf.dynamic or ekf.deactivated:
-        found += [
-            ("measurements of moving objects, left out", f"{ekf.dynamic:,}"),
-            ("landmarks on moving objects, deactivated", f"{ekf.deactivated:,}"),
-        ]
+        names += ["dynamic", "deactivated"]
     if ekf.global_updates:
-        found += [
-            ("global updates", f"{ekf.global_updates:,}"),
-            (
-                "passive covariance that a global update leaves unchanged",
-                f"{100 * ekf.global_update_spared:.0f} %",
-            ),
-        ]
+        names += ["global_updates", "global_update_spared"]
     if ekf.gps != "off":
-        found += [
-            ("GPS positions fused", f"{ekf.fixes_fused:,}"),
-            ("GPS positions rejected", f"{ekf.fixes_rejected:,}"),
-        ]
+        names += ["fixes_fused", "fixes_rejected"]
         if ekf.longest_streak:
-            found += [
-                ("GPS positions rejected five or more in a row", f"{ekf.fixes_in_streaks:,}"),
-                ("most GPS positions rejected in a row", f"{ekf.longest_streak:,}"),
-                (
-                    "GPS positions rejected that the smoother's optimum rejects as well",
-                    f"{ekf.fixes_rejected_by_smoother:,}",
-                ),
-            ]
-    return [Row("EKF", *one) for one in found]
+            names += ["fixes_in_streaks", "longest_streak", "fixes_rejected_by_smoother"]
+    return rows_of("EKF", ekf, names)
 
 
 def smoother_rows(smoother: SmootherResult) -> list[Row]:

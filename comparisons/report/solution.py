@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.checks.optimum import misfit_remarks
-from comparisons.figures import rounded
+from comparisons.figures import rounded, rows_of
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.run import map_figure
@@ -170,9 +170,5 @@ def _pose_graph_rows(result: SolutionResult) -> list[Row]:
     graph = result.pose_graph
     if graph is None:
         return []
-    return [
-        Row("Pose graph", "loop closures", f"{graph.loop_closures:,}"),
-        Row("Pose graph", "steps without odometry", f"{graph.unmeasured:,}"),
-        Row("Pose graph", "chi-square of dead reckoning", f"{graph.initial_chi2:.6g}"),
-        Row("Pose graph", "chi-square at the optimum", f"{result.smoother.chi2:.6g}"),
-    ]
+    optimum = Row("Pose graph", "chi-square at the optimum", f"{result.smoother.chi2:.6g}")
+    return [*rows_of("Pose graph", graph), optimum]

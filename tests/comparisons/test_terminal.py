@@ -159,7 +159,7 @@ def test_a_gap_is_marked_where_it_exceeds_its_limit() -> None:
 
 
 def test_accuracy_takes_the_reference_that_there_is() -> None:
-    assert accuracy_line({"EKF": None}) == []
+    assert accuracy_line({"EKF": None}) is None
 
 
 def test_colour_is_for_terminals() -> None:
