@@ -2,9 +2,9 @@
 
 import io
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 from rich.console import Console
@@ -12,6 +12,7 @@ from rich.console import Console
 from comparisons.checks.accuracy import accuracy_line
 from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.figures import METRES, Less, More, Named, percent, rows_of
 from comparisons.jobs.check import check
 from comparisons.pipeline.solve import solve
 from comparisons.report.check import CheckReport
@@ -202,3 +203,23 @@ def test_a_cause_has_a_name_that_readers_know(key: str, name: str) -> None:
     cause = Cause(gap=key, evidence="seen", hint="look there")
     lines = brief(Summary(headline="verdict: unverified", causes=[cause]))
     assert [line.text for line in lines[1:]] == [f"  {name}: seen", "    hint: look there"]
+
+
+@dataclass(frozen=True)
+class Counted:
+    found: Annotated[More[int], Named("found", "{} of {.all}")]
+    all: int
+    error_m: Annotated[Less[float | None], Named("error", METRES)] = None
+    share: Annotated[float, Named("share", percent)] = 0.0
+
+
+def test_figures_stand_in_tables_as_they_are_declared() -> None:
+    """In the order of the fields, or as asked; what is None, or has no name, does not."""
+    some = Counted(2, 3, share=0.5)
+    assert rows_of("Map", some) == [Row("Map", "found", "2 of 3"), Row("Map", "share", "50.0 %")]
+    every = replace(some, error_m=0.25)
+    asked = rows_of("Map", every, ("error_m", "all", "found"), before="landmarks: ")
+    assert asked == [
+        Row("Map", "landmarks: error", "0.250 m"),
+        Row("Map", "landmarks: found", "2 of 3"),
+    ]
