@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -23,15 +23,19 @@ from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
 from comparisons.figures import (
+    METRES,
     Count,
     LeftOut,
     Less,
     Model,
     More,
+    Named,
     Nominal,
     band,
     finite,
     in_sigma,
+    percent,
+    rows_of,
     shown,
 )
 from comparisons.jobs.check import ExternalCheck
@@ -207,21 +211,15 @@ def _check_rows(known: Known, result: CheckResult) -> list[Row]:
 
 
 def _estimate_rows(result: CheckResult) -> list[Row]:
-    kind = "not stated" if result.information == NOT_STATED else result.information
-    covered = f"{100.0 * result.coverage:.1f} %"
     grade_in = None if result.verdict == "unverified" else result.verdict == "agree"
     rows = [
         Row("Estimate", "grade", _grade_words(result), f">= {result.required}", grade_in),
-        Row("Estimate", "poses", f"{result.poses:,}"),
-        Row("Estimate", "kind of poses (filtered, smoothed)", kind),
-        Row("Estimate", "coverage of the log's time", covered),
+        *rows_of("Estimate", result, ("poses", "information", "coverage")),
     ]
     if (nearest := result.nearest) is not None:
-        far = in_sigma(nearest.largest_sigma)
-        rows += [
-            Row("Estimate", "nearest reference", nearest.name),
-            Row("Estimate", "largest difference of a mean from the nearest reference", far),
-        ]
+        far = "largest difference of a mean from the nearest reference"
+        rows += rows_of("Estimate", nearest)
+        rows.append(Row("Estimate", far, in_sigma(nearest.largest_sigma)))
         if nearest.variance_ratio_least is not None:
             ends = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
             ratios = band(*(shown(value, ".4g") for value in ends))
@@ -232,15 +230,8 @@ def _estimate_rows(result: CheckResult) -> list[Row]:
 
 
 def _agreement_rows(result: CheckResult) -> list[Row]:
-    heading = f"{math.degrees(result.rms_heading_rad):.3g} deg"
-    group = "Path, estimate and smoother"
-    rows = [
-        Row(group, "difference of the positions (rms)", f"{result.rms_m:.3f} m"),
-        Row(group, "difference of the headings (rms)", heading),
-    ]
-    if result.outside is not None:
-        far = "poses beyond the 99.9 % region of their own covariance"
-        rows.append(Row(group, far, f"{100.0 * result.outside:.1f} %"))
+    path = ("rms_m", "rms_heading_rad", "outside")
+    rows = rows_of("Path, estimate and smoother", result, path)
     if result.last_pose is not None:
         rows += block_rows("Last pose", "estimate", result.last_pose)
     return [*rows, *agreeing(result.landmarks, "estimate")]
@@ -309,6 +300,10 @@ def _nearest(found: Likeness | None) -> NearestResult | None:
     )
 
 
+def _turned(angle_rad: float) -> str:
+    return f"{math.degrees(angle_rad):.3g} deg"
+
+
 class NearestResult(Model):
     """The reference that the estimate is nearest to.
 
@@ -324,7 +319,7 @@ class NearestResult(Model):
         missing: parts that the estimate does not have.
     """
 
-    name: str
+    name: Annotated[str, Named("nearest reference", "{}")]
     largest_sigma: Less[float | None]
     variance_ratio_least: Nominal[float | None]
     variance_ratio_largest: Nominal[float | None]
@@ -364,15 +359,17 @@ class CheckResult(VerdictResult):
 
     smoother: Count[SmootherResult]
     association_by: str
-    information: str
+    information: Annotated[str, Named("kind of poses (filtered, smoothed)", "{}")]
     estimator: str
     absent: list[str]
-    poses: Count[int]
-    coverage: More[float]
+    poses: Annotated[Count[int], Named("poses")]
+    coverage: Annotated[More[float], Named("coverage of the log's time", percent)]
     uncovered_s: list[tuple[float, float]]
-    rms_m: Less[float]
-    rms_heading_rad: Less[float]
-    outside: Less[float | None]
+    rms_m: Annotated[Less[float], Named("difference of the positions (rms)", METRES)]
+    rms_heading_rad: Annotated[Less[float], Named("difference of the headings (rms)", _turned)]
+    outside: Annotated[
+        Less[float | None], Named("poses beyond the 99.9 % region of their own covariance", percent)
+    ]
     last_pose: BlockAgreement | None
     landmarks: Together[tuple[LandmarkAgreement, ...]]
     estimate_sha256: dict[str, str]
