@@ -386,7 +386,8 @@ def _journal(path: Path) -> Path:
 
 
 def _connect(path: Path, mode: str) -> sqlite3.Connection:
-    return sqlite3.connect(f"{path.as_uri()}?mode={mode}", uri=True)
+    # A reading that an error ends may be closed by whichever thread collects its frames.
+    return sqlite3.connect(f"{path.as_uri()}?mode={mode}", uri=True, check_same_thread=False)
 
 
 def _is_to_be_undone(file: sqlite3.Connection) -> bool:

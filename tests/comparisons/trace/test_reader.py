@@ -9,7 +9,8 @@ import sqlite3
 import struct
 import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Any
@@ -730,3 +731,12 @@ def test_rounding_beside_the_state_is_no_negative_noise(tmp_path: Path) -> None:
         read = Trace(tmp_path / f"{noise}.trace")
         assert len(list(read)) == 2
         assert read.unsound == ({} if sound else {1: "noise (Q) has a negative eigenvalue"})
+
+
+def test_a_reading_that_is_given_up_may_be_closed_by_another_thread(tmp_path: Path) -> None:
+    """As garbage that an error leaves is, whose frames any thread may collect."""
+    events = iter(Trace(record(tmp_path / "run.trace")))
+    next(events)
+    assert isinstance(events, Generator)
+    with ThreadPoolExecutor(1) as other:
+        other.submit(events.close).result()
