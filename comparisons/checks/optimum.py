@@ -19,7 +19,7 @@ class CheckOptimum(Check):
 
     name = "optimum"
     needs = EVENTS
-    errs = "see docs/verified.md"
+    errs = "of 72 logs with many minima no wrong one is verified; of 48 right ones 47 are"
 
     def find(self, known: Known) -> OfFilter[Optimality]:
         """Return the evidence for S."""
