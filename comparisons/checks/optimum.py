@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
-from comparisons.checks.check import EVENTS, Check
+from comparisons.checks.check import Check
 from comparisons.checks.finding import OfFilter
 from comparisons.figures import rounded
 from comparisons.words import Cause
-from graphslam.optimum import DISTANCE_LIMIT, Optimality
+from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:
     from comparisons.pipeline.known import Known
@@ -18,18 +19,19 @@ class CheckOptimum(Check):
     """Is the smoother's optimum verified, and told by double precision?"""
 
     name = "optimum"
-    needs = EVENTS
+    needs = "the smoother"
     errs = "of 72 logs with many minima no wrong one is verified; of 48 right ones 47 are"
 
     def find(self, known: Known) -> OfFilter[Optimality]:
         """Return the evidence for S."""
-        records, result, causes = known.records, known.result, []
-        if records.untold:
+        optimality, records, causes = known.result.optimality, known.kept, []
+        if records is not None and records.untold:
             causes = [_untold(records.precision)]
-        elif not result.optimality.verified:
-            causes = [unverified(result.optimality)]
-        remarks = [*misfit_remarks(result.optimality), *_on_robust(result.options.robust)]
-        return OfFilter(result.optimality, causes, remarks)
+        elif not optimality.verified:
+            causes = [unverified(optimality)]
+        remarks = misfit_remarks(optimality)
+        remarks += _on_robust(known.result.options.robust, beside=known.run is not None)
+        return OfFilter(optimality, causes, remarks)
 
 
 def unverified(optimality: Optimality) -> Cause:
@@ -64,8 +66,20 @@ def doubted_association(against: int, variants: int) -> Cause:
     )
 
 
+def lacking(optimality: Optimality) -> list[str]:
+    """Return what an optimum lacks, with the meaning of a chi-square that is too high."""
+    if optimality.lacks.startswith("chi-square"):
+        return misfit_remarks(optimality)
+    return [optimality.lacks] if optimality.lacks else []
+
+
+def overstated(test: ChiSquareTest) -> bool:
+    """Whether no chance makes a chi-square so low."""
+    return test.reading == "too low" and test.extreme
+
+
 def misfit_remarks(optimality: Optimality) -> list[str]:
-    """What a chi-square outside its band means, and whether it was accepted."""
+    """Return what a chi-square outside its band means, and whether it was accepted."""
     test = optimality.chi_square
     if test.reading == "plausible":
         return []
@@ -75,6 +89,9 @@ def misfit_remarks(optimality: Optimality) -> list[str]:
     }[test.reading]
     if test.reading == "too high" and optimality.accept_misfit:
         meaning += "; --accept-misfit accepts it"
+    if overstated(test):
+        times = rounded((test.dof / test.chi2) ** 0.5 if test.chi2 else math.inf)
+        meaning = f"the stated sigmas are about {times} times too large, and so are the estimate's"
     chi2, lower, upper = map(rounded, (test.chi2, test.lower, test.upper))
     return [
         f"chi-square {chi2} for {test.dof} degrees of freedom is {test.reading} "
@@ -82,13 +99,13 @@ def misfit_remarks(optimality: Optimality) -> list[str]:
     ]
 
 
-def _on_robust(robust: str) -> list[str]:
+def _on_robust(robust: str, *, beside: bool) -> list[str]:
+    """beside: a filter is compared with the smoother."""
     if robust in ("huber", "cauchy"):
         return [
-            f"the smoother's {robust} kernel reduces the weight of measurements that fit "
-            "badly: its "
-            "covariances are those of the weighted problem, and chi-square is not tested"
+            f"the smoother's {robust} kernel reduces the weight of measurements that fit badly: "
+            "its covariances are those of the weighted problem, and chi-square is not tested"
         ]
-    if robust == "gnc":
+    if robust == "gnc" and beside:
         return ["the smoother excluded outliers; the filter did not exclude them"]
     return []

@@ -17,16 +17,6 @@ from comparisons.checks.qualifiers import CheckTruthGap
 from comparisons.checks.spurious import CheckSpurious
 from comparisons.checks.stated_noise import CheckStatedNoise
 
-CHECKS: tuple[Check, ...] = (
-    CheckSpurious(),
-    CheckConsistency(),
-    CheckStatedNoise(),
-    CheckAccuracy(),
-    CheckAssociation(),
-    CheckPositions(),
-    CheckTruthGap(),
-)
-"""Of every job."""
 OF_FILTER: tuple[Check, ...] = (
     CheckOptimum(),
     CheckData(),
@@ -36,5 +26,16 @@ OF_FILTER: tuple[Check, ...] = (
     CheckLinearisation(),
 )
 """Of a filter whose events are known: these decide its verdict."""
+CHECKS: tuple[Check, ...] = (
+    CheckSpurious(),
+    CheckConsistency(),
+    CheckStatedNoise(),
+    CheckAccuracy(),
+    CheckAssociation(),
+    CheckPositions(),
+    CheckTruthGap(),
+    *OF_FILTER,
+)
+"""Of every job."""
 EXPLAINING: tuple[Check, ...] = (CheckMisfit(), CheckDropouts())
 """Of a run, after all others."""

@@ -36,7 +36,6 @@ from comparisons.checks.external_agreement import (
     coverage,
     within_log,
 )
-from comparisons.checks.finding import OfFilter
 from comparisons.checks.grade import GRADES, LIKE_SIGMA, LIKE_VARIANCE, Grade, Likeness, likeness
 from comparisons.checks.optimum import doubted_association, unverified
 from comparisons.checks.qualifiers import TruthGapFinding, qualified
@@ -598,8 +597,8 @@ def _known(solution: Solution, traced: TraceCheck | None, given: Given) -> Known
     if traced is None:
         return known
     events = traced.known
-    others = {k: one for k, one in events.findings.items() if not isinstance(one, OfFilter)}
-    return replace(known, run=events.run, kept=events.kept, findings=others, absent=events.absent)
+    findings, absent = events.findings, events.absent
+    return replace(known, run=events.run, kept=events.kept, findings=findings, absent=absent)
 
 
 def _left_open(solution: Solution, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:

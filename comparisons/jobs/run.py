@@ -21,7 +21,7 @@ from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.diagnosis.data_usage import odometry_remarks
 from comparisons.checks.finding import Finding
 from comparisons.checks.qualifiers import TruthGap, TruthGapFinding, qualified
-from comparisons.checks.registry import CHECKS, EXPLAINING, OF_FILTER
+from comparisons.checks.registry import CHECKS, EXPLAINING
 from comparisons.checks.spurious import SpuriousFinding
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import RunConfig, config_class
@@ -230,7 +230,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         if second is not None:
             unchecked = _ask(second, own)
     progress("checks", 0, 0)
-    known = Answers(own, (*CHECKS, *OF_FILTER, *EXPLAINING)).known
+    known = Answers(own, (*CHECKS, *EXPLAINING)).known
     with clock.stage("checks"):
         return _judged(known, unchecked)
 

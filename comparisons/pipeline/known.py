@@ -150,10 +150,12 @@ class Known(Brief):
 
     @property
     def rows(self) -> list[Row]:
-        """Return the rows of all findings, and why other checks have none."""
+        """Return the rows of all findings, and which other checks have none, by the reason."""
         found = [row for one in self.findings.values() for row in one.rows()]
-        absent = self.absent.items()
-        return [*found, *(Row("Not checked", key.replace("_", " "), why) for key, why in absent)]
+        missing: dict[str, list[str]] = {}
+        for key, why in self.absent.items():
+            missing.setdefault(why, []).append(key.replace("_", " "))
+        return [*found, *(Row("Not checked", ", ".join(n), why) for why, n in missing.items())]
 
     @property
     def lines(self) -> list[tuple[str, str]]:

@@ -20,7 +20,7 @@ from comparisons.checks.accuracy import Accuracy, AccuracyFinding
 from comparisons.checks.association import AssociationFinding, AssociationScore
 from comparisons.checks.association_variants import AssociationCheck, check_association
 from comparisons.checks.check import Answers
-from comparisons.checks.optimum import misfit_remarks
+from comparisons.checks.optimum import lacking
 from comparisons.checks.registry import CHECKS
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
@@ -131,9 +131,8 @@ class Solution(Shown):
     def lacks(self) -> list[str]:
         """What is lacking for `verified`: edges, the optimum, the smoother's own association."""
         optimality = self.result.optimality
-        misfit = self.misread is None and optimality.lacks.startswith("chi-square")
-        optimum = misfit_remarks(optimality) if misfit else [optimality.lacks]
-        return [*self.doubts, *(one for one in optimum if one)]
+        found = lacking(optimality) if self.misread is None else [optimality.lacks]
+        return [*self.doubts, *(one for one in found if one)]
 
     @property
     def doubts(self) -> list[str]:

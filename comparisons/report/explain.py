@@ -9,7 +9,7 @@ from pkgutil import resolve_name
 
 from comparisons.checks.causes import EXPLANATIONS
 from comparisons.checks.check import Check
-from comparisons.checks.registry import CHECKS, EXPLAINING, OF_FILTER
+from comparisons.checks.registry import CHECKS, EXPLAINING
 from comparisons.config import config_class
 from comparisons.errors import InputError
 from comparisons.extension_names import EXTENSIONS
@@ -21,7 +21,7 @@ _WIDTH = 80
 
 def every_check(extensions: Iterable[str] = EXTENSIONS) -> Iterator[type[Check]]:
     """Yield the checks that every run is asked, then those of extensions, loaded one by one."""
-    yield from map(type, (*OF_FILTER, *CHECKS, *EXPLAINING))
+    yield from map(type, (*CHECKS, *EXPLAINING))
     for name in extensions:
         yield resolve_name(config_class(name).extension)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.checks.optimum import misfit_remarks
+from comparisons.checks.optimum import overstated
 from comparisons.figures import rounded, rows_of
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.solve import Solution
@@ -32,26 +32,6 @@ LARGEST_DRAWN = 150
 """Variables of the largest graph that is drawn as dot."""
 
 
-def _overstated(test: ChiSquareTest) -> bool:
-    """Whether no chance makes a chi-square so low."""
-    return test.reading == "too low" and test.extreme
-
-
-def _misfit(solution: Solution) -> list[str]:
-    """What a chi-square outside its band means; nothing where another reading of edges says it."""
-    if solution.misread:
-        return []
-    optimality = solution.result.optimality
-    test, found = optimality.chi_square, misfit_remarks(optimality)
-    if _overstated(test):
-        times = rounded(float(np.sqrt(test.dof / test.chi2)) if test.chi2 else np.inf)
-        found.append(
-            f"no chance makes chi-square so low: the stated sigmas are about {times} times too "
-            "large, and so are the estimate's"
-        )
-    return [one for one in found if one not in solution.lacks]
-
-
 class SolutionReport(Report[Solution, SolutionResult]):
     """Report of `slamcheck solve`."""
 
@@ -63,9 +43,9 @@ class SolutionReport(Report[Solution, SolutionResult]):
             *([FRAME] if s.log.prior.open else []),
             *s.notes,
             *s.open_loops,
-            *_misfit(s),
-            *(s.known.remarks if s.misread is None else ()),  # else no sigma means what it says
         ]
+        if s.misread is None:  # else no sigma means what it says
+            remarks += [one for one in s.known.remarks if one not in s.lacks]
         return SolutionResult(
             association_by=s.association_by,
             landmarks=len(s.estimate.landmark),
@@ -90,9 +70,9 @@ class SolutionReport(Report[Solution, SolutionResult]):
             tested += f" (expected {smoother.dof}, band {rounded(low)} to {rounded(high)})"
         used = "measurements used for the map"
         test = ChiSquareTest(smoother.chi2, smoother.dof, *smoother.chi2_band)
-        overstated = ", sigmas too large" if _overstated(test) else ""
+        too_large = ", sigmas too large" if overstated(test) else ""
         return Summary(
-            headline=f"verdict: {result.headline}{overstated}",
+            headline=f"verdict: {result.headline}{too_large}",
             style=STYLES[result.look],
             reasons=result.reasons,
             remarks=result.remarks,

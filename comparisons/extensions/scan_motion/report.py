@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.optimum import lacking
 from comparisons.estimates.folder import tum_text
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.job import FrontEnd
@@ -99,7 +100,8 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
     def build(front_end: FrontEnd, read: Clock | None = None) -> FrontEndResult:
         """The findings, read being the time that reading the log took."""
         f = front_end
-        reasons = [why for why in (f.motion.lacks, f.graph.optimality.lacks) if why]
+        reasons = [*([f.motion.lacks] if f.motion.lacks else []), *lacking(f.graph.optimality)]
+        remarks = [*_remarks(f), *(one for one in f.known.remarks if one not in reasons)]
         return FrontEndResult(
             odometry=scan_odometry_result(f.motion, seconds=f.prepared.clock.seconds["odometry"]),
             loops=LoopResult(
@@ -113,7 +115,7 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
             increments=f.increments,
             verdict="unverified" if reasons else "verified",
             reasons=reasons,
-            **optimum_findings(f.known, FrontEndResult, [*_remarks(f), *f.known.remarks]),
+            **optimum_findings(f.known, FrontEndResult, remarks),
             **about_job(f.prepared, f.prepared.clock.after(read)),
         )
 
