@@ -18,6 +18,8 @@ median merges middle name occupied reached rejects restarts rule second seems sh
 stamps steps these trial tried turn unchanged under wheels
 """
 """Words of rows that mean what they mean elsewhere."""
+TEXTS = {"Row": 2, "Named": 1, "rows_of": 1}
+"""Calls whose first arguments are texts of rows, and how many are."""
 NAMES = "CLAM CSV JSON KITTI MR N3 ROS SI TOML TUM"
 """Upper case of the help that is no term: formats, data sets, units, figures of a document."""
 
@@ -25,13 +27,13 @@ NAMES = "CLAM CSV JSON KITTI MR N3 ROS SI TOML TUM"
 def first_texts(tree: ast.AST) -> Iterator[str]:
     """Yield texts of groups and quantities.
 
-    They are the first two arguments of `Row`, and the first entry of each tuple within a function
-    that returns rows.
+    They are the first two arguments of `Row`, the first of `Named` and `rows_of`, and the first
+    entry of each tuple within a function that returns rows.
     """
     for node in ast.walk(tree):
         found: list[ast.expr] = []
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Row":
-            found = node.args[:2]
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            found = node.args[: TEXTS.get(node.func.id, 0)]
         elif (
             isinstance(node, ast.FunctionDef)
             and node.returns
@@ -48,7 +50,8 @@ def first_texts(tree: ast.AST) -> Iterator[str]:
 def words_of_rows() -> frozenset[str]:
     """Return all words of groups and quantities, in lower case."""
     texts = (path.read_text(encoding="utf-8") for path in (ROOT / "comparisons").rglob("*.py"))
-    shown = (text for source in texts if "Row" in source for text in first_texts(ast.parse(source)))
+    named = (source for source in texts if re.search("Row|Named", source))
+    shown = (text for source in named for text in first_texts(ast.parse(source)))
     return frozenset(word.lower() for text in shown for word in re.findall(r"[A-Za-z]{2,}", text))
 
 
