@@ -209,9 +209,7 @@ def test_no_fault_stops_a_filter_that_associates_for_itself() -> None:
 
 
 @pytest.mark.parametrize(("beside", "named"), [("fed", "planted"), ("planted", "fed")])
-def test_a_plant_is_looked_for_beside_numbers_that_are_not_planted(
-    beside: str, named: str
-) -> None:
+def test_a_plant_is_looked_for_beside_numbers_that_are_not_planted(beside: str, named: str) -> None:
     """The planted fault leaves the least, but two plants may be in the same place."""
     faults = [Fault("planted", plant=lambda ekf: None), Fault("fed", feed=lambda log: log)]
     number = {

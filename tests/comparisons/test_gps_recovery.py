@@ -104,7 +104,7 @@ def test_a_streak_needs_fixes_that_are_alike() -> None:
 
 
 def test_a_streak_weighs_a_fix_by_its_own_covariance_and_the_last_ones() -> None:
-    """Ten metres apart: of one noise of 1 m and one of 5 m that is one streak, of two of 1 m not."""
+    """Ten metres apart: of noises of 1 m and of 5 m that is one streak, of two of 1 m it is not."""
     far, rough, exact = np.array((10.0, 0.0)), 25.0 * np.eye(2), np.eye(2)
     lengths = [
         Streak(1, np.zeros(2), before).length_with(far, now, 13.82)

@@ -147,7 +147,7 @@ def test_prefixes_keep_what_was_known() -> None:
 
 
 def test_a_frame_in_a_frame_by_central_differences() -> None:
-    """F2's rows, unwhitened, at residuals that are not zero; the noise stands in the measurement."""
+    """F2's rows, unwhitened, at residuals that are not zero; the noise is the measurement's."""
     rng = np.random.default_rng(3)
     first, second, measured = (rng.uniform(-2.0, 2.0, (1, 3)) for _ in range(3))
     sigma = np.array((1.0, 2.0, 0.5))

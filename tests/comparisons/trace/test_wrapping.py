@@ -190,9 +190,7 @@ def test_an_angle_that_an_unscented_filter_wraps_is_corrected_by_little(path: Pa
         return wrap_angle(first - second)
 
     points = kalman.MerweScaledSigmaPoints(1, 0.5, 2.0, 2.0)
-    ukf = Compass(
-        1, 1, 0.1, lambda x: x, lambda x, dt: x, points, residual_x=less, residual_z=less
-    )
+    ukf = Compass(1, 1, 0.1, lambda x: x, lambda x, dt: x, points, residual_x=less, residual_z=less)
     ukf.x, ukf.P = np.array([3.1]), 0.01 * np.eye(1)
     ukf.Q, ukf.R = 1e-4 * np.eye(1), 0.01 * np.eye(1)
     with record(ukf, path, blocks={"heading": 1}):
