@@ -211,10 +211,14 @@ def test_no_fault_stops_a_filter_that_associates_for_itself() -> None:
 @pytest.mark.parametrize(("beside", "named"), [("fed", "planted"), ("planted", "fed")])
 def test_a_plant_is_looked_for_beside_numbers_that_are_not_planted(beside: str, named: str) -> None:
     """The planted fault leaves the least, but two plants may be in the same place."""
-    faults = [Fault("planted", plant=lambda ekf: None), Fault("fed", feed=lambda log: log)]
+
+    def plant(ekf: Ekf) -> None:
+        """Nothing is run."""
+
+    faults = [Fault("planted", plant=plant), Fault("fed", feed=lambda log: log)]
     number = {
         "fed": Family("a log's number {}", feed=lambda log, number: log),
-        "planted": Family("a filter's number {}", plant=lambda number: faults[0].plant),
+        "planted": Family("a filter's number {}", plant=lambda number: plant),
     }[beside]
 
     def remainder(fault: Fault) -> Array:
@@ -235,7 +239,7 @@ def test_steps_without_a_turn_say_nothing_of_their_integration() -> None:
     timeline = prepared.timeline
     times_s = np.append(timeline.step_begin_s[0], timeline.step_end_s)
     euler = replace(prepared, log=replace(log, integration="euler"))
-    given = handed_in(filter_named(EKF, euler, times_s, lambda ekf: NoObserver()))
+    given = handed_in(present(filter_named(EKF, euler, times_s, lambda ekf: NoObserver())))
     assert integrations_by_steps(given, prepared) == ("euler",)
 
 

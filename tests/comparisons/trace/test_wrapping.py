@@ -182,6 +182,8 @@ def test_an_angle_that_an_unscented_filter_wraps_is_corrected_by_little(path: Pa
     kalman = pytest.importorskip("filterpy.kalman")
 
     class Compass(kalman.UnscentedKalmanFilter):  # type: ignore[misc, name-defined]
+        x: Any
+
         def update(self, z: Array) -> None:
             super().update(z)
             self.x = wrap_angle(self.x)
