@@ -204,6 +204,16 @@ def test_a_wrong_frame_shows_in_the_map_and_not_in_its_distances() -> None:
     assert found.distances.dof + found.skipped == 10
 
 
+def test_the_surveys_own_errors_count_for_each_landmark() -> None:
+    """Known to 1 m, surveyed to 2 m, off by 5 m: NEES 5, alone and together."""
+    mean = np.array([0.0, 0.0, 0.0, 9.0, 1.0, -30.0, 4.0])
+    doubt = np.diag([0.0, 0.0, 0.0, *4.0 * np.ones(4)])
+    true = mean + np.array([0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 5.0])
+    found = map_errors(mean, np.eye(7), true, doubt, with_pose=True)
+    assert found.landmarks.squared == pytest.approx([5.0, 5.0], rel=1e-12)
+    assert found.map.squared == pytest.approx([10.0], rel=1e-12)
+
+
 def test_short_distances_are_left_out() -> None:
     mean = np.array([0.0, 0.0, 0.0, 5.0, 0.0, 5.1, 0.0])
     found = map_errors(mean, 0.01 * np.eye(7), mean, np.zeros((7, 7)), with_pose=True)

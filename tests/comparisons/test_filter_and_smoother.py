@@ -52,6 +52,20 @@ def test_increment_carries_what_the_filter_predicts(kind: str, integration: Inte
     assert relative_error(turn @ whole.covariance[0] @ turn.T, covariance) < 1e-12
 
 
+@pytest.mark.parametrize(("duration_s", "steps"), [(0.14, 7), (0.28, 14), (0.15, 8)])
+def test_a_duration_of_whole_steps_has_no_step_more(duration_s: float, steps: int) -> None:
+    """In both packages; 0.14 s by 0.02 s are a little more than 7 in floating point."""
+    u, w, dt = np.array([2.0]), np.array([0.5]), np.array([duration_s])
+    ours, expected = (samples("unicycle", u, w, dt, one).displacement for one in (0.02, steps))
+    assert np.array_equal(ours, expected)
+    model, control = UnicycleModel(), np.concatenate((u, w))
+    own, other = (
+        IntegratedModel(model, "middle", one).step(np.zeros(3), control, duration_s).pose
+        for one in (0.02, steps)
+    )
+    assert np.array_equal(own, other)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_filter_at_k_agrees_with_the_smoother_up_to_k(seed: int) -> None:
     """Like with like: neither has seen the future; both are given the same prefix."""

@@ -19,10 +19,13 @@ from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.faults.catalogue import catalogue, families, own_start
 from comparisons.faults.fault import NONE, Family, Fault, together
+from comparisons.fingerprints.estimate_motion import integrations_by_steps
+from comparisons.fingerprints.fit import Fit, nearest
 from comparisons.fingerprints.search import fingerprints
 from comparisons.fingerprints.trial import Fingerprint, stamp_rounding
 from comparisons.jobs.check import check
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import VelocityOdometry
 from comparisons.pipeline.clock import no_progress
 from comparisons.pipeline.references import APART, EKF, KINDS, filter_named, variants
 from comparisons.pipeline.solve import Solution, solve
@@ -203,6 +206,41 @@ def test_no_fault_stops_a_filter_that_associates_for_itself() -> None:
     with np.errstate(all="ignore"):
         found = [tried(blind, one) for one in faults]
     assert sum(one is not None for one in found) > 0.9 * len(faults)
+
+
+@pytest.mark.parametrize(("beside", "named"), [("fed", "planted"), ("planted", "fed")])
+def test_a_plant_is_looked_for_beside_numbers_that_are_not_planted(beside: str, named: str) -> None:
+    """The planted fault leaves the least, but two plants may be in the same place."""
+
+    def plant(ekf: Ekf) -> None:
+        """Nothing is run."""
+
+    faults = [Fault("planted", plant=plant), Fault("fed", feed=lambda log: log)]
+    number = {
+        "fed": Family("a log's number {}", feed=lambda log, number: log),
+        "planted": Family("a filter's number {}", plant=lambda number: plant),
+    }[beside]
+
+    def remainder(fault: Fault) -> Array:
+        left = min({"planted": 0.1, "fed": 0.2}.get(one, 1.0) for one in fault.what.split(", and "))
+        return np.full(4, left)
+
+    fit = Fit(NONE, (number,), np.array((0.5,)), np.ones(4))
+    assert present(nearest(fit, faults, remainder)).what == named
+
+
+def test_steps_without_a_turn_say_nothing_of_their_integration() -> None:
+    """Nearly half of a drive is straight."""
+    log = of_speeds_and_yaw_rates(6.0)
+    assert isinstance(log.odometry, VelocityOdometry)
+    turns = log.odometry.yaw_rate_radps * (np.arange(len(log.odometry.time_s)) % 20 >= 9)
+    log = replace(log, odometry=replace(log.odometry, yaw_rate_radps=turns))
+    prepared = solve(log).prepared
+    timeline = prepared.timeline
+    times_s = np.append(timeline.step_begin_s[0], timeline.step_end_s)
+    euler = replace(prepared, log=replace(log, integration="euler"))
+    given = handed_in(present(filter_named(EKF, euler, times_s, lambda ekf: NoObserver())))
+    assert integrations_by_steps(given, prepared) == ("euler",)
 
 
 def test_what_lasts_longest_explains_most() -> None:

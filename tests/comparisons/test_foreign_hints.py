@@ -8,9 +8,14 @@ from benchmarks.strangers import Single
 from benchmarks.trust_hints import IN_SINGLE, Case, checked, hint_parts, simulated
 from comparisons.checks.algebra import HINT
 from comparisons.checks.diagnosis.hypotheses import Quantity, instead, named, scaled
+from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
 from comparisons.estimates.stored_precision import SINGLE, restored, stored_rounding
+from comparisons.faults.fault import Method, moving
 from comparisons.jobs.external_trace import TraceCheck
-from tests.helpers import Array
+from comparisons.jobs.run import Modified
+from ekf_reference.models.motion import MotionStep
+from tests.helpers import Array, compared
+from tests.helpers import simulated as driven
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +76,19 @@ def test_restored_numbers_would_be_stored_alike() -> None:
     assert (moved[:-2] != values).all()
     assert (moved[:-2].astype(np.float32) == values).all()
     assert moved[-2:].tolist() == [0.0, 1.0]
+
+
+def test_the_noise_of_another_speed_is_no_second_fault() -> None:
+    """Of a car, whose speed and interval act alike but for their share of Q."""
+    log = driven(loop_s=5.0)
+
+    def faster(own: Method, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        found: MotionStep = own(pose, control * (1.1, 1.0), duration_s)
+        return found
+
+    run = compared(log, Modified(moving(faster))).ekf
+    (hint,) = motion_hints(log, run, 0.0)
+    assert hint.startswith("the speed is 1.1 times the log's, or every prediction lasts")
 
 
 def quantity(have: Array, meant: Array) -> Quantity:

@@ -14,8 +14,11 @@ from comparisons.jobs.run import compare
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.report.run import RunReport, run_rows
+from ekf_reference.association.known import KnownAssociation
+from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array as EkfArray
-from ekf_reference.models.position import Streak
+from ekf_reference.models.motion import UnicycleModel
+from ekf_reference.models.position import PositionFixes, Streak
 from tests.comparisons.test_positions import with_fixes
 from tests.helpers import Array, present, simulated
 
@@ -98,6 +101,25 @@ def test_a_streak_needs_fixes_that_are_alike() -> None:
         innovation = np.array(off)
         streak = Streak(streak.length_with(innovation, noise, 13.82), innovation, noise)
         assert streak.length == count
+
+
+def test_a_streak_weighs_a_fix_by_its_own_covariance_and_the_last_ones() -> None:
+    """Ten metres apart: of noises of 1 m and of 5 m that is one streak, of two of 1 m it is not."""
+    far, rough, exact = np.array((10.0, 0.0)), 25.0 * np.eye(2), np.eye(2)
+    lengths = [
+        Streak(1, np.zeros(2), before).length_with(far, now, 13.82)
+        for before, now in ((rough, exact), (exact, rough), (exact, exact))
+    ]
+    assert lengths == [2, 2, 1]
+
+
+def test_a_streak_goes_on_from_what_a_fused_fix_has_left() -> None:
+    """A filter as unsure as the fixes comes half the way with the third, and takes the fourth."""
+    ekf = Ekf(UnicycleModel(), KnownAssociation(), np.zeros(3), np.diag((1.0, 1.0, 1e-4)))
+    ekf.fixes = PositionFixes(recovery=2)
+    fused = [ekf.fix_position(np.array((12.0, 0.0)), np.eye(2)) for _ in range(4)]
+    assert fused == [False, False, True, True]
+    assert ekf.state.pose[0] == pytest.approx(8.0, rel=1e-9)
 
 
 def found_at_truth(log: Log) -> RejectedFixes:

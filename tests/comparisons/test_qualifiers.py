@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from comparisons.adapters.time_window import cut_log
 from comparisons.checks import truth_by_labels
@@ -225,6 +226,17 @@ def drawn(rng: np.random.Generator) -> Consistency:
         for name in ("measurements", "positions")
     )
     return Consistency(None, None, sensors, None, gated=False)
+
+
+def test_words_share_their_level_among_all_bands() -> None:
+    """A mean NIS that one run in two thousand has is no news where six are looked at."""
+    found = drawn(np.random.default_rng(1))
+    assert found.bands * found.outside == pytest.approx(0.001, rel=1e-12)
+    first, *others = found.sensors[0].nis
+    for outside, remarks in ((0.0005, 0), (0.0001, 1)):
+        edge = float(chi2.isf(0.5 * outside, first.count * first.dof)) / first.count
+        sensor = replace(found.sensors[0], nis=(replace(first, mean=edge), *others))
+        assert len(replace(found, sensors=(sensor, found.sensors[1])).remarks) == remarks
 
 
 @pytest.mark.slow

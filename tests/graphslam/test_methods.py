@@ -16,7 +16,7 @@ from graphslam.marginals import SingularProblemError, eliminate
 from graphslam.observability import explain_singularity
 from graphslam.optimisers import OPTIMISERS
 from graphslam.problem import SlamProblem
-from graphslam.smoother import SmootherOptions, smooth
+from graphslam.smoother import SmootherOptions, _distance, _Followed, smooth
 from tests.graphslam import worlds
 from tests.graphslam.numerics import relative_error
 
@@ -95,6 +95,19 @@ def test_isam2_reaches_the_optimum(problem: SlamProblem) -> None:
     assert result.optimality.distance_sigma < 0.05
     assert result.optimality.verified
     assert {start.name for start in result.starts} == {"relaxed", "isam2"}
+
+
+def test_whole_turns_are_no_distance_from_the_optimum(problem: SlamProblem) -> None:
+    """Of the last heading; a hundredth of a radian is one."""
+    optimum = smooth(problem, {})
+    apart_sigma = []
+    for turn in (0.0, 2.0 * np.pi, 0.01):
+        poses = optimum.poses + (0.0, 0.0, turn)
+        followed = _Followed(poses, optimum.landmarks, optimum.pose_landmarks(), None)
+        apart_sigma.append(_distance(optimum, followed))
+    assert max(apart_sigma[:2]) < 1e-9
+    sigma = np.sqrt(optimum.marginal().covariance[2, 2])
+    assert apart_sigma[2] == pytest.approx(0.01 / sigma, rel=1e-6)
 
 
 @pytest.mark.slow

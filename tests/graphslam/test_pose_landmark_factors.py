@@ -147,14 +147,15 @@ def test_prefixes_keep_what_was_known() -> None:
 
 
 def test_a_frame_in_a_frame_by_central_differences() -> None:
-    """F2's rows, unwhitened, at residuals that are not zero."""
+    """F2's rows, unwhitened, at residuals that are not zero; the noise is the measurement's."""
     rng = np.random.default_rng(3)
     first, second, measured = (rng.uniform(-2.0, 2.0, (1, 3)) for _ in range(3))
-    unit = right_perturbation(measured, np.eye(3)[None])
+    sigma = np.array((1.0, 2.0, 0.5))
+    own = right_perturbation(measured, np.diag(sigma**2)[None])
     nothing = np.zeros(0, dtype=np.intp)
     at = RelationPoints(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
     seen = PoseLandmarkMeasurements(
-        np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit
+        np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, own
     )
     problem = worlds.chain(np.zeros((0, 3)), np.zeros((0, 3, 3)), pose_landmarks=seen)
     points = LinearisationPoints(
@@ -173,7 +174,8 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
         return np.array([between.x(), between.y(), between.theta()])
 
     jacobian = central_difference(expected, np.concatenate((first[0], second[0])))
-    assert relative_error(np.hstack((rows.a[0], rows.c[0])), jacobian) < 1e-8
+    unwhitened = sigma[:, None] * np.hstack((rows.a[0], rows.c[0]))
+    assert relative_error(unwhitened, jacobian) < 1e-8
     residual = measured[0] - expected(np.concatenate((first[0], second[0])))
     residual[2] = np.angle(np.exp(1j * residual[2]))
-    assert relative_error(rows.b[0], residual) < 1e-12
+    assert relative_error(sigma * rows.b[0], residual) < 1e-12

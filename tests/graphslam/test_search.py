@@ -213,6 +213,22 @@ def test_other_minima_are_told_with_where_they_differ() -> None:
     assert other.pose_m > 1.0
 
 
+def test_a_landmark_that_nobody_saw_is_passed_over_where_minima_differ() -> None:
+    """The fourth post on the other side, behind one that is not there: number 4 from 0."""
+    problem, poses, posts = two_sided(0)
+    problem = replace(
+        problem, measurement_landmark=problem.measurement_landmark + 1, landmark_count=7
+    )
+    search = MinimumSearch(problem, build_graph(problem), "levenberg-marquardt", silent)
+    for name, sign in (("right", 1.0), ("wrong", -1.0)):
+        posts[3, 1] *= sign
+        places = np.vstack((np.full(2, np.nan), posts))
+        search.attempt(name, "sequential", search.values(poses, places))
+    lowest, other = search._minima()
+    assert (lowest.landmark_m, other.landmark) == (0.0, 4)
+    assert other.landmark_m > 3.0
+
+
 def test_a_hop_leads_out_of_a_local_minimum() -> None:
     """Begun with every post on the wrong side, hops alone reach the lowest error."""
     problem, poses, posts = two_sided(0)

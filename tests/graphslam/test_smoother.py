@@ -25,11 +25,12 @@ from graphslam.recorded_system import (
     RecordedPrior,
     RecordedRelations,
     RecordedSteps,
+    recorded_motion,
     recorded_system,
 )
 from graphslam.smoother import smooth
 from tests.graphslam import worlds
-from tests.graphslam.numerics import Array, angle, relative_error
+from tests.graphslam.numerics import Array, angle, random_covariance, relative_error
 
 
 @pytest.fixture(scope="module")
@@ -212,9 +213,14 @@ def test_missing_information_is_reported(
         last_pose_and_landmarks(linear, problem.pose_count, problem.landmark_count)
 
 
+@pytest.mark.parametrize("beyond", [0, marginals.PARTS_BEYOND], ids=["large", "small"])
 @pytest.mark.parametrize("heading_variance", [0.01, 0.0], ids=["unsure", "exact"])
-def test_frozen_smoother_on_one_step_equals_the_kalman_filter(heading_variance: float) -> None:
+def test_frozen_smoother_on_one_step_equals_the_kalman_filter(
+    heading_variance: float, beyond: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By hand: prior, one step, one measurement of a landmark that a first measurement placed."""
+    monkeypatch.setattr(marginals, "PARTS_BEYOND", beyond)
+    monkeypatch.setattr(elimination, "POSES", 1)
     rng = np.random.default_rng(2)
     p0 = np.diag((0.1, 0.2, heading_variance))
     q = np.diag((0.05, 0.04, 0.2 * heading_variance))
@@ -258,6 +264,19 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter(heading_variance: 
     frozen = solve(linear, np.array((x0, x1)), {POINT: l0[None]})
     assert relative_error(frozen.mean, mean) < 1e-10
     assert relative_error(frozen.covariance, covariance) < 1e-10
+
+
+@pytest.mark.parametrize("unit", [(1.0, 1.0, 1.0), (1e4, 1.0, 1e-8)])
+def test_units_do_not_say_what_is_without_noise(unit: tuple[float, float, float]) -> None:
+    """A step whose noise has two directions of three, and one with all, in any units."""
+    rng, scale = np.random.default_rng(4), np.diag(unit)
+    flat = rng.standard_normal((3, 2))
+    noise = np.array([scale @ one @ scale for one in (flat @ flat.T, random_covariance(rng, 3))])
+    nowhere, still = np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
+    steps = RecordedSteps(nowhere, nowhere, still, noise)
+    sigma = recorded_motion(steps, np.arange(3)).sigma
+    assert sigma is not None
+    assert np.sort(sigma, axis=1).tolist() == [[0.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
 
 
 def test_the_limit_on_the_decrement_is_tight(problem: SlamProblem) -> None:

@@ -333,6 +333,15 @@ def test_an_estimate_is_off_by_the_largest_of_its_numbers() -> None:
     assert found == "prediction 1: the estimate of place is off by 0.5 sigma"
 
 
+def test_an_estimate_may_go_round() -> None:
+    """An angle that the filter wraps to (-pi, pi] before its snapshot, and one that it does not."""
+    p, after = predicted(P), np.array([3.2, 2.0, -9.5])
+    wrapped = np.array([3.2 - 2.0 * np.pi, 2.0, -9.5 + 4.0 * np.pi, 7.0])
+    assert faults_of((BEGIN, MOVE._replace(after=after), snapshot(3, p, wrapped)), 1e-6) == ()
+    half = wrapped + np.pi * np.array([1.0, 0.0, 0.0, 0.0])
+    assert faults_of((BEGIN, MOVE._replace(after=after), snapshot(3, p, half)), 1e-6)
+
+
 def test_an_unknown_error_is_said_of_the_update_with_another_gain() -> None:
     kalman, h = gain_of(predicted(P))
     gain = kalman * [[1.0], [1.0], [0.7], [1.3]]

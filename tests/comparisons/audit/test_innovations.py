@@ -11,6 +11,7 @@ from scipy.stats import binom, chi2, kstest
 from comparisons.arrays import Array
 from comparisons.audit.audit import audit
 from comparisons.audit.consistency import (
+    Anchors,
     BlockErrors,
     Departure,
     EventInnovations,
@@ -25,7 +26,10 @@ from comparisons.innovations import InnovationLog, SensorInnovations, _lengthene
 from comparisons.statistics import onset, rarity, stretch
 from comparisons.trace.events import Augment, Sensor, Snapshot, Update
 from comparisons.trace.recorder import Recorder
+from graphslam.arrays import Marginal
+from graphslam.event_smoother import Link
 from tests.comparisons.drawn_innovations import drawn_sensor
+from tests.helpers import present
 
 LEVEL = 1e-3
 
@@ -76,6 +80,27 @@ def test_a_gates_rate_and_lengths_are_sound_together() -> None:
     assert found.gating.band[0] < found.gating.count / 4000 < found.gating.band[1]
     unknown = figures(z, used)
     assert unknown.nis[0].mean < found.nis[0].mean
+
+
+def test_the_first_error_is_judged_by_itself() -> None:
+    """A start that is off by ten of its sigmas is in no average over the snapshots after it."""
+    noise, spread, mean = 0.1, 1.0, 0.0
+    with_it, without = Anchors(), Anchors()
+    with_it.begin(Marginal(np.zeros(1), np.eye(1)))
+    for event, z in enumerate(10.0 + np.random.default_rng(7).normal(0.0, 0.5, 40), 1):
+        predicted = spread + noise
+        back = spread / predicted  # of a random walk with an error of 10 at its begin
+        then = np.full(1, mean)
+        link = Link(np.full((1, 1), back), then, then, np.full((1, 1), (1.0 - back) * spread))
+        gain = predicted / (predicted + 0.25)
+        mean, spread = mean + gain * (z - mean), (1.0 - gain) * predicted
+        now = Marginal(np.full(1, mean), np.full((1, 1), spread))
+        with_it.add(event, now, link)
+        without.add(event, now, None if event == 1 else link)
+    found, first = with_it.smoothed()
+    assert found == without.smoothed().averaged
+    assert without.smoothed().first is None
+    assert present(first).mean[0] > 5.0
 
 
 @pytest.mark.parametrize(

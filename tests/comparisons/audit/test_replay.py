@@ -64,6 +64,18 @@ def test_any_gain_has_josephs_covariance_and_a_lost_correction_shows() -> None:
     np.testing.assert_allclose(replay.mean, gain @ residual, atol=1e-12)
 
 
+def test_an_error_that_is_known_is_no_part_of_the_next_innovation() -> None:
+    """Two measurements tell of an error of 2 / 3; the first does not correct the estimate."""
+    replay, one = Replay(Prior(0, None, ("a",), (1,), np.eye(1))), np.eye(1)
+    for applied in (0.0, 1.0 / 3.0):
+        residual, correction = np.ones(1), np.array([applied])
+        fused = replay.update(
+            Update(1, None, "s", ("a",), residual, one, one, True, correction, None)
+        )
+    assert fused.innovation == pytest.approx([0.5], rel=1e-12)
+    assert replay.mean == pytest.approx([2.0 / 3.0 - 1.0 / 3.0], rel=1e-12)
+
+
 def test_a_gain_is_wrong_where_it_is_off_by_what_counts_beside_the_rest() -> None:
     """A block whose gain is off by 1e-5 of the gain's size is not named beside one off by half."""
     replay, h, r, residual = start(), np.eye(2), spread(2), np.ones(2)

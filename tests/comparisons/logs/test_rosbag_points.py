@@ -19,10 +19,10 @@ pytest.importorskip("rosbags")
 from rosbags.typesys import Stores
 
 from comparisons.logs.odometry_noise import odometry_noise
-from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_reckoned
+from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes, lay_reckoned
 from comparisons.logs.readers.ros_points import fix
 from tests.comparisons.logs.bags import EPOCH, Message, T, Types
-from tests.helpers import present
+from tests.helpers import present, relative_error
 
 
 def moves(count: int = 5, types: Types = T, **changes: Any) -> list[Message]:
@@ -211,6 +211,29 @@ def test_the_start_that_fixes_show_is_as_certain_as_it_says() -> None:
     exact, honest = nees.mean(axis=0)
     assert low < honest < high
     assert exact > 3 * high
+
+
+def test_the_direction_of_the_plane_says_nothing_of_the_start() -> None:
+    """Laid onto one drive, fixes of a plane that is turned and moved give the same start."""
+    steps, time_s = 60, np.arange(61.0)
+    pose = _chained(np.tile((1.0, 0.0, 0.01), (steps, 1)))
+    path = pose[:, :2] @ np.array([1.0, 1j])
+    covariance = np.tile(np.diag((0.01, 0.04, 1e-4)) ** 2, (steps, 1, 1))
+    moved = Reckoned(time_s, pose, path, covariance)
+    laid = []
+    for heading, corner in ((0.0, 0.0), (2.0, 30 - 7j)):
+        turn = np.array(((np.cos(heading), -np.sin(heading)), (np.sin(heading), np.cos(heading))))
+        seen = path * np.exp(1j * heading) + corner
+        spread = turn @ np.diag((0.5, 0.1)) ** 2 @ turn.T
+        plane = Positions(
+            time_s, np.column_stack((seen.real, seen.imag)), np.tile(spread, (steps + 1, 1, 1))
+        )
+        laid.append(present(lay_fixes(moved, plane)))
+    one, other = laid
+    assert one.spent == other.spent
+    assert relative_error(other.covariance, one.covariance) < 1e-9
+    assert relative_error(other.positions.covariance, one.positions.covariance) < 1e-9
+    assert np.abs(other.positions.position_m - one.positions.position_m).max() < 1e-9
 
 
 def _chained(moved: np.ndarray) -> np.ndarray:

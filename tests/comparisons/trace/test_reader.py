@@ -636,8 +636,10 @@ def test_known_entries_have_no_variance() -> None:
     half = nothing.copy()
     half[0, :2, :2] = 1.0
     assert faults(half, definite=False) == []
-    half[0, 1, 2] = half[0, 2, 1] = 1e-3
-    assert faults(half, definite=False) == [(0, "has a negative eigenvalue")]
+    for within in (1.0, 0.5):
+        half[0, 0, 1] = half[0, 1, 0] = within
+        half[0, 1, 2] = half[0, 2, 1] = 1e-3
+        assert faults(half, definite=False) == [(0, "has a negative eigenvalue")]
 
 
 @pytest.mark.parametrize(("turn", "sound"), [(1e-8, True), (1e-4, False)])

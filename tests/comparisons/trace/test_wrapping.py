@@ -17,6 +17,7 @@ from comparisons.audit.audit import Audit, audit
 from comparisons.errors import InputError
 from comparisons.trace.events import Predict, Update
 from comparisons.trace.reader import Trace
+from ekf_reference.core.geometry import wrap_angle
 from slamcheck import record
 
 F = np.eye(4)
@@ -178,6 +179,32 @@ def test_an_unscented_filter_of_filterpy_is_recorded(path: Path) -> None:
     predicted = next(one for one in Trace(path) if isinstance(one, Predict))
     np.testing.assert_allclose(predicted.jacobian, F, atol=1e-9)
     np.testing.assert_allclose(predicted.noise, Q, atol=1e-9)
+
+
+def test_an_angle_that_an_unscented_filter_wraps_is_corrected_by_little(path: Path) -> None:
+    """From 3.1 rad across pi: by the filter's own difference, not by nearly a turn."""
+    kalman = pytest.importorskip("filterpy.kalman")
+
+    class Compass(kalman.UnscentedKalmanFilter):  # type: ignore[misc, name-defined]
+        x: Any
+
+        def update(self, z: Array) -> None:
+            super().update(z)
+            self.x = wrap_angle(self.x)
+
+    def less(first: Array, second: Array) -> Array:
+        return wrap_angle(first - second)
+
+    points = kalman.MerweScaledSigmaPoints(1, 0.5, 2.0, 2.0)
+    ukf = Compass(1, 1, 0.1, lambda x: x, lambda x, dt: x, points, residual_x=less, residual_z=less)
+    ukf.x, ukf.P = np.array([3.1]), 0.01 * np.eye(1)
+    ukf.Q, ukf.R = 1e-4 * np.eye(1), 0.01 * np.eye(1)
+    with record(ukf, path, blocks={"heading": 1}):
+        ukf.predict()
+        ukf.update(np.array([3.2]))
+    assert ukf.x[0] < -3.1
+    update = next(one for one in Trace(path) if isinstance(one, Update))
+    assert update.correction == pytest.approx([0.1 * 0.0101 / 0.0201], rel=1e-6)
 
 
 @dataclass

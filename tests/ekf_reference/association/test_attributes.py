@@ -105,6 +105,14 @@ def test_what_is_missing_is_not_compared() -> None:
     assert found.nis[1, 2] == 0.0
 
 
+def test_a_landmark_that_lacks_an_attribute_stands_with_all_that_have_it() -> None:
+    """With the mean of theirs, and with their spread and their own variances together."""
+    memory = remembered(np.array([[0.4], [0.8], [np.nan]]), np.array([[0.1], [0.3], [0.1]]))
+    found = memory.distances(np.array([2]), seen(np.ones((1, 2)), np.array([[1.0]]), 0.2))
+    variance = 0.2**2 + 0.5 * (0.1**2 + 0.3**2) + 0.2**2
+    assert found.n[0, 0] == pytest.approx(0.4**2 / variance + np.log(variance), rel=1e-12)
+
+
 def tree_drive(
     rule: Callable[[Attributes], NearestNeighbour | JointCompatibility],
     memory: AttributeEstimates,

@@ -1,4 +1,6 @@
 import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
 
 from ekf_reference.association.consensus import ConsensusAssociation
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
@@ -58,6 +60,24 @@ def test_higher_odds_decide_less() -> None:
     scan = seen((5.0, 0.5))
     assert ConsensusAssociation(odds=1.0).assign(lost, MODEL, scan).tolist() == [0]
     assert ConsensusAssociation(odds=1e6).assign(lost, MODEL, scan).tolist() == [AMBIGUOUS]
+
+
+@pytest.mark.parametrize(("share", "decided"), [(0.9, True), (1.1, False)])
+def test_odds_are_a_ratio_of_densities(share: float, decided: bool) -> None:
+    """Discs and new landmarks apart, two hypotheses have the Gaussians' densities."""
+    lost, scan = mapped(heading_sigma=0.2), seen((5.08, 1.0))
+    local = lost.local_map(1e3)
+    predicted = MODEL.predict(local.pose, local.landmark[:2])
+    densities = []
+    for i in range(2):
+        by_pose, by_landmark = predicted.jacobian_pose[i], predicted.jacobian_landmark[i]
+        spread = by_pose @ local.vehicle @ by_pose.T + scan.noise[0]
+        spread += by_landmark @ local.own[i] @ by_landmark.T
+        densities.append(multivariate_normal.pdf(scan.z[0], predicted.z[i], spread))
+    odds = share * densities[0] / densities[1]
+    assert odds > 1.0
+    rule = ConsensusAssociation(resolution_m=1e-9, odds=odds, new_density=1e-30)
+    assert rule.assign(lost, MODEL, scan).tolist() == [0 if decided else AMBIGUOUS]
 
 
 def test_a_crowded_scan_ends_within_its_bound() -> None:

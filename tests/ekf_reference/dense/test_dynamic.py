@@ -122,6 +122,18 @@ def test_slow_motion_shows_between_two_visits() -> None:
     assert np.linalg.norm(cells.mean(axis=0) - (8.0 - CUBE_M, 5.0)) < 0.3
 
 
+def test_a_visit_ends_when_a_region_is_not_seen_however_seldom_maps_are_compared() -> None:
+    """A box brought in a gap of 6 s came within a visit, one in a gap of 12 s between two."""
+    rule = Differencing(threshold=0.99, look_s=20.0)
+    for back_s, slow in ((12.0, False), (18.0, True)):
+        layer, rng, placed = DynamicLayer(rule=rule), np.random.default_rng(2), place()
+        for time_s in (0.0, 5.5, 5.6, 5.7):
+            see(layer, placed, scene(None, rng), time_s)
+        for time_s in np.arange(back_s, 21.0, 0.25).tolist():
+            see(layer, placed, scene(np.array((8.0, 5.0)), rng), time_s)
+        assert (layer.counters.slow > 0) is slow
+
+
 def test_a_scene_that_is_all_moving_is_all_dynamic() -> None:
     """The wall itself comes and goes: all that was seen both ways is flagged, and nothing else."""
     layer, rng, placed = DynamicLayer(), np.random.default_rng(3), place()

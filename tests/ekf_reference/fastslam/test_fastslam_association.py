@@ -13,7 +13,7 @@ from ekf_reference.fastslam.association import (
     best_pairs,
 )
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
-from ekf_reference.fastslam.particle_maps import ParticleMaps
+from ekf_reference.fastslam.particle_maps import FREE, ParticleMaps
 from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.fastslam.linear_sensor import standing
@@ -117,6 +117,28 @@ def test_labels_occur_once_in_a_round() -> None:
     seen = Measurements(z, diagonal_noise(z), label)
     parts = KnownIdentities().rounds(seen)
     assert [part.tolist() for part in parts] == [[0, 1, 2, 4], [3], [5]]
+
+
+def test_a_misread_label_weighs_as_a_measurement_at_the_gate_and_no_more() -> None:
+    """Not also as one of no landmark: known standing poses, so S is 2 R of the same sensor."""
+    rule = KnownIdentities(gate=9.0, log_unmatched=-7.0)
+    slam = standing(FastSlamOptions(particles=2, association=rule))
+    noise = diagonal_noise(SIGMA[None])
+    for z in ((5.0, 0.1), (25.0, 0.1)):
+        before = slam.log_weight.copy()
+        slam.observe(Measurements(np.array([z]), noise, np.array([3])))
+    size = np.log(np.linalg.det(2.0 * np.pi * 2.0 * noise[0]))
+    np.testing.assert_allclose(slam.log_weight - before, -0.5 * (9.0 + size), rtol=1e-9)
+
+
+def test_a_landmark_that_nobody_has_any_more_gives_its_column_back() -> None:
+    """Where it fell below zero in one particle, and the other never had it."""
+    maps = ParticleMaps(2)
+    kept, gone = maps.allocate(np.array([70, 71])).tolist()
+    maps.evidence[:, kept], maps.evidence[:, gone] = (1.0, -0.2), (0.0, -0.2)
+    maps.remove(np.array([kept, gone]))
+    assert maps.number[[kept, gone]].tolist() == [70, FREE]
+    assert maps.evidence[:, [kept, gone]].tolist() == [[1.0, 0.0], [0.0, 0.0]]
 
 
 def test_a_loop_of_unlabelled_points_is_mapped_without_duplicates() -> None:

@@ -10,7 +10,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT, NewLandmarks, PredictedMeasurements
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.core.state import FilterDivergedError, KalmanState
-from ekf_reference.core.trace import RecordedTrace
+from ekf_reference.core.trace import RecordedTrace, RemovalRecord
 from ekf_reference.filters.misono import (
     DirectionCosineEkf,
     DirectionCosineOptions,
@@ -97,6 +97,23 @@ def test_renormalised_equals_the_filter_on_the_heading() -> None:
         for name, column in vars(records).items():
             if isinstance(column, np.ndarray) and column.dtype == float:
                 assert relative_error(column, getattr(others, name)) < 1e-10, name
+
+
+class Removed(RecordedTrace):
+    """Which entries of the state were removed last."""
+
+    entries: Index
+
+    def removal(self, gone: RemovalRecord) -> None:
+        self.entries = gone.entries
+
+
+def test_entries_removed_are_those_of_a_state_with_a_heading() -> None:
+    traces = Removed(), Removed()
+    for ekf in (on_circle(traces[0]), on_heading(traces[1])):
+        drive(ekf, np.random.default_rng(0))
+        ekf.remove(np.array([1, 4]))
+    assert traces[0].entries.tolist() == traces[1].entries.tolist() == [5, 6, 11, 12]
 
 
 def test_the_pair_stays_on_the_circle() -> None:
