@@ -15,6 +15,7 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.audit.spurious import HEADING
 from comparisons.checks.consistency.filter_smoother import LEAST_RATIO, FilterAgainstSmoother
+from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.consistency.nees import PoseErrors
 from comparisons.checks.pair_of_estimates import EstimateComparison
 from comparisons.checks.spurious import SpuriousFinding
@@ -38,7 +39,7 @@ from comparisons.report.marks import (
 from comparisons.statistics import mean_band
 
 if TYPE_CHECKING:
-    from comparisons.checks.consistency.consistency import ExternalConsistency
+    from comparisons.checks.consistency.consistency import Consistency, ExternalConsistency
     from comparisons.estimates.reference import Reference
     from comparisons.jobs.check import ExternalCheck
 
@@ -93,6 +94,29 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
         apart=apart,
         learnt=_learnt(comparison.known, "EKF's own"),
     )
+
+
+def known_panels(known: Known) -> tuple[str, tuple[Panel, ...]]:
+    """Return whose error, by what, and panels of what a job knows that compares no estimates.
+
+    The error of its filter, or of its smoother without one, where the log has true poses.
+    """
+    c = known.value(ConsistencyFinding)
+    if c is None:
+        return "", ()
+    reported, errors, squared = _against_truth(known, c)
+    of_filter = _learnt(known, "EKF's own"), *_nis(c.sensors), _whiteness(c.sensors)
+    return reported, tuple(filter(None, (*errors, squared, *of_filter)))
+
+
+def _against_truth(known: Known, c: Consistency) -> tuple[str, tuple[Panel, ...], Panel | None]:
+    """Error of the filter, or of the smoother without one, and NEES of both; none without truth."""
+    both = (("EKF", EKF_COLOUR, c.ekf), (known.called, SMOOTHER_COLOUR, c.smoother))
+    curves = [(name, colour, t.poses) for name, colour, t in both if t is not None and t.poses]
+    for name, colour, p in curves[:1]:
+        errors = _errors(p.time_s, p.error, p.sigma, f"{name} - truth", colour=colour)
+        return f"the {name}'s pose against truth", errors, _nees(curves)
+    return "", (), None
 
 
 def _nis(sensors: tuple[SensorInnovations, ...]) -> tuple[Panel, ...]:
@@ -253,12 +277,9 @@ def filters_compared(check: ExternalCheck) -> list[tuple[Reference, str]]:
 
 def _poses(comparison: Comparison) -> tuple[str, tuple[Panel, ...], Panel | None]:
     c, f = comparison.consistency, comparison.consistency.smoothed
-    if c.ekf is not None and (p := c.ekf.poses) is not None:
-        curves = [("EKF", EKF_COLOUR, p)]
-        if c.smoother is not None and (q := c.smoother.poses) is not None:
-            curves.append(("smoother", SMOOTHER_COLOUR, q))
-        reported = "the EKF's pose against truth"
-        return reported, _errors(p.time_s, p.error, p.sigma, "EKF - truth"), _nees(curves)
+    reported, errors, squared = _against_truth(comparison.known, c)
+    if errors:
+        return reported, errors, squared
     if f is None:
         return "no truth, and no smoother on the same data", (), None
     reported = "the EKF's pose against the smoother's, 3 sigma of P_EKF - P_smoother"
@@ -315,7 +336,12 @@ def _against_smoother(
 
 
 def _errors(
-    time_s: Array, error: Array, sigma: Array, name: str, lack: str = ""
+    time_s: Array,
+    error: Array,
+    sigma: Array,
+    name: str,
+    lack: str = "",
+    colour: str = EKF_COLOUR,
 ) -> tuple[Panel, ...]:
     """Of errors (n, 3) and sigmas (n, 3); no band where none of these is a number.
 
@@ -324,13 +350,11 @@ def _errors(
     panels = []
     for i, (label, unit) in enumerate(COMPONENTS.values()):
         spread = 3.0 * unit * sigma[:, i]
-        curve = Curve(name, EKF_COLOUR, time_s, unit * error[:, i])
+        curve = Curve(name, colour, time_s, unit * error[:, i])
         bands: tuple[Band, ...] = ()
         if np.isfinite(spread).any():
             bands = (
-                Band(
-                    name="3 sigma", colour=EKF_COLOUR, x=time_s, low=-spread, high=spread, lack=lack
-                ),
+                Band(name="3 sigma", colour=colour, x=time_s, low=-spread, high=spread, lack=lack),
             )
         panels.append(Panel(title=label, x_label=TIME, curves=(curve,), bands=bands, level=0.0))
     return tuple(panels)

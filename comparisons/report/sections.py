@@ -23,6 +23,7 @@ from comparisons.report.models import (
     SmootherResult,
     StartResult,
 )
+from comparisons.report.panels import known_panels
 from comparisons.report.settings import setting_lines, settings_result
 from comparisons.report.terminal import STYLES, Summary
 from graphslam import smoother
@@ -170,9 +171,15 @@ def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> Smoo
 
 
 def job_page(
-    result: JobResult, summary: Summary, job: str, drawn: MapContent, config: JobConfig
+    result: JobResult,
+    summary: Summary,
+    job: str,
+    drawn: MapContent,
+    config: JobConfig,
+    known: Known,
 ) -> PageContent:
-    """Return the page of a job that has no more to show than it prints, and a map."""
+    """Return the page of a job that has to show what it prints, a map, and what checks found."""
+    reported, panels = known_panels(known)
     colour = next((name for name, look in STYLES.items() if look == summary.style), "")
     return PageContent(
         job=job,
@@ -184,6 +191,8 @@ def job_page(
         facts=facts_of(summary.lines),
         remarks=summary.remarks,
         map=drawn,
+        reported=reported,
+        panels=panels,
         rows=summary.rows,
         settings=setting_lines(config, result.settings),
         seconds=result.seconds,

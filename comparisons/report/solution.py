@@ -110,7 +110,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
             pose=s.dead_reckoned,
         )
         drawn = estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
-        return job_page(self.result, self.summary(), "solve", drawn, s.prepared.config)
+        return job_page(self.result, self.summary(), "solve", drawn, s.prepared.config, s.known)
 
     def folder(self) -> JobFolder:
         """Return what is to be written."""

@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from comparisons.checks.agreement import Allowed
@@ -29,6 +30,7 @@ from comparisons.pipeline.solve import solve
 from comparisons.report.explain import every_check
 from comparisons.report.html.page import page
 from comparisons.report.job import Report, report_of
+from comparisons.report.panels import known_panels
 from comparisons.report.run import RunReport, run_rows
 from comparisons.words import Cause
 from tests.commands import refused, works
@@ -153,6 +155,21 @@ def test_every_job_asks_every_check_and_shows_what_it_says(
     assert len(said) == 1
     assert "the smoother is far from the truth" in said[0]
     assert f"{result.verdict}, truth gap" in report.summary().headline
+
+
+def test_the_page_of_a_job_without_a_filter_shows_the_errors_of_its_optimum() -> None:
+    known, report = jobs()["solve"]
+    reported, panels = known_panels(known)
+    assert reported == "the smoother's pose against truth"
+    assert [one.title[:5] for one in panels] == ["east ", "north", "headi", "NEES "]
+    east = panels[0].curves[0]
+    at = np.isin(known.smoothed.time_s, east.x)
+    poses = present(known.prepared.log.truth.poses)
+    true = np.interp(east.x, poses.time_s, poses.pose[:, 0])
+    assert np.allclose(east.y, known.smoothed.pose[at, 0] - true, atol=1e-9)
+    assert np.abs(east.y).min() > 1.0, "the truth lies 3 m farther east"
+    assert "smoother - truth" in page(report.page())
+    assert known_panels(replace(known, findings={})) == ("", ())
 
 
 @pytest.mark.parametrize(

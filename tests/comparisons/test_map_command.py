@@ -44,6 +44,7 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert "consistency: per dof, expect 1: NEES" in printed
     page = (folder / "report.html").read_text()
     assert "the job solves for no optimum" in page
+    assert all(name in page for name in ("EKF - truth", "NIS of measurements", "spurious"))
     other = ("map", "occupancy-loop", "--out", "map")
     said = refused(*other, cwd=tmp_path)
     assert "map: holds another run (extensions.dense_maps.layers" in said

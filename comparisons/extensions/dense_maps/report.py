@@ -191,7 +191,7 @@ class MapReport(Report[DenseMapping, MapResult]):
         name, samples = next(iter(m.layers.items()))
         cloud = (f"{name}: occupied", samples.point[samples.occupancy > OCCUPIED])
         drawn = estimate_map(m.log, "EKF", EKF_COLOUR, m.ekf.estimate, cloud=cloud)
-        return job_page(self.result, self.summary(), "map", drawn, m.prepared.config)
+        return job_page(self.result, self.summary(), "map", drawn, m.prepared.config, m.known)
 
     def folder(self) -> JobFolder:
         """Return what is to be written: the map, and each layer in several formats.

@@ -153,7 +153,7 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
             others.append(path(name="wheels", colour=TRUTH_COLOUR, dashes="2 2", pose=f.wheels))
         cloud = ("scans", f.map_points()[:, :2])
         drawn = estimate_map(f.log, "scan graph", SMOOTHER_COLOUR, f.estimate, *others, cloud=cloud)
-        return job_page(self.result, self.summary(), "odometry", drawn, f.prepared.config)
+        return job_page(self.result, self.summary(), "odometry", drawn, f.prepared.config, f.known)
 
     def folder(self) -> JobFolder:
         """Return what is to be written. Raises MissingLibraryError: a cloud needs Open3D."""
