@@ -370,6 +370,14 @@ def test_damaged_estimates_are_named(
         read_external(tmp_path)
 
 
+def test_another_clock_is_told(log: Log, whole: ExternalEstimate) -> None:
+    with pytest.raises(InputError, match="expected times of the log's clock"):
+        check(log, replace(whole, time_s=whole.time_s + 1.6e9))
+    for unit, factor in (("milli", 1e3), ("micro", 1e6), ("nano", 1e9)):
+        with pytest.raises(InputError, match=f"they look like {unit}seconds; in seconds: awk"):
+            check(log, replace(whole, time_s=factor * whole.time_s))
+
+
 @pytest.mark.parametrize(
     ("time_s", "said"),
     [
