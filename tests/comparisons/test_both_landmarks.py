@@ -21,9 +21,7 @@ from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import POINT, LandmarkKind
-from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
-from tests.ekf_reference.both_kinds import NoRows
 from tests.helpers import compared, present, simulated, written
 from tests.scenarios import scenario
 
@@ -94,32 +92,6 @@ def ran(modify: Callable[[Ekf], None]) -> tuple[EkfRun, int]:
     run, setup = run_filter(prepare(log(), run_config(landmarks="both"), also=[Modified(modify)]))
     source = present(setup.find(ScanSlamSource))
     return run, source.found.scans
-
-
-def apart(one: EkfRun, other: EkfRun) -> float:
-    """The largest difference, in sigmas or products of two."""
-    a, b = one.estimate, other.estimate
-    if len(a.joint_mean) != len(b.joint_mean):
-        return np.inf
-    sigma = np.sqrt(np.diag(b.joint_covariance))
-    mean = np.abs((a.joint_mean - b.joint_mean) / sigma).max()
-    spread = (a.joint_covariance - b.joint_covariance) / np.outer(sigma, sigma)
-    return float(max(mean, np.abs(spread).max()))
-
-
-@pytest.mark.slow
-def test_the_compressed_filter_equals_the_full_one() -> None:
-    full, _ = ran(nothing)
-    areas = Areas()
-    compressed, _ = ran(areas)
-    assert len(areas.state.updates) > 3
-    assert max(u.passive for u in areas.state.updates) > 5
-    assert apart(compressed, full) < 1e-9
-    try:
-        broken, _ = ran(Areas(NoRows))
-    except FilterDivergedError:
-        return
-    assert apart(broken, full) > 1e-6
 
 
 class AtEveryScan(CompressedState):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.exports import EXPORTS
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
@@ -96,46 +97,7 @@ def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: Externa
     assert found.consistency.unjudged == "the estimate has no pose covariances"
 
 
-def mirrored(given: ExternalEstimate) -> ExternalEstimate:
-    landmark = present(given.landmark) * (1.0, -1.0)
-    return replace(given, pose=given.pose * (1.0, -1.0, -1.0), landmark=landmark)
-
-
-def exchanged(given: ExternalEstimate) -> ExternalEstimate:
-    places = present(given.landmark).copy()
-    places[[3, 20]] = places[[20, 3]]
-    return replace(given, landmark=places)
-
-
-def sure(given: ExternalEstimate) -> ExternalEstimate:
-    return replace(
-        given,
-        landmark_covariance=present(given.landmark_covariance) / 25.0,
-        joint_covariance=present(given.joint_covariance) / 25.0,
-    )
-
-
 Defect = Callable[[ExternalEstimate], ExternalEstimate]
-DEFECTS: dict[str, Defect] = {
-    "frame": lambda given: turned(given, 0.1, (2.0, -1.0)),
-    "mirrored": mirrored,
-    "time": lambda given: replace(given, time_s=given.time_s + 0.15),
-    "scale": lambda given: replace(given, pose=given.pose * (1.05, 1.05, 1.0)),
-    "heading": lambda given: replace(given, pose=given.pose + (0.0, 0.0, np.pi / 2)),
-    "association": exchanged,
-    "covariance": sure,
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", DEFECTS)
-def test_a_wrong_estimate_is_told_why(log: Log, whole: ExternalEstimate, name: str) -> None:
-    """Of all but the last two the trajectory alone is enough."""
-    wrong = DEFECTS[name](whole)
-    for given in (wrong,) if name in ("association", "covariance") else (wrong, bare(wrong)):
-        found = check(log, given)
-        assert found.outcome == "disagree"
-        assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
 
 
 def delayed(time_s: Array, pose: Array, delay: float) -> Array:
@@ -485,6 +447,8 @@ WRONG: dict[str, tuple[Defect, str, str, str]] = {
     ),
     "no headings": (headed(lambda h: 0.0 * h), "heading", "all headings are 0 degrees", COLUMN),
     "headings not halved": (headed(lambda h: 2.0 * h), "heading", "is not halved", COLUMN),
+    "exchanged": (EXPORTS["two landmarks exchanged"], "association", "at the position of", ""),
+    "too sure": (EXPORTS["all covariances a third"], "covariance", "is 0.33 times", ""),
     "called smoothed": (
         lambda given: replace(given, information="smoothed"),
         "information", "does not use later measurements", "",

@@ -262,39 +262,6 @@ def test_what_nobody_reads_changes_no_exit_code(
 
 
 @pytest.mark.slow
-def test_a_log_called_like_a_path_stays_here(tmp_path: Path) -> None:
-    write_log_folder(replace(simulated(loop_s=5.0), name="$x/../../up$"), tmp_path / "log")
-    works("run", "log", cwd=tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["log", "slamcheck-x-..-..-up"]
-
-
-@pytest.mark.slow
-def test_a_damaged_log_leaves_no_report(tmp_path: Path) -> None:
-    write_log_folder(simulated(loop_s=5.0), tmp_path / "log")
-    path = tmp_path / "log" / "measurements.csv"
-    lines = path.read_text().splitlines()
-    lines[3] = lines[3].replace(lines[3].split(",")[1], "nan", 1)
-    path.write_text("\n".join(lines))
-    assert refused("run", "log", "--out", "report", cwd=tmp_path) == (
-        "slamcheck: log/measurements.csv:4: range_m is 'nan', expected a finite number "
-        "(see docs/formats.md)"
-    )
-    assert [p.name for p in tmp_path.iterdir()] == ["log"]
-
-
-@pytest.mark.slow
-def test_known_association_needs_labels(tmp_path: Path) -> None:
-    log = simulated(loop_s=5.0)
-    write_log_folder(log, tmp_path / "log")
-    path = tmp_path / "log" / "measurements.csv"
-    header, *rows = path.read_text().splitlines()
-    unlabelled = [",".join([*row.split(",")[:5], "-1", "nan"]) for row in rows]
-    path.write_text("\n".join([header, *unlabelled]))
-    said = refused("run", "log", "--association", "known", cwd=tmp_path)
-    assert "do not all name their landmark; use --association nn" in said
-
-
-@pytest.mark.slow
 def test_convert_then_run(tmp_path: Path) -> None:
     printed = works("convert", "simulated-loop", "log", "--seed", "5", cwd=tmp_path)
     assert "3,400 odometry" in printed

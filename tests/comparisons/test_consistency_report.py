@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.ekf_factory import fused_positions, settle
-from comparisons.adapters.ekf_run import EkfRun, run_ekf
-from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.consistency.consistency import Consistency, check_innovations
 from comparisons.checks.consistency.finding import (
@@ -29,9 +28,8 @@ from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.run import RunReport, run_rows
 from comparisons.statistics import Band, Normalised
-from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.landmark_types import POINT
-from ekf_reference.core.state import Correction, KalmanState
+from ekf_reference.core.geometry import Array
+from ekf_reference.core.state import KalmanState
 from tests.helpers import compared, first_seconds, present, simulated
 
 
@@ -49,65 +47,13 @@ def short() -> Log:
     return with_positions(first_seconds(simulated(seed=2), 20.0))
 
 
-def filtered(log: Log, name: str, state: type[KalmanState] = KalmanState) -> EkfRun:
-    choices = settle(EkfConfig(filter=name, gps="on"), log)
-    positions = fused_positions(log, choices)
-    planted = FilterSetup(modify=[with_state(state)])
-    return run_ekf(log, build_timeline(log, positions), choices, positions, planted)
-
-
-class Written(KalmanState):
-    """Keeps S and the innovation of every update, from the covariance as it was before it."""
-
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        before = self.covariance[np.ix_(columns, columns)]
-        s = jacobian @ before @ jacobian.T + noise
-        self.__dict__.setdefault("kept", []).append((s, innovation.copy()))
-        return super().update(columns, jacobian, innovation, noise)
-
-
-def test_the_trace_holds_s_as_it_was_before_the_update(short: Log) -> None:
-    kept: list[tuple[Array, Array]] = []
-
-    class Telling(Written):
-        def __init__(self, pose: Array, covariance: Array) -> None:
-            super().__init__(pose, covariance)
-            self.__dict__["kept"] = kept
-
-    trace = filtered(short, "full", Telling).trace
-    blocks = [s[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for s, _ in kept for i in range(len(s) // 2)]
-    joint = sum(float(nu @ np.linalg.solve(s, nu)) for s, nu in kept)
-    reported = np.concatenate((trace.measurements[POINT].spread, trace.positions.spread))
-    assert sorted(np.trace(reported, axis1=1, axis2=2)) == pytest.approx(
-        sorted(np.trace(np.array(blocks), axis1=1, axis2=2)), rel=1e-12
-    )
-    fixes = trace.positions
-    weighed = np.linalg.solve(fixes.spread, fixes.innovation[:, :, None])[:, :, 0]
-    alone = np.einsum("ni,ni->n", fixes.innovation, weighed)
-    assert np.sum(trace.measurements[POINT].whitened ** 2) + alone.sum() == pytest.approx(
-        joint, rel=1e-10
-    )
-
-
-@pytest.mark.parametrize("name", ["compressed", "misono-full"])
-def test_other_filters_tell_the_same_innovations(name: str, short: Log) -> None:
-    first, other = (check_innovations(filtered(short, n)) for n in ("full", name))
-    assert [one.sensor for one in other] == ["measurements", "positions"]
-    tolerance = 1e-8 if name == "compressed" else 0.3  # points in own axes are another sensor
-    for ours, theirs in zip(first, other, strict=True):
-        assert theirs.nis[0].count == ours.nis[0].count
-        assert theirs.nis[0].mean == pytest.approx(ours.nis[0].mean, rel=tolerance)
-    names = [nis.name for nis in other[0].nis]
-    assert names[1:] == (["range", "bearing"] if name == "compressed" else ["forward", "left"])
-
-
 def test_fixes_fused_in_parts_count_once_with_the_whole_s(short: Log) -> None:
-    run = filtered(short, "full")
-    positions = check_innovations(run)[1]
-    assert positions.nis[0].count == len(run.fix_number)
-    assert positions.nis[0].reading == "plausible"
+    choices = settle(EkfConfig(filter="full", gps="on"), short)
+    positions = fused_positions(short, choices)
+    run = run_ekf(short, build_timeline(short, positions), choices, positions)
+    found = check_innovations(run)[1]
+    assert found.nis[0].count == len(run.fix_number)
+    assert found.nis[0].reading == "plausible"
 
 
 @pytest.fixture(scope="module")

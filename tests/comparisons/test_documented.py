@@ -100,6 +100,7 @@ def published_run(**flags: object) -> RunConfig:
     [
         {},
         {"filter": "misono"},
+        {"dynamic": True},
         {"dense": ["points", "occupancy"], "high_level": True, "dynamic": True},
         {"landmarks": "scans"},
         {"landmarks": "both", "dense": ["sog"]},
@@ -221,12 +222,6 @@ def test_what_was_asked_for_beside_a_preset_stays_under_another(tmp_path: Path) 
         assert turned == configure(RunConfig, flags=flags, settings=asked)
 
 
-def test_extensions_that_are_needed_are_as_published_too() -> None:
-    config = published_run(dynamic=True).model_dump(mode="python")
-    assert read(config, "dense_maps.known_apart_m") == 0.0
-    assert setting_default("dense_maps.known_apart_m") is None
-
-
 def test_a_result_says_which_settings_are_not_the_documents() -> None:
     ours = settings_result(run_config(dense=["points"]))
     assert "dense_maps.known_apart_m" in [one.setting for one in ours.differing]
@@ -290,14 +285,6 @@ def test_a_log_of_the_vehicle_gets_all_of_the_table(name: str) -> None:
 def test_another_log_keeps_its_own() -> None:
     log = simulated()
     assert with_published_sigmas(log) is log
-
-
-def test_the_preset_sets_it_and_what_is_given_stays() -> None:
-    assert RunConfig().log.sigmas == "log"
-    car_park: dict[str, Any] = {"format": "acfr-car-park"}
-    assert RunConfig.of(preset="nieto-2005", log=car_park).log.sigmas == "published"
-    given = RunConfig.of(preset="nieto-2005", log=car_park | {"sigmas": "log"})
-    assert given.log.sigmas == "log"
 
 
 def test_the_car_park_with_either(shared_data: Path) -> None:

@@ -139,17 +139,6 @@ def test_a_landmark_that_was_taken_away_leaves_the_map(filter_name: str) -> None
     assert done.estimate.landmark_id[done.deactivated].tolist() == [log.measurements.landmark.max()]
 
 
-@pytest.mark.slow
-def test_full_and_compressed_retire_the_same(carried: list[Log]) -> None:
-    full, compressed = (run(carried[0], f, guarded=True) for f in ("full", "compressed"))
-    assert np.array_equal(full.deactivated, compressed.deactivated)
-    assert np.array_equal(full.landmark_index, compressed.landmark_index)
-    assert np.allclose(full.departed, compressed.departed, rtol=0.0, atol=1e-9)
-    assert np.allclose(
-        full.estimate.joint_covariance, compressed.estimate.joint_covariance, rtol=0.0, atol=1e-10
-    )
-
-
 @pytest.fixture(scope="module")
 def comparison(carried: list[Log]) -> Comparison:
     """What was measured of moving things before they were found out raises chi-square."""

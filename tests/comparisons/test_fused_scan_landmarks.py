@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import cache, partial
 from types import ModuleType
 
-import numpy as np
 import pytest
 
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
@@ -59,16 +58,6 @@ def test_the_smoother_is_told_of_the_fused(name: str) -> None:
     assert len(c.agreement.pose_landmarks) == c.ekf.pose_landmarks.count - len(merges.first)
     assert_followed(c, 1e-6)
     assert c.verdict.outcome == "agree"
-
-
-@pytest.mark.slow
-def test_the_compressed_filter_fuses_as_the_full_one_does() -> None:
-    full, compressed = (by_filter(name).ekf.estimate for name in ("full", "compressed"))
-    sigma = np.sqrt(np.diag(full.joint_covariance))
-    assert np.array_equal(full.pose_landmark_id, compressed.pose_landmark_id)
-    assert np.abs((full.joint_mean - compressed.joint_mean) / sigma).max() < 1e-9
-    apart = full.joint_covariance - compressed.joint_covariance
-    assert np.abs(apart / np.outer(sigma, sigma)).max() < 1e-9
 
 
 @pytest.mark.slow

@@ -25,13 +25,11 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.report.run import RunReport
 from comparisons.settings import configure, run_config, run_options
-from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.scan_landmarks.high_level import SearchOptions
 from tests.commands import works
 from tests.helpers import Array, assert_followed, compared, first_seconds
 
 SEEDS = (1, 3)
-POOR_S = 80.0
 
 
 @cache
@@ -51,15 +49,6 @@ def with_them(seed: int) -> Comparison:
     return compared(log(seed), high_level=True)
 
 
-def heading_error_rad(run: EkfRun, seed: int) -> float:
-    """Of the vehicle, root mean square of the second loop."""
-    poses, time_s = log(seed).truth.poses, run.estimate.time_s
-    assert poses is not None
-    later = time_s > POOR_S
-    apart = wrap_angle(run.departed[later, 2] - poses.at(time_s[later])[:, 2])
-    return float(np.sqrt(np.square(apart).mean()))
-
-
 def bits(run: EkfRun) -> list[Array]:
     e = run.estimate
     return [run.departed, e.pose_covariance, e.landmark, e.joint_covariance]
@@ -76,26 +65,6 @@ def test_at_least_three_are_found_and_kept_and_the_estimates_agree(seed: int) ->
     assert_followed(found, 1e-6)
     assert (RunReport.build(found).model_extra or {})["high_level"] == stored(made)
     assert made.kept <= made.found == len(made.landmark_index)
-
-
-@pytest.mark.slow
-def test_the_vehicle_is_nearer_to_the_truth_with_them() -> None:
-    """By heading, where in the second loop one point landmark is seen at a time.
-
-    With all of them the gain takes the 30 drives of benchmarks/high_level.py to be seen.
-    """
-
-    def error_rad(seed: int, source: PoseLandmarkSource) -> float:
-        seen = log(seed).measurements
-        first = np.append(True, np.diff(seen.time_s) > 0.0)
-        poor = replace(log(seed), measurements=seen.chosen((seen.time_s < POOR_S) | first))
-        setup = FilterSetup(source=source)
-        run = run_ekf(poor, build_timeline(poor), settle(EkfConfig(), poor), setup=setup)
-        return heading_error_rad(run, seed)
-
-    without = [error_rad(s, NoPoseLandmarkSource()) for s in SEEDS]
-    having = [error_rad(s, HighLevelSource(log(s))) for s in SEEDS]
-    assert np.mean(having) < 0.95 * np.mean(without)
 
 
 @pytest.mark.slow
@@ -191,19 +160,6 @@ def test_settings_of_dense_maps_reach_the_map_that_is_searched() -> None:
     dense = config.extensions["dense_maps"]
     assert isinstance(dense, DenseMapsConfig)
     assert found.options.served_by(dense)
-
-
-def test_the_car_park_has_its_own_pairs_and_cells_by_the_preset() -> None:
-    def asked(log_format: str | None) -> HighLevelConfig:
-        log = {} if log_format is None else {"format": log_format}
-        config = RunConfig.of(preset="nieto-2005", log=log, extensions={"high_level": {}})
-        found = config.extensions["high_level"]
-        assert isinstance(found, HighLevelConfig)
-        return found
-
-    there, elsewhere = asked("acfr-car-park"), asked(None)
-    assert (there.pair_m, there.cell_m, there.every_s) == (7.0, 0.5, 60.0)
-    assert (elsewhere.pair_m, elsewhere.cell_m, elsewhere.every_s) == (12.0, 0.2, 60.0)
 
 
 @pytest.mark.slow

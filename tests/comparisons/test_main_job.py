@@ -43,14 +43,6 @@ def test_the_readme_shows_what_the_main_job_prints(victoria_park: Comparison) ->
     assert missing(shown.replace("14.052", "14.053"), printed.getvalue()) != []
 
 
-@pytest.mark.slow
-def test_two_runs_are_identical(victoria_park: Comparison) -> None:
-    again = compared(open_log("victoria-park"))
-    assert np.array_equal(again.ekf.estimate.joint_mean, victoria_park.ekf.estimate.joint_mean)
-    assert again.smoother.error == victoria_park.smoother.error
-    assert np.array_equal(again.smoothed.joint_covariance, victoria_park.smoothed.joint_covariance)
-
-
 def test_car_park(shared_data: Path) -> None:
     c = compared(open_log(str(shared_data / "acfr_car_park")))
     assert c.prepared.ekf.association == "nn"

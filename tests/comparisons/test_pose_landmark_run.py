@@ -30,9 +30,8 @@ from comparisons.extensions.own_association.extension import OwnAssociationFindi
 from comparisons.faults.fault import with_state
 from comparisons.jobs.run import Modified
 from ekf_reference.core.ekf import NEW, Ekf
-from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import POSE
-from ekf_reference.core.state import Correction, KalmanState
+from ekf_reference.core.state import KalmanState
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from graphslam.smoother import SmootherOptions
 from tests.comparisons.test_pose_landmark_chain import Conditioned, NoCross
@@ -167,25 +166,6 @@ def test_the_smoothers_own_association_is_told_of_frames_too() -> None:
     assert found.verdict.outcome == "agree"
     own = found.find(OwnAssociationFinding).own
     assert present(own.pose.variance_ratio_least) > 0.9
-
-
-class Half(KalmanState):
-    """Broken: the gain of a pose landmark is halved where the mean is concerned."""
-
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        share = 0.5 if len(jacobian) % 3 == 0 and len(jacobian) % 2 else 1.0
-        return super().update(columns, jacobian, share * innovation, noise)
-
-
-@pytest.mark.slow
-def test_broken_algebra_is_named() -> None:
-    half = Modified(with_state(Half))
-    broken = compared(log(), half, Source(Frames), filter="full", association="known")
-    assert "algebra" in [cause.gap for cause in broken.verdict.causes]
-    said = broken.verdict.causes[0].evidence
-    assert "of sensor `scan landmarks` corrects the estimate of all blocks by other than" in said
 
 
 @pytest.mark.slow

@@ -117,13 +117,3 @@ def test_a_configuration_of_another_job_is_refused(tmp_path: Path) -> None:
     assert slamcheck("solve", "simulated-loop", "--out", "a", cwd=tmp_path).returncode == 0
     said = refused("run", "a/config.toml", cwd=tmp_path)
     assert "is a configuration of slamcheck solve, not of run" in said
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "text", ["", "job =", "[log]\nseed = 'x'", "job = 'run'\n[log]\nseed = -1"]
-)
-def test_a_damaged_configuration_is_one_line(text: str, tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(text)
-    refused("run", "--config", "mine.toml", "--out", "a", "--seed", "-3", cwd=tmp_path)
-    assert not (tmp_path / "a").exists()

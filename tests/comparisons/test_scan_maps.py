@@ -10,9 +10,7 @@ from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.extension import DenseMapsFinding
 from comparisons.extensions.dense_maps.job import DenseMapping, map_log
 from comparisons.extensions.dense_maps.report import MapReport, regions_csv
-from comparisons.jobs.run import Comparison, run_filter
-from comparisons.pipeline.prepare import prepare
-from comparisons.settings import run_config
+from comparisons.jobs.run import Comparison
 from ekf_reference.core.landmark_types import POSE
 from tests.helpers import compared, present
 from tests.scenarios import scenario
@@ -35,20 +33,6 @@ def asked(landmarks: str) -> MapConfig:
     return MapConfig.of(
         extensions={"dense_maps": dense, "scan_landmarks": {"landmarks": landmarks}}
     )
-
-
-@pytest.mark.slow
-def test_the_filter_does_not_feel_the_map() -> None:
-    alone, _ = run_filter(
-        prepare(log(), run_config(landmarks="scans", template_extraction="per-segment"))
-    )
-    ours = with_map().ekf
-    for a, b in (
-        (alone.departed, ours.departed),
-        (alone.estimate.pose_landmarks, ours.estimate.pose_landmarks),
-        (alone.estimate.joint_covariance, ours.estimate.joint_covariance),
-    ):
-        assert np.array_equal(a, b)
 
 
 @pytest.mark.slow

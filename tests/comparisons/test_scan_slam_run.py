@@ -13,7 +13,6 @@ from comparisons.adapters.beam_noise import sensor_of
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
-from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
@@ -31,7 +30,7 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.run import RunReport
-from comparisons.settings import configure, run_config, run_options
+from comparisons.settings import run_config
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.models.motion import MotionModel, MotionStep
@@ -110,14 +109,6 @@ def test_as_published_is_the_thesis_form() -> None:
     assert "(Nieto 2005, sections 5.4 to 5.7)" not in rule_text(
         rule.model_copy(update={"trials": 2}), rule
     )
-
-
-def test_what_is_given_stands_beside_the_preset() -> None:
-    given = ["scan_landmarks.least_returns=15"]
-    flags = run_options({"landmarks": "scans", "preset": "nieto-2005"})
-    config = configure(RunConfig, flags=flags, settings=given)
-    found = config.extensions["scan_landmarks"].model_dump()
-    assert (found["least_returns"], found["in_view"]) == (15, 0.9)
 
 
 def test_the_rule_of_runs_names_the_thesis() -> None:

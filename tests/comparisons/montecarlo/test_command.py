@@ -17,7 +17,6 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
 from comparisons.experiments.montecarlo.folder import write_montecarlo
-from comparisons.experiments.montecarlo.runs import Records
 from comparisons.experiments.montecarlo.study import run_study
 from comparisons.experiments.montecarlo.workers import spread
 from comparisons.experiments.scenarios.scenario import bundled_scenarios, read_scenario
@@ -163,16 +162,6 @@ def test_chunks_of_another_scenario_are_refused(tmp_path: Path) -> None:
         write_montecarlo(outcome, folder)
         (tmp_path / "study-2").mkdir(exist_ok=True)
         said = f"another scenario ({first.config.scenario}); give --out {folder}-3"
-
-
-def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
-    files = ChunkFiles(tmp_path, "x", 3)
-    files.write("ekf", 0, Records(*(np.zeros((25, 3)) for _ in Records._fields)))
-    assert files.read("ekf", 0) is not None
-    evil = {name: np.array([{}], dtype=object) for name in Records._fields}
-    with files.path("ekf", 0).open("wb") as file:
-        np.savez(file, allow_pickle=True, sha256="x", **evil)
-    assert files.read("ekf", 0) is None
 
 
 CIRCLE = 'kind = "circle"\nspeed_mps = 0.25\nyaw_rate_radps = 0.025'

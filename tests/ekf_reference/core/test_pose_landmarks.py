@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ekf_reference.core.blocks import block_diagonal, stack
+from ekf_reference.core.blocks import stack
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import (
@@ -200,30 +200,6 @@ def _keep(ekf: Ekf) -> None:
 def test_the_bound_rejects_broken_filters(modify: Callable[[Ekf], None]) -> None:
     total, dof = nees(8, modify)
     assert not chi2.ppf(1e-3, dof) < total < chi2.ppf(1.0 - 1e-3, dof)
-
-
-def test_one_after_the_other_equals_stacked() -> None:
-    """The same linear equations, with points and frames in one state."""
-    rng = np.random.default_rng(4)
-    together, apart = build().state, build().state
-    model = RelativePose()
-    z = rng.uniform(-3.0, 3.0, (3, 3))
-    new = model.invert(together.pose, z)
-    r = np.array([1e-4 * random_covariance(rng, 3) for _ in z])
-    for state in (together, apart):
-        state.augment(new, r, POSE)
-    landmark_index, start = np.array([2, 0]), together.mean.copy()
-    at = model.predict(together.pose, together.places(POSE)[landmark_index])
-    nu = 1e-2 * rng.standard_normal((2, 3))
-    jacobian = stack(at.jacobian_pose, at.jacobian_landmark)
-    columns = together.layout.columns(landmark_index, POSE)
-    together.update(columns, jacobian, nu.ravel(), block_diagonal(r[:2]))
-    for i in range(2):
-        rows = jacobian[3 * i : 3 * i + 3]
-        left = nu[i] - rows @ (apart.mean - start)[columns]
-        apart.update(columns, rows, left, r[i])
-    assert relative_error(apart.mean, together.mean) < 1e-12
-    assert relative_error(apart.covariance, together.covariance) < 1e-12
 
 
 def test_a_landmark_seen_twice_at_once_counts_twice() -> None:

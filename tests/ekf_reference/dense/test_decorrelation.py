@@ -1,150 +1,48 @@
-"""Examples 3.1 and 3.2 of the thesis on a drive like that of its section 2.9."""
-
-from dataclasses import replace
-from functools import cache
-from itertools import combinations
-from typing import NamedTuple
+"""What a point's local coordinates share with the rest of the map, and how they change."""
 
 import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import KalmanState
-from ekf_reference.dense.conditions import Conditions, coordinate_correlation
 from ekf_reference.dense.decorrelation import (
-    Displacements,
     correlations,
     displacements,
     local_cross_covariance,
     passive_change,
 )
-from ekf_reference.dense.triangles import contains, is_degenerate, local_covariance, to_local
+from ekf_reference.dense.triangles import to_local
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.test_triangles import random_triangles
-from tests.ekf_reference.numerics import point_columns, random_covariance, relative_error
-from tests.ekf_reference.worlds import LOOP_S, STEP_S, Scan, circuit, follow
-
-POINT, BASE, DISTANT = 34, (33, 35, 38), 32
-"""Landmarks in the order in which the filter meets them: a point within its triangle, and one
-17 m away."""
-FUSED = round(52.0 / STEP_S)
-"""Steps after which the point is not measured any more, as a dense one."""
-CLOSING = round(78.0 / STEP_S)
-"""Steps after which the start of the loop comes into view again."""
+from tests.ekf_reference.numerics import (
+    central_difference,
+    point_columns,
+    random_covariance,
+    relative_error,
+)
 
 
-class Snapshot(NamedTuple):
-    """The filter after some steps. landmark: (L, 2). covariance: (n, n), the pose first."""
+def test_correlations_are_those_of_the_propagated_covariance() -> None:
+    """By central differences of alpha and beta; without either half of eq. 3.5 they are others."""
+    rng = np.random.default_rng(0)
+    triangle, covariance = random_triangles(rng, 1)[0], random_covariance(rng, 11)
+    x = np.append(triangle, rng.uniform(-9.0, 9.0, 2))
 
-    step: int
-    landmark: Array
-    covariance: Array
+    def local(x: Array) -> Array:
+        return to_local(x[:6].reshape(3, 2), x[6:])
 
-    def among(self, *landmark_index: int) -> Array:
-        """(2 k, 2 k) covariance of k landmarks, in this order."""
-        columns = point_columns(np.array(landmark_index))[3:]
-        return self.covariance[np.ix_(columns, columns)]
-
-    @property
-    def triangle(self) -> Array:
-        """(3, 2) the base."""
-        return self.landmark[list(BASE)]
-
-
-@cache
-def seen(seed: int) -> list[Snapshot]:
-    """The filter after every scan from when the point has got its last look."""
-    drive = circuit(seed, LOOP_S + 10.0, range_m=25.0)
-    order: dict[int, None] = dict.fromkeys(np.concatenate([s.label for s in drive.scan]).tolist())
-    point, shots = list(order)[POINT], []
-    scans = tuple(
-        scan if scan.step <= FUSED else Scan(scan.step, scan.z[keep], scan.label[keep])
-        for scan in drive.scan
-        for keep in [scan.label != point]
-    )
-    for step, ekf in follow(replace(drive, scan=scans)):
-        if step >= FUSED:
-            shots.append(Snapshot(step, ekf.state.landmarks.copy(), ekf.state.covariance.copy()))
-    return shots
-
-
-def fused() -> Snapshot:
-    return seen(0)[0]
-
-
-def moved(seed: int) -> Displacements:
-    """Of the point, in the world and in its triangle, since it was fused."""
-    shots = seen(seed)
-    triangle = np.stack([now.triangle for now in shots])
-    point = np.stack([now.landmark[POINT] for now in shots])
-    return displacements(triangle[0], point[0], triangle, point)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_example_3_1_correlation_falls_from_above_095_to_below_01(seed: int) -> None:
-    """From when the point is fused until the loop closes, as in Fig. 3.5 (b), (c) and (d)."""
-    before = [now for now in seen(seed) if now.step <= CLOSING]
-    assert len(before) > 100
-    for now in before:
-        joint = now.among(DISTANT, *BASE, POINT)
-        found = correlations(now.triangle, now.landmark[POINT], joint)
-        assert np.diag(found.world).min() > 0.95
-        assert found.local.max() < 0.1
-        assert (found.sigma_local_m < 0.2 * found.sigma_world_m).all()
+    by_x, side_m = central_difference(local, x), np.linalg.norm(triangle[1:] - triangle[0], axis=1)
+    found = correlations(triangle, x[6:], covariance)
+    for kept, holds in ((slice(0, 8), True), (slice(0, 6), False), (slice(6, 8), False)):
+        whole = np.eye(13, 11)
+        whole[11:, 3:][:, kept] = by_x[:, kept]
+        joint = whole @ covariance @ whole.T
         sigma = np.sqrt(np.diag(joint))
-        rho = np.abs(joint) / np.outer(sigma, sigma)
-        assert min(rho[2 * i + axis, 8 + axis] for i in (1, 2, 3) for axis in (0, 1)) > 0.9
-
-
-@pytest.mark.slow
-def test_example_3_1_holds_for_every_landmark_within_a_correlated_triangle() -> None:
-    now = fused()
-    near = np.flatnonzero(np.linalg.norm(now.landmark - now.landmark[POINT], axis=1) < 25.0)
-    alike = coordinate_correlation(now.among(*near)) >= 0.9
-    found = []
-    for triple in combinations(range(len(near)), 3):
-        base = near[list(triple)]
-        triangle = now.landmark[base]
-        if not alike[np.ix_(triple, triple)].all() or is_degenerate(triangle):
-            continue
-        others = np.setdiff1d(np.arange(len(now.landmark)), base)
-        for i in others[contains(to_local(triangle, now.landmark[others]))]:
-            for j in others[np.linalg.norm(now.landmark[others] - now.landmark[i], axis=1) > 15]:
-                rho = correlations(triangle, now.landmark[i], now.among(j, *base, i))
-                if np.diag(rho.world).min() > 0.95:
-                    found.append(rho.local.max())
-    assert len(found) > 50
-    assert max(found) < 0.1
-
-
-@pytest.mark.parametrize("dropped", ["with_landmarks", "with_point"])
-def test_half_of_equation_3_5_does_not_decorrelate(dropped: str) -> None:
-    now = fused()
-    covariance = now.among(DISTANT, *BASE, POINT)
-    triangle, point = now.triangle, now.landmark[POINT]
-    terms = {"with_landmarks": covariance[:2, 2:8], "with_point": covariance[:2, 8:]}
-    terms[dropped] = np.zeros_like(terms[dropped])
-    cross = local_cross_covariance(triangle, point, **terms)
-    own = np.diag(local_covariance(triangle, point, covariance[2:, 2:]))
-    assert (np.abs(cross) / np.sqrt(np.outer(np.diag(covariance)[:2], own))).max() > 0.5
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_example_3_2_local_change_is_at_most_a_fifth_of_the_global_one(seed: int) -> None:
-    """At the closing of the loop; the thesis shows 0.1 m against 0.5 m."""
-    change = moved(seed)
-    assert change.world_m.max() > 0.2
-    assert change.local_m.max() < 0.2 * change.world_m.max()
-    assert change.local_m.max() < 0.1
-
-
-def test_the_example_is_of_a_point_within_its_triangle_that_is_never_seen_again() -> None:
-    now = fused()
-    point, joint = now.landmark[POINT], now.among(*BASE)
-    assert contains(to_local(now.triangle, point))
-    assert Conditions().pairs(now.triangle, joint)[np.triu_indices(3, 1)].all()
-    assert Conditions().well_conditioned(now.triangle[None], joint[None]).all()
-    assert np.linalg.norm(now.landmark[DISTANT] - point) > 10.0
+        expected = np.abs(joint) / np.outer(sigma, sigma)
+        assert np.allclose(found.local, expected[:3, 11:], rtol=1e-6) is holds
+        assert np.allclose(found.sigma_local_m, sigma[11:] * side_m, rtol=1e-6) is holds
+        assert np.allclose(found.world, expected[:3, 9:11])
+        assert np.allclose(found.sigma_world_m, sigma[9:11])
 
 
 def test_displacement_is_zero_under_a_common_motion_and_in_metres_otherwise() -> None:

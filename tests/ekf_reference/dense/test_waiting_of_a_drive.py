@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.delayed_initialisation import DelayedCounts, DelayedInitialisation
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.regions import LocalRegions
@@ -16,25 +15,8 @@ from ekf_reference.dense.triangles import axes, solve
 from ekf_reference.dense.view import FilterView
 from ekf_reference.filters.compressed import CompressedEkf
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.ekf_reference.dense.waiting_rooms import NoCross, NoMotion, WrongSign, anywhere
+from tests.ekf_reference.dense.waiting_rooms import anywhere
 from tests.ekf_reference.worlds import build, circuit, follow
-
-KINDS = (DelayedInitialisation, NoCross, NoMotion, WrongSign)
-SEEDS = range(8)
-PATIENCE = 30
-PRICE = 0.2
-"""Share that the squared errors of points that waited may be above their variances: what the
-neglected correlations cost (test_waiting_oracle shows as much where everything is linear)."""
-
-
-class Errors(NamedTuple):
-    """Of points in their frames. squared: (k,) [m^2]. normalised: (k,) NEES. lead: (k,) whether a
-    point is its frame's first: those of one scan share the vehicle's error.
-    """
-
-    squared: Array
-    normalised: Array
-    lead: Array
 
 
 def dense_measurements(
@@ -61,89 +43,6 @@ def newest_pair(view: FilterView) -> tuple[int, int] | None:
     if last < 1 or apart.min() > 25.0:
         return None
     return int(apart.argmin()), last
-
-
-@cache
-def waited(seed: int) -> dict[str, Errors]:
-    """Points seen from poses that hardly know the axis' landmarks, at once and after 30 scans.
-
-    Several rooms watch one drive: by the name of their class, and "at once".
-    """
-    drive = circuit(seed, range_m=25.0)
-    landmark, rng = drive.met, np.random.default_rng(1000 + seed)
-    rooms = [kind(capacity=10**6) for kind in KINDS]
-
-    def predicted(ekf: Ekf) -> None:
-        for room in rooms:
-            room.predicted(FilterView.of(ekf))
-
-    found: dict[str, list[Array]] = {"at once": []}
-    first: list[bool] = []
-    true, taken = np.empty((0, 2)), set()
-
-    def note(room: DelayedInitialisation, rows: Index, name: str) -> None:
-        points = room.points
-        axis, number = room.axis[points.group[rows]], points.number[rows]
-        frame = Frames.of(landmark[axis[:, 0]], landmark[axis[:, 1]])
-        error = points.point[rows] - frame.to_local(true[number])
-        normalised = (error**2 / np.maximum(points.variance[rows], 1e-9)).sum(axis=1)
-        lead = np.array(first)[number]
-        found.setdefault(name, []).append(
-            np.column_stack(((error**2).sum(axis=1), normalised, lead))
-        )
-
-    for scan, (done, ekf) in enumerate(follow(drive, predicted=predicted)):
-        view = FilterView.of(ekf)
-        for room in rooms:
-            room.updated(view)
-            ripe = scan - room.points.scan >= PATIENCE
-            note(room, np.flatnonzero(ripe), type(room).__name__)
-            room._keep(np.flatnonzero(~ripe))
-        pair = newest_pair(view)
-        if pair is None or pair in taken:
-            continue
-        taken.add(pair)
-        there, point, noise = dense_measurements(rng, drive.pose[done], view.pose, 5)
-        true, first = np.vstack((true, there)), [*first, True, False, False, False, False]
-        for room in rooms:
-            number = room.add(view, point, noise, scan, anywhere(pair))
-        note(rooms[0], np.flatnonzero(rooms[0].points.number >= number[0]), "at once")
-    ended = len(found["at once"]) * 5 - sum(map(len, found[KINDS[0].__name__]))
-    found["at once"] = [np.vstack(found["at once"])[: -ended or None]]
-    return {name: Errors(*np.vstack(rows).T) for name, rows in found.items()}
-
-
-def together(name: str) -> Errors:
-    return Errors(*(np.concatenate(c) for c in zip(*(waited(s)[name] for s in SEEDS), strict=True)))
-
-
-def honest(name: str, price: float = PRICE) -> bool:
-    """Two-sided chi-square of the frames' first points, 1 in 1000 to fail by chance."""
-    errors = together(name)
-    own = errors.normalised[errors.lead > 0]
-    low, high = chi2.ppf((0.0005, 0.9995), 2 * len(own))
-    return bool(low < own.sum() < (1.0 + price) * high)
-
-
-def closer(name: str) -> bool:
-    """In each of 8 drives (1 in 256 by chance), and to less than half the distance together."""
-    pairs = [(waited(s)[name].squared.mean(), waited(s)["at once"].squared.mean()) for s in SEEDS]
-    later, at_once = np.array(pairs).T
-    return bool((later < at_once).all() and later.mean() < 0.25 * at_once.mean())
-
-
-@pytest.mark.slow
-def test_waiting_brings_points_closer_to_where_they_are() -> None:
-    """And their variance is honest, at once and, but for the price, afterwards."""
-    assert honest("at once", price=0.0)
-    assert closer("DelayedInitialisation")
-    assert honest("DelayedInitialisation")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS[1:])
-def test_broken_variants_are_not_closer_or_not_honest(kind: type[DelayedInitialisation]) -> None:
-    assert not (closer(kind.__name__) and honest(kind.__name__))
 
 
 class Driven(NamedTuple):
