@@ -241,13 +241,13 @@ class SmootherResult(Model):
 
     method: str
     optimiser: str
-    robust: str
-    rejected_measurements: int
-    rejected_positions: int
+    robust: Annotated[str, Named("robust kernel", "{}")]
+    rejected_measurements: Annotated[int, Named("measurements left out")]
+    rejected_positions: Annotated[int, Named("positions left out")]
     distance_sigma: LeftOut[float | None]
     rank: LeftOut[int]
-    poses: Exact[int]
-    error: Same[float]
+    poses: Annotated[Exact[int], Named("poses")]
+    error: Annotated[Same[float], Named("error (half the chi-square)", "{:.2f}")]
     chi2: Same[float]
     dof: int
     chi2_band: tuple[float, float]
@@ -259,9 +259,12 @@ class SmootherResult(Model):
     agreeing_starts: list[str]
     starts: list[StartResult]
     minima: list[MinimumResult]
-    hops: LeftOut[int]
-    random_starts: LeftOut[int]
-    chance_missed: Less[float]
+    hops: Annotated[LeftOut[int], Named("alternatives tried")]
+    random_starts: Annotated[LeftOut[int], Named("random starts")]
+    chance_missed: Annotated[
+        Less[float],
+        Named("chance that the random starts miss a basin as wide as the lowest", "{:.1%}"),
+    ]
 
 
 SCHEMA = 4

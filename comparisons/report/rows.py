@@ -56,8 +56,7 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
     optimum = "verified" if smoother.verified else f"NOT verified: {smoother.lacks}"
     found = [
         Row("Smoother", "optimum", optimum, "verified", smoother.verified),
-        Row("Smoother", "poses", f"{smoother.poses:,}"),
-        Row("Smoother", "error (half the chi-square)", f"{smoother.error:.2f}"),
+        *rows_of("Smoother", smoother, ("poses", "error")),
         _chi_square(smoother),
         *(
             Row("Smoother", f"error reached from the start {one.name}", shown(one.error, ".2f"))
@@ -66,24 +65,16 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
         ),
     ]
     if smoother.random_starts:
-        missed = "chance that the random starts miss a basin as wide as the lowest"
-        found += [
-            Row("Smoother", "random starts", f"{smoother.random_starts:,}"),
-            Row("Smoother", missed, f"{smoother.chance_missed:.1%}"),
-        ]
+        found += rows_of("Smoother", smoother, ("random_starts", "chance_missed"))
     if smoother.hops:
-        tried = "alternatives tried"
-        found.append(Row("Smoother", tried, f"{smoother.hops:,}"))
+        found += rows_of("Smoother", smoother, ["hops"])
     found += _second_minimum(smoother)
     if smoother.method != "batch":
         far = f"largest distance of the {smoother.method} estimate from the optimum"
         found.append(Row("Smoother", far, in_sigma(smoother.distance_sigma)))
     if smoother.robust != "none":
-        found += [
-            Row("Smoother", "robust kernel", smoother.robust),
-            Row("Smoother", "measurements left out", f"{smoother.rejected_measurements:,}"),
-            Row("Smoother", "positions left out", f"{smoother.rejected_positions:,}"),
-        ]
+        left_out = ("robust", "rejected_measurements", "rejected_positions")
+        found += rows_of("Smoother", smoother, left_out)
     return found
 
 
