@@ -27,7 +27,7 @@ from typing import (
 )
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, TypeAdapter
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, PydanticUndefined, core_schema
 
 from comparisons.errors import InputError
 from comparisons.words import Row
@@ -193,13 +193,19 @@ def kept_fields(kind: Any) -> Mapping[str, Declared]:
         found = {name: (hint, getattr(hint, "__metadata__", ())) for name, hint in hints.items()}
     return {
         name: Declared(
-            float | None if any(isinstance(one, PlainSerializer) for one in extra) else hint,
+            next((one for one in map(_type_in_files, extra) if one is not None), hint),
             next((one for one in extra if isinstance(one, Mark)), _UNMARKED),
             next((one for one in extra if isinstance(one, Named)), None),
         )
         for name, (hint, extra) in found.items()
         if not any(getattr(one, "exclude", None) for one in extra)
     }
+
+
+def _type_in_files(one: Any) -> Any:
+    """Return the type that a field's mark says files have, None where it says none."""
+    kind: Any = one.return_type if isinstance(one, PlainSerializer) else None
+    return None if kind is PydanticUndefined else kind
 
 
 def rows_of(group: str, found: Any, only: Iterable[str] = (), before: str = "") -> list[Row]:

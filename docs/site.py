@@ -25,6 +25,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import slamcheck
+from comparisons.audit.audit import Audit
 from comparisons.cli.app import COMMANDS, build
 from comparisons.cli.config import JobName
 from comparisons.cli.config import config as print_config
@@ -51,6 +52,7 @@ RESULTS: dict[str, tuple[type, ...]] = {
         kind for check in every_check() for _, kind in check.figures
     ),
     "check.json": (CheckResult,),
+    "audit.json": (Audit,),
     "solution.json": (SolutionResult,),
     "odometry.json": (FrontEndResult,),
     "map.json": (MapResult,),
