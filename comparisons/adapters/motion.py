@@ -156,7 +156,6 @@ def motion_between(log: Log, time_s: Array) -> increments.Samples:
         sigma_range_m=np.ones(count),
         sigma_bearing_rad=np.ones(count),
         landmark=np.zeros(count, dtype=np.int64),
-        diameter_m=np.full(count, np.nan),
     )
     try:
         timeline = build_timeline(replace(log, measurements=marks))

@@ -104,7 +104,7 @@ def log_from_arrays(
         sigma_range_m=sigma_range_m,
         sigma_bearing_rad=sigma_bearing_rad,
         landmark=numbers.of(names),
-        diameter_m=np.asarray(seen.get("diameter_m", np.full(count, np.nan)), dtype=float),
+        diameter_m=np.asarray(seen.get("diameter_m", np.zeros(0)), dtype=float),
         intensity=np.asarray(seen.get("intensity", np.zeros(0)), dtype=float),
     )
     wanted = [stream.time_s] + ([] if fixes is None else [fixes.time_s])

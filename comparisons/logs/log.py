@@ -48,8 +48,8 @@ class LandmarkMeasurements(Brief):
     """Range-bearing detections of landmarks, bearings counter-clockwise from straight ahead.
 
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad: (M,). landmark: (M,) ids, or
-    NO_LANDMARK. diameter_m, intensity: (M,), NaN where unknown; the latter in the sensor's own
-    unit, and all unknown when left out. label_gate: normalised innovation squared
+    NO_LANDMARK. diameter_m, intensity: (M,), NaN where unknown, as all are when left out; the
+    latter in the sensor's own unit. label_gate: normalised innovation squared
     beyond which an id is taken for a misread; infinite where ids are certain.
     needs_confirmation: detections may be spurious, so that a new landmark wants several.
     """
@@ -60,15 +60,16 @@ class LandmarkMeasurements(Brief):
     sigma_range_m: Array
     sigma_bearing_rad: Array
     landmark: Ids
-    diameter_m: Array
+    diameter_m: Array = field(default_factory=lambda: np.zeros(0))
     label_gate: float = float("inf")
     needs_confirmation: bool = False
     intensity: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Check the stream."""
-        if not len(self.intensity):
-            object.__setattr__(self, "intensity", np.full(len(self.time_s), np.nan))
+        for name in ("diameter_m", "intensity"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(len(self.time_s), np.nan))
         if not self.label_gate > 0:
             raise InputError(f"measurements: label_gate is {self.label_gate}, expected above 0")
         check(self, "measurements", rows="time_s", gaps=("diameter_m", "intensity"))

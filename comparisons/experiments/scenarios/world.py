@@ -163,7 +163,6 @@ def log_of_run(world: World, run: int, name: str) -> Log:
             sigma_range_m=sigma[real, 0],
             sigma_bearing_rad=sigma[real, 1],
             landmark=label[real].astype(np.int64),
-            diameter_m=np.full(int(real.sum()), np.nan),
         ),
     )
 

@@ -119,6 +119,5 @@ def reflector_measurements(scans: Scans) -> LandmarkMeasurements:
         sigma_range_m=np.full(count, _SIGMA_RANGE_M),
         sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
         landmark=np.full(count, NO_LANDMARK),
-        diameter_m=np.full(count, np.nan),
         intensity=np.bincount(run, scans.intensity[scan, beam]) / size,
     )

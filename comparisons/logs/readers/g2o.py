@@ -56,7 +56,6 @@ def read(path: Path) -> Log:
             sigma_range_m=problem.sigma[order, 0],
             sigma_bearing_rad=problem.sigma[order, 1],
             landmark=ids[problem.measurement_landmark[order]],
-            diameter_m=np.full(len(order), np.nan),
         ),
         positions=Positions(
             problem.position_pose[fixes].astype(float),

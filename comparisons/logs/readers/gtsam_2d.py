@@ -145,5 +145,4 @@ def _measurements(seen: Array) -> LandmarkMeasurements:
         sigma_range_m=sigma,
         sigma_bearing_rad=np.where(distance > 0, sigma / safe, 1.0),
         landmark=landmark.astype(np.int64),
-        diameter_m=np.full(len(seen), np.nan),
     )

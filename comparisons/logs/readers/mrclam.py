@@ -79,7 +79,6 @@ def read(path: Path, robot: int) -> Log:
         sigma_range_m=np.hypot(_SIGMA_RANGE_M, _SIGMA_RANGE_SHARE * slant),
         sigma_bearing_rad=everything.sigma_bearing_rad[kept],
         landmark=everything.landmark[kept],
-        diameter_m=everything.diameter_m[kept],
         label_gate=_LABEL_GATE,
     )
     variance = surveyed.data[:, 3:5] ** 2
@@ -123,7 +122,6 @@ def _measurements(measured: Table, start: float, landmark: Array) -> LandmarkMea
         sigma_range_m=np.ones(count),
         sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
         landmark=whole_numbers("measurements", "subject", landmark),
-        diameter_m=np.full(count, np.nan),
     )
 
 

@@ -248,7 +248,6 @@ def _measurements(path: Path, drive: _Drive) -> LandmarkMeasurements:
             sigma_range_m=np.repeat(sigma[:, 0], counts),
             sigma_bearing_rad=np.repeat(sigma[:, 1], counts),
             landmark=np.maximum(np.concatenate([item.landmark for item in items]), NO_LANDMARK),
-            diameter_m=np.full(len(polar), np.nan),
         )
 
 

@@ -271,7 +271,6 @@ def _measurements(stream: _Stream, where: _Frame) -> LandmarkMeasurements:
         sigma_range_m=sigmas[:, 0],
         sigma_bearing_rad=sigmas[:, 1],
         landmark=numbers.of(labels),
-        diameter_m=np.full(len(z), np.nan),
     )
 
 

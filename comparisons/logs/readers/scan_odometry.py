@@ -22,7 +22,6 @@ def no_measurements() -> LandmarkMeasurements:
         sigma_range_m=none,
         sigma_bearing_rad=none,
         landmark=np.zeros(0, dtype=np.int64),
-        diameter_m=none,
     )
 
 

@@ -175,7 +175,6 @@ def simulate(
             sigma_range_m=sigma[:, 0],
             sigma_bearing_rad=sigma[:, 1],
             landmark=landmark,
-            diameter_m=np.full(len(z), np.nan),
         ),
         positions=Positions(
             np.array([t for t, _ in fixes]),
