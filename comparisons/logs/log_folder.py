@@ -5,8 +5,7 @@ Numbers are written so that they read back to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from comparisons.archive import Shape, read_archive
 from comparisons.arrays import Array
 from comparisons.atomic import fresh_folder
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, naming
 from comparisons.logs.log import (
     LandmarkMeasurements,
     Landmarks,
@@ -127,7 +126,7 @@ def read_log_folder(folder: Path) -> Log:
     if start_s:
         provenance = {**provenance, "time_origin_s": str(start_s)}
     prior_s = float(rest(np.array([meta.prior.time_s]))[0])
-    try:
+    with naming(folder, RecordError):
         return Log(
             name=meta.name,
             format="log-folder",
@@ -143,8 +142,6 @@ def read_log_folder(folder: Path) -> Log:
             truth=truth,
             provenance=provenance,
         )
-    except RecordError as error:
-        raise InputError(f"{folder}: {error}") from None
 
 
 def write_log_folder(
@@ -330,7 +327,7 @@ def _read_scans(path: Path, rest: Callable[[Array], Array], settings: ScansModel
         return None
     time_s, angle_rad, range_m, intensity = read_archive(path, _SCANS)
     mount = Mount(settings.forward_m, settings.left_m, settings.heading_rad)
-    with _naming(path):
+    with naming(path, RecordError):
         return Scans(
             time_s=rest(time_s),
             angle_rad=angle_rad,
@@ -345,17 +342,8 @@ def _read_clouds(path: Path, rest: Callable[[Array], Array]) -> Clouds | None:
     if not path.exists():
         return None
     time_s, first, point_m, point_s = read_archive(path, _CLOUDS)
-    with _naming(path):
+    with naming(path, RecordError):
         return Clouds(rest(time_s), whole_numbers("clouds", "first", first), point_m, point_s)
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Say which file a faulty record comes from."""
-    try:
-        yield
-    except RecordError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _spatial(upper: Array) -> Array:

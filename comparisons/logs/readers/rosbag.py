@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, naming
 from comparisons.logs.from_arrays import LandmarkNumbers
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses, instants_of, poses_at
@@ -115,12 +115,10 @@ def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
         )
     kept, start, time_s = _instants(path, found, moved, provenance)
     base = _base(moved, transforms)
-    try:
+    with naming(path):
         where = _Frame(start, base, transforms, provenance)
         _check_placed(kept, where, topics)
         return _log(path, kept, where, _Drive(moved, time_s))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _instants(
@@ -248,10 +246,8 @@ def _measurements(stream: _Stream, where: _Frame) -> LandmarkMeasurements:
     """Points as ranges and bearings from the pose, with labels as whole numbers."""
     place = where.place(stream, "measurements_mount")
     messages: list[ros_points.Points] = stream.items
-    try:
+    with naming(stream.topic.name):
         found, sigma = zip(*(ros_points.range_bearing(one, place) for one in messages), strict=True)
-    except InputError as error:
-        raise InputError(f"{stream.topic.name}: {error}") from None
     z, sigmas = np.concatenate(found), np.concatenate(sigma)
     stated = np.isnan(sigmas[:, 0])
     sigmas[stated] = (ros_points.SIGMA_RANGE_M, ros_points.SIGMA_BEARING_RAD)
