@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from comparisons.archive import most_unpacked
 from comparisons.arrays import Array
-from comparisons.errors import InputError, check_regular
-from comparisons.logs.table import shorten
+from comparisons.errors import InputError
+from comparisons.logs.table import reading, shorten
 from comparisons.logs.validation import LARGEST
 
 MOST_BYTES = 2**28
@@ -121,13 +121,13 @@ def is_rawlog(path: Path) -> bool:
 
 def records(path: Path) -> Iterator[Movement | Frame]:
     """What the file holds, in its order. Raises InputError naming the (unpacked) byte at fault."""
-    stream = _Stream(path, _unpacked(path))
+    with reading(path):
+        stream = _Stream(path, _unpacked(path))
     while stream.at < len(stream.data):
         yield from stream.top()
 
 
 def _unpacked(path: Path) -> bytes:
-    check_regular(path)
     try:
         with path.open("rb") as file:
             packed = file.read(2) == _GZIP
@@ -144,10 +144,6 @@ def _unpacked(path: Path) -> bytes:
                     )
     except (EOFError, zlib.error, gzip.BadGzipFile):
         raise InputError(f"{path}: damaged gzip file, expected a whole one") from None
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     return b"".join(chunks)
 
 
