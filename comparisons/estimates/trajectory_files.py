@@ -15,10 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, symmetric
 from comparisons.atomic import NEW, check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
+from comparisons.logs.from_arrays import COVARIANCE, KINDS
 from comparisons.logs.plain_csv import PlainTable, need, read_plain
 from comparisons.logs.table import Table, first_record, is_number
 from comparisons.logs.validation import LARGEST, increasing, within
@@ -31,15 +32,13 @@ FORMATS = ("tum", "kitti", "csv")
 TIMES = "times.txt"
 """Stands beside a KITTI file."""
 
-_CSV = ("time_s", "x_m", "y_m", "heading_rad")
-_COVARIANCE = tuple(f"cov_{i}{j}" for i in range(3) for j in range(i, 3))
+_CSV = ("time_s", *KINDS["poses"])
 _KITTI = (
     *("r00", "r01", "r02", "x", "r10", "r11", "r12", "y"),
     *("r20", "r21", "r22", "z"),
 )
 _EUROC = ("time_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
 _UPPER = np.triu_indices(3)
-_WHOLE = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 
 
 class Trajectory(NamedTuple):
@@ -154,18 +153,18 @@ def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> No
 
 
 def _read_csv(path: Path) -> Trajectory:
-    table = read_plain(path, _CSV + _COVARIANCE)
+    table = read_plain(path, _CSV + COVARIANCE)
     need(table, _CSV)
     found = table.columns
-    has = any(found[name].any() for name in _COVARIANCE if name in found)
-    columns = _CSV + (_COVARIANCE if has else ())
+    has = any(found[name].any() for name in COVARIANCE if name in found)
+    columns = _CSV + (COVARIANCE if has else ())
     need(table, columns)
     with table.locating():
         for name in columns:
-            largest = LARGEST**2 if name in _COVARIANCE else LARGEST
+            largest = LARGEST**2 if name in COVARIANCE else LARGEST
             within("trajectory", name, found[name], -largest, largest)
     data = np.column_stack([found[name] for name in columns])
-    covariance = data[:, 4:][:, _WHOLE].reshape(-1, 3, 3) if has else None
+    covariance = symmetric(data[:, 4:]) if has else None
     pose = np.column_stack((data[:, 1:3], np.unwrap(data[:, 3])))
     return _timed(table, data[:, 0], pose, covariance)
 
@@ -192,7 +191,7 @@ def _csv_text(trajectory: Trajectory) -> str:
     columns: tuple[str, ...] = _CSV
     parts = [trajectory.time_s[:, None], trajectory.pose]
     if trajectory.covariance is not None:
-        columns += _COVARIANCE
+        columns += COVARIANCE
         parts.append(trajectory.covariance[:, *_UPPER])
     return ",".join(columns) + "\n" + _rows(np.hstack(parts), ",")
 

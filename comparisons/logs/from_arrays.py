@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, symmetric
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
     NO_LANDMARK,
@@ -203,9 +203,7 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
 
 def upper_triangles(table: Mapping[str, Any]) -> Array:
     """Return the covariances (N, 3, 3) of the columns `cov_00` to `cov_22`."""
-    upper = np.column_stack([table[name] for name in COVARIANCE])
-    found: Array = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    return found
+    return symmetric(np.column_stack([table[name] for name in COVARIANCE]))
 
 
 def _relative(table: dict[str, Any]) -> Motion:
@@ -250,8 +248,7 @@ def _positions(given: Columns) -> Positions:
         standard_deviation("positions", "sigma_m", sigma)
         covariance = sigma[:, None, None] ** 2 * np.eye(2)
     else:
-        covariance = np.column_stack([table[name] for name in variances])
-        covariance = covariance[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        covariance = symmetric(np.column_stack([table[name] for name in variances]))
     return Positions(np.asarray(table["time_s"], dtype=float), place, covariance)
 
 

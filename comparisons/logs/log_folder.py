@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from comparisons.archive import Shape, read_archive
-from comparisons.arrays import Array
+from comparisons.arrays import Array, symmetric
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError, naming
+from comparisons.logs.from_arrays import COVARIANCE, KINDS
 from comparisons.logs.log import (
     LandmarkMeasurements,
     Landmarks,
@@ -48,6 +50,7 @@ from comparisons.logs.stamps import origin, since_origin
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers
 
+T = TypeVar("T")
 SEE = "see docs/formats.md"
 _MEASUREMENTS = (
     "time_s",
@@ -61,17 +64,11 @@ _MEASUREMENTS = (
 _GAPS = ("diameter_m", "intensity")
 _POSITIONS = ("time_s", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
 _LANDMARKS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
-_POSES = ("time_s", "x_m", "y_m", "heading_rad")
+_POSES = ("time_s", *KINDS["poses"])
 _SURFACES = ("x1_m", "y1_m", "x2_m", "y2_m")
-_STEERING = ("time_s", "speed_mps", "steering_rad")
-_VELOCITY = ("time_s", "speed_mps", "yaw_rate_radps")
-_RELATIVE = (
-    "time_s",
-    "dx_m",
-    "dy_m",
-    "dheading_rad",
-    *(f"cov_{i}{j}" for i in range(3) for j in range(i, 3)),
-)
+_STEERING = ("time_s", *KINDS["steering"])
+_VELOCITY = ("time_s", *KINDS["velocity"])
+_RELATIVE = ("time_s", *KINDS["relative-poses"], *COVARIANCE)
 _SCANS: dict[str, Shape] = {
     "time_s": ("N",),
     "angle_rad": ("B",),
@@ -108,10 +105,31 @@ def read_log_folder(folder: Path) -> Log:
     """Read a log folder. Raises InputError naming file, line, value and expectation."""
     meta = read_meta(folder / MARK)
     start_s, provenance = origin(meta.prior.time_s), meta.provenance
+
+    def read(name: str, columns: tuple[str, ...], record: Callable[[Table], T]) -> T | None:
+        """A file's record; None where there is no such file."""
+        if not (folder / name).exists():
+            return None
+        table = Table(folder / name, columns, comma=True, header=True, start_s=start_s)
+        with table.locating():
+            return record(table)
+
     truth = Truth(
-        _read_poses(folder / "truth_poses.csv", start_s),
-        _read_landmarks(folder / "truth_landmarks.csv"),
-        _read_surfaces(folder / "truth_surfaces.csv"),
+        read("truth_poses.csv", _POSES, lambda t: Poses(t["time_s"], t.data[:, 1:])),
+        read("truth_landmarks.csv", _LANDMARKS, _landmarks),
+        read("truth_surfaces.csv", _SURFACES, lambda t: Surfaces(t.data)),
+    )
+    positions = read(
+        "positions.csv",
+        _POSITIONS,
+        lambda t: Positions(
+            t["time_s"], t.data[:, 1:3], symmetric(t.data[:, 3:]), meta.positions.antenna_m
+        ),
+    )
+    closures = read(
+        "closures.csv",
+        _CLOSURES,
+        lambda t: LoopClosures(t["from_s"], t["to_s"], t.data[:, 2:5], symmetric(t.data[:, 5:])),
     )
     measurements = _read_measurements(_measurements_file(folder), start_s, meta.measurements)
     if measurements is None:
@@ -133,9 +151,9 @@ def read_log_folder(folder: Path) -> Log:
             prior=Prior(prior_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)),
             odometry=odometry,
             measurements=measurements,
-            positions=_read_positions(folder / "positions.csv", start_s, meta.positions.antenna_m),
-            loop_closures=_read_loop_closures(folder / "closures.csv", start_s),
-            known_landmarks=_read_landmarks(folder / "known_landmarks.csv"),
+            positions=positions,
+            loop_closures=closures,
+            known_landmarks=read("known_landmarks.csv", _LANDMARKS, _landmarks),
             known_measurements=_read_measurements(_measurements_file(folder, "known_"), start_s),
             scans=_read_scans(folder / "scans.npz", rest, meta.scans),
             clouds=_read_clouds(folder / "clouds.npz", rest),
@@ -190,13 +208,8 @@ def write_log_folder(
             _write_csv(work / "truth_surfaces.csv", _SURFACES, log.truth.surfaces.segment)
         if log.scans is not None:
             s = log.scans
-            np.savez_compressed(
-                work / "scans.npz",
-                time_s=s.time_s,
-                angle_rad=s.angle_rad,
-                range_m=s.range_m,
-                intensity=s.intensity,
-            )
+            scans: dict[str, Array] = {name: getattr(s, name) for name in _SCANS}
+            np.savez_compressed(work / "scans.npz", allow_pickle=False, **scans)
         if log.clouds is not None:
             np.savez_compressed(work / "clouds.npz", **vars(log.clouds))
         (work / MARK).write_text(meta_text(log, remarks), encoding="utf-8")
@@ -207,7 +220,7 @@ def _read_odometry(path: Path, meta: LogModel, start_s: int) -> Odometry:
     if isinstance(settings, RelativeModel):
         table = Table(path, _RELATIVE, comma=True, header=True, gaps=_RELATIVE[4:], start_s=start_s)
         with table.locating():
-            covariance = _spatial(table.data[:, 4:])
+            covariance = symmetric(table.data[:, 4:])
             return RelativePoses(table["time_s"], table.data[:, 1:4], covariance)
     noise = OdometryNoise(**settings.noise.model_dump())
     if isinstance(settings, SteeringModel):
@@ -259,18 +272,8 @@ def _read_measurements(
         start_s=start_s,
     )
     with table.locating():
-        return LandmarkMeasurements(
-            time_s=table["time_s"],
-            range_m=table["range_m"],
-            bearing_rad=table["bearing_rad"],
-            sigma_range_m=table["sigma_range_m"],
-            sigma_bearing_rad=table["sigma_bearing_rad"],
-            landmark=whole_numbers("measurements", "landmark", table["landmark"]),
-            diameter_m=table["diameter_m"],
-            label_gate=settings.label_gate,
-            needs_confirmation=settings.needs_confirmation,
-            intensity=table["intensity"] if "intensity" in table.columns else np.zeros(0),
-        )
+        columns: dict[str, Any] = {name: table[name] for name in table.columns}
+        return LandmarkMeasurements(**columns, **settings.model_dump())
 
 
 def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:
@@ -278,48 +281,9 @@ def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:
     _write_csv(path, names, *(getattr(s, name) for name in names))
 
 
-def _read_positions(path: Path, start_s: int, antenna_m: tuple[float, float]) -> Positions | None:
-    if not path.exists():
-        return None
-    table = Table(path, _POSITIONS, comma=True, header=True, start_s=start_s)
-    with table.locating():
-        covariance = _symmetric(table.data[:, 3:])
-        return Positions(table["time_s"], table.data[:, 1:3], covariance, antenna_m)
-
-
-def _read_loop_closures(path: Path, start_s: int) -> LoopClosures | None:
-    if not path.exists():
-        return None
-    table = Table(path, _CLOSURES, comma=True, header=True, start_s=start_s)
-    with table.locating():
-        covariance = _spatial(table.data[:, 5:])
-        return LoopClosures(table["from_s"], table["to_s"], table.data[:, 2:5], covariance)
-
-
-def _read_landmarks(path: Path) -> Landmarks | None:
-    if not path.exists():
-        return None
-    table = Table(path, _LANDMARKS, comma=True, header=True)
-    with table.locating():
-        return Landmarks(
-            whole_numbers("landmarks", "id", table["id"]),
-            table.data[:, 1:3],
-            _symmetric(table.data[:, 3:]),
-        )
-
-
-def _read_poses(path: Path, start_s: int) -> Poses | None:
-    if not path.exists():
-        return None
-    table = Table(path, _POSES, comma=True, header=True, start_s=start_s)
-    with table.locating():
-        return Poses(table["time_s"], table.data[:, 1:])
-
-
-def _read_surfaces(path: Path) -> Surfaces | None:
-    if not path.exists():
-        return None
-    return Surfaces(Table(path, _SURFACES, comma=True, header=True).data)
+def _landmarks(table: Table) -> Landmarks:
+    ids = whole_numbers("landmarks", "id", table["id"])
+    return Landmarks(ids, table.data[:, 1:3], symmetric(table.data[:, 3:]))
 
 
 def _read_scans(path: Path, rest: Callable[[Array], Array], settings: ScansModel) -> Scans | None:
@@ -344,16 +308,6 @@ def _read_clouds(path: Path, rest: Callable[[Array], Array]) -> Clouds | None:
     time_s, first, point_m, point_s = read_archive(path, _CLOUDS)
     with naming(path, RecordError):
         return Clouds(rest(time_s), whole_numbers("clouds", "first", first), point_m, point_s)
-
-
-def _spatial(upper: Array) -> Array:
-    """(N, 6) upper triangles by rows to (N, 3, 3)."""
-    return upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-
-
-def _symmetric(upper: Array) -> Array:
-    """(N, 3) xx, xy, yy to (N, 2, 2)."""
-    return upper[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
 
 
 def _upper(covariance: Array) -> Array:
