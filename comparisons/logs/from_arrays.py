@@ -52,6 +52,7 @@ TWIST = ("var_forward", "var_left", "var_turn")
 PRIOR_VARIANCE = 1e-6
 _UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
 """What stands, in either case, for a landmark that is not known."""
+_NAMES = ("landmark", "id")
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
 _MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
@@ -68,12 +69,11 @@ class Motion(NamedTuple):
 def log_from_arrays(
     odometry: Columns,
     measurements: Columns,
-    *,
-    positions: Columns | None = None,
-    truth: Columns | None = None,
-    truth_landmarks: Columns | None = None,
-    prior: Prior | None = None,
-    name: str = "arrays",
+    positions: Columns | None,
+    truth: Columns | None,
+    truth_landmarks: Columns | None,
+    prior: Prior | None,
+    name: str,
 ) -> Log:
     """See Log.from_arrays."""
     for what, given in (("odometry", odometry), ("measurements", measurements)):
@@ -82,7 +82,6 @@ def log_from_arrays(
     seen = _columns(
         "measurements", measurements, _MEASUREMENTS, ("landmark", "diameter_m", "intensity")
     )
-    count = len(seen["time_s"])
     numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
     fixes = None if positions is None else _positions(positions)
     poses = None
@@ -90,23 +89,11 @@ def log_from_arrays(
         poses = _poses("truth", _columns("truth", truth, ("time_s", *KINDS["poses"])))
     with_poses = "x_m" in odometry
     if with_poses:  # a pose is needed at every instant with a measurement or a position
-        seen["time_s"] = resolved(np.asarray(seen["time_s"], dtype=float))
+        seen["time_s"] = resolved(seen["time_s"])
         if fixes is not None:
             fixes = Positions(resolved(fixes.time_s), fixes.position_m, fixes.covariance)
-    time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad = (
-        np.asarray(seen[name], dtype=float) for name in _MEASUREMENTS
-    )
-    names = seen.get("landmark", np.full(count, NO_LANDMARK))
-    stream = LandmarkMeasurements(
-        time_s=time_s,
-        range_m=range_m,
-        bearing_rad=bearing_rad,
-        sigma_range_m=sigma_range_m,
-        sigma_bearing_rad=sigma_bearing_rad,
-        landmark=numbers.of(names),
-        diameter_m=np.asarray(seen.get("diameter_m", np.zeros(0)), dtype=float),
-        intensity=np.asarray(seen.get("intensity", np.zeros(0)), dtype=float),
-    )
+    names = seen.pop("landmark", np.full(len(seen["time_s"]), NO_LANDMARK))
+    stream = LandmarkMeasurements(**seen, landmark=numbers.of(names))
     wanted = [stream.time_s] + ([] if fixes is None else [fixes.time_s])
     motion = _motion(odometry, np.concatenate(wanted))
     if with_poses and fixes is not None:
@@ -155,7 +142,7 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
     if kind == "poses":
         optional = (*sigmas, *COVARIANCE, *TWIST)
         table = _columns("odometry", given, ("time_s", *KINDS[kind]), optional)
-        table["time_s"] = resolved(np.asarray(table["time_s"], dtype=float))
+        table["time_s"] = resolved(table["time_s"])
         return _between_poses(_poses("odometry", table), table, wanted_s)
     if kind == "relative-poses":
         table = _columns("odometry", given, ("time_s", *KINDS[kind]), (*sigmas, *COVARIANCE))
@@ -168,9 +155,7 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
         *(_single(given, name) for name in ("sigma_speed_mps", "sigma_turn")),
         **{name: _single(given, name) for name in _NOISE if name in given},
     )
-    time_s, first, second = (
-        np.asarray(table[name], dtype=float) for name in ("time_s", *KINDS[kind])
-    )
+    time_s, first, second = (table[name] for name in ("time_s", *KINDS[kind]))
     found: Odometry
     if kind == "steering":
         vehicle = Ackermann(**{name: _single(given, name) for name in _VEHICLE if name in given})
@@ -207,7 +192,7 @@ def upper_triangles(table: Mapping[str, Any]) -> Array:
 
 
 def _relative(table: dict[str, Any]) -> Motion:
-    time_s = np.asarray(table["time_s"], dtype=float)
+    time_s = table["time_s"]
     if not len(time_s):
         raise InputError("odometry: holds no motions, expected at least one")
     moved = np.column_stack([table[name] for name in KINDS["relative-poses"]])
@@ -231,7 +216,7 @@ def _step_variances(table: dict[str, Any], count: int) -> Array | None:
         return None
     if len(given) < 2:
         raise InputError(f"odometry: {given[0]} alone, expected sigma_move_m and sigma_turn")
-    move, turn = (np.asarray(table[name], dtype=float) for name in given)
+    move, turn = (table[name] for name in given)
     for name, values in zip(given, (move, turn), strict=True):
         standard_deviation("odometry", name, values)
     return np.column_stack((move, move, turn))[-count:] ** 2
@@ -244,22 +229,20 @@ def _positions(given: Columns) -> Positions:
     table = _columns("positions", given, needed)
     place = np.column_stack((table["x_m"], table["y_m"]))
     if stated:
-        sigma = np.asarray(table["sigma_m"], dtype=float)
+        sigma = table["sigma_m"]
         standard_deviation("positions", "sigma_m", sigma)
         covariance = sigma[:, None, None] ** 2 * np.eye(2)
     else:
         covariance = symmetric(np.column_stack([table[name] for name in variances]))
-    return Positions(np.asarray(table["time_s"], dtype=float), place, covariance)
+    return Positions(table["time_s"], place, covariance)
 
 
 def _poses(stream: str, table: dict[str, Any]) -> Poses:
     if not len(table["time_s"]):
         raise InputError(f"{stream}: holds no poses, expected at least one")
     try:
-        return Poses(
-            np.asarray(table["time_s"], dtype=float),
-            np.column_stack([table[name] for name in KINDS["poses"]]),
-        )
+        pose = np.column_stack([table[name] for name in KINDS["poses"]])
+        return Poses(table["time_s"], pose)
     except RecordError as error:
         raise RecordError(stream, error.row, error.fault) from None
 
@@ -313,7 +296,10 @@ def _number(word: str) -> float | None:
 def _columns(
     stream: str, given: Columns, needed: Sequence[str], optional: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """All columns as arrays of one length. Raises InputError naming what is missing or unknown."""
+    """All columns as arrays of one length, of floats but for landmarks' names.
+
+    Raises InputError naming what is missing or unknown.
+    """
     known = (*needed, *optional)
     if missing := [name for name in needed if name not in given]:
         raise InputError(f"{stream}: {missing[0]} is missing, expected {', '.join(known)}")
@@ -330,9 +316,9 @@ def _columns(
             column = np.full(count, value)
         if column.shape != (count,):
             raise RecordError(stream, None, f"{name} has shape {column.shape}, expected {(count,)}")
-        if column.dtype.kind not in "iuf" and name not in ("landmark", "id"):
+        if column.dtype.kind not in "iuf" and name not in _NAMES:
             raise RecordError(stream, None, f"{name} is not numeric")
-        found[name] = column
+        found[name] = column if name in _NAMES else column.astype(float)
     return found
 
 

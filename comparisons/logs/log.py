@@ -366,15 +366,8 @@ class Log(Shown):
         """
         from comparisons.logs.from_arrays import log_from_arrays
 
-        return log_from_arrays(
-            odometry,
-            measurements,
-            positions=positions,
-            truth=truth,
-            truth_landmarks=truth_landmarks,
-            prior=prior,
-            name=name,
-        )
+        given = odometry, measurements, positions, truth, truth_landmarks
+        return log_from_arrays(*given, prior, name)
 
     def __repr__(self) -> str:
         """Return name, counts and duration in one line."""
