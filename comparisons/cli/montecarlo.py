@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
-from comparisons.cli.flags import OUTPUT
+from comparisons.cli.flags import OUTPUT, parameter, set_parameters
 from comparisons.cli.support import AGREE, chosen_output, guarded, print_result, progress_bar
 from comparisons.errors import note
 
@@ -168,30 +167,15 @@ def _kept_if_stopped(study: Study, folder: Path, commands: Mapping[str, Command]
 
 _HINTS = get_type_hints(_Given, include_extras=True)
 _HINTS |= {name: one.annotation for name, one in OUTPUT.items()}
-montecarlo.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-    [
-        inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=_Given._field_defaults[name],
-            annotation=hint,
-        )
-        for name, hint in _HINTS.items()
-    ]
+set_parameters(
+    montecarlo,
+    *(parameter(name, hint, _Given._field_defaults[name]) for name, hint in _HINTS.items()),
 )
-montecarlo.__annotations__ = _HINTS
-
-
-def config_class() -> type[MonteCarloConfig]:
-    """The class of a study's settings, for `slamcheck config`."""
-    from comparisons.experiments.montecarlo.config import MonteCarloConfig
-
-    return MonteCarloConfig
 
 
 def _configure(given: _Given) -> MonteCarloConfig:
     """What was given over an earlier study's settings, if the scenario is such a file."""
-    from comparisons.experiments.montecarlo.config import is_config
+    from comparisons.experiments.montecarlo.config import MonteCarloConfig, is_config
     from comparisons.settings import configure
 
     scenario, runs, filters = given.scenario, given.runs, given.filters
@@ -204,4 +188,4 @@ def _configure(given: _Given) -> MonteCarloConfig:
         over["runs"] = runs
     if filters is not None:
         over["filters"] = [part.strip() for part in filters.split(",") if part.strip()]
-    return configure(config_class(), file, over=over)
+    return configure(MonteCarloConfig, file, over=over)
