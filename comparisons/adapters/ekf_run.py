@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.attributes import measured_attributes
 from comparisons.adapters.ekf_factory import build_ekf
 from comparisons.adapters.filter_loop import Beside, run_filter_loop
 from comparisons.adapters.filter_setup import FilterSetup
@@ -128,9 +127,8 @@ def run_ekf(
     covariance = np.empty((epochs, 3, 3))
     landmark_index = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
-    reported = measured_attributes(log)
     epoch_states = run_filter_loop(
-        ekf, log, timeline, positions, Beside(watching, beside.source, recorder, reported)
+        ekf, log, timeline, positions, Beside(watching, beside.source, recorder)
     )
     for k, state in enumerate(epoch_states):
         landmark_index[state.rows], arrived[k] = state.landmark_indices, state.arrived

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.strangers import Course, simulate
-from comparisons.adapters.filter_loop import NoObserver
+from comparisons.adapters.filter_loop import FilterObservers
 from comparisons.adapters.filter_variants import RobocentricState
 from comparisons.arrays import Array
 from comparisons.checks.grade import likeness
@@ -45,10 +45,10 @@ def tried(solution: Solution, fault: Fault, name: str = EKF) -> Reference | None
     if fault.feed is not None:
         prepared = replace(prepared, log=fault.feed(prepared.log))
 
-    def started(ekf: Ekf) -> NoObserver:
+    def started(ekf: Ekf) -> FilterObservers:
         if fault.plant is not None:
             fault.plant(ekf)
-        return NoObserver()
+        return FilterObservers()
 
     return filter_named(name, prepared, solution.estimate.time_s, started)
 

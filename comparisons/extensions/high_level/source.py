@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.filter_loop import FilterObserver, NoObserver
+from comparisons.adapters.filter_loop import FilterObservers
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.arrays import Array
@@ -125,7 +125,7 @@ class HighLevelRun:
         return np.repeat(self.place[:, :2], 2, axis=0), np.reshape(tip, (-1, 2))
 
 
-class HighLevelSource:
+class HighLevelSource(FilterObservers):
     """Watches the filter, with a dense map, and sees the landmarks that are found in it.
 
     The map at an epoch holds the scans of earlier ones: a scan never meets itself.
@@ -148,28 +148,16 @@ class HighLevelSource:
             only_in_view=self.options.only_in_view, variance_factor=self.options.variance_factor
         )
         self._map = shared or DenseWatcher(log, self.options.kept)
-        self._watcher: FilterObserver = NoObserver() if shared else self._map
+        super().__init__([] if shared else [self._map])
         self._scans = PlanarScans(log)
         self._view = _view(log)
         self._searches: list[Search] = []
         self._next_s = log.prior.time_s + self.options.every_s
         self._place, self._rectangle = np.empty((0, 3)), np.empty((0, 4, 2))
 
-    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
-        """Take in the scans of the interval."""
-        self._watcher.before_predict(ekf, time_s, control, duration_s)
-
-    def on_predict(self, ekf: Ekf) -> None:
-        """What waits for a region follows the vehicle."""
-        self._watcher.on_predict(ekf)
-
-    def on_update(self, ekf: Ekf) -> None:
-        """The map follows its landmarks."""
-        self._watcher.on_update(ekf)
-
     def on_end(self, ekf: Ekf, time_s: float) -> None:
         """Note where all are in the end."""
-        self._watcher.on_end(ekf, time_s)
+        super().on_end(ekf, time_s)
         self._place, self._rectangle = self.landmarks.places(ekf), self.landmarks.rectangles(ekf)
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
