@@ -21,6 +21,7 @@ from comparisons.logs.odometry import Integration, Odometry, RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
+    Stream,
     above_zero,
     check,
     distinct,
@@ -44,7 +45,7 @@ NO_LANDMARK = -1
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class LandmarkMeasurements(Brief):
+class LandmarkMeasurements(Stream, Brief):
     """Range-bearing detections of landmarks, bearings counter-clockwise from straight ahead.
 
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad: (M,). landmark: (M,) ids, or
@@ -86,13 +87,6 @@ class LandmarkMeasurements(Brief):
                 f"landmark is {self.landmark[bad[0]]}, expected an id from 0 or {NO_LANDMARK}",
             )
 
-    def chosen(self, rows: NDArray[np.bool_]) -> LandmarkMeasurements:
-        """Those in some of the rows (M,)."""
-        columns = {
-            name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)
-        }
-        return LandmarkMeasurements(**{**vars(self), **columns})
-
     @property
     def labelled(self) -> bool:
         """Every measurement names its landmark."""
@@ -106,7 +100,7 @@ class LandmarkMeasurements(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Positions(Brief):
+class Positions(Stream, Brief):
     """Absolute positions, such as GPS.
 
     time_s: (N,). position_m: (N, 2) of the antenna. covariance: (N, 2, 2). antenna_m: where the
@@ -128,18 +122,13 @@ class Positions(Brief):
         increasing("positions", self.time_s)
         positive_definite("positions", self.covariance)
 
-    def chosen(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Positions:
-        """Those in some of the rows."""
-        columns = (self.time_s[rows], self.position_m[rows], self.covariance[rows])
-        return Positions(*columns, self.antenna_m)
-
     def with_sigma(self, sigma_m: float) -> Positions:
         """The same positions, each with one sigma [m] on both axes."""
         return replace(self, covariance=np.tile(sigma_m**2 * np.eye(2), (len(self.time_s), 1, 1)))
 
 
 @dataclass(frozen=True)
-class LoopClosures:
+class LoopClosures(Stream):
     """Measured motions between poses that do not follow each other, such as closed loops.
 
     from_s, to_s: (N,) times of the poses. displacement: (N, 3) dx, dy [m], dheading [rad] of the

@@ -9,7 +9,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import check, increasing, positive_definite, within
+from comparisons.logs.validation import Stream, check, increasing, positive_definite, within
 from comparisons.shown import Brief
 
 Named = Literal["euler", "middle", "arc"]
@@ -65,7 +65,7 @@ class OdometryNoise:
 
 
 @dataclass(frozen=True, repr=False)
-class SteeringOdometry(Brief):
+class SteeringOdometry(Stream, Brief):
     """Speed [m/s] and steering angle [rad, left positive], each held until the next sample."""
 
     time_s: Array
@@ -91,7 +91,7 @@ class SteeringOdometry(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class VelocityOdometry(Brief):
+class VelocityOdometry(Stream, Brief):
     """Speed [m/s] and yaw rate [rad/s], each held until the next sample."""
 
     time_s: Array
@@ -106,7 +106,7 @@ class VelocityOdometry(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class RelativePoses(Brief):
+class RelativePoses(Stream, Brief):
     """Displacements between consecutive poses; the first departs from the prior.
 
     time_s: (N,) of arrival. displacement: (N, 3) dx, dy [m], dheading [rad] in the departing

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import check, increasing
+from comparisons.logs.validation import Stream, check, increasing
 
 Index = NDArray[np.int64]
 
@@ -37,7 +37,7 @@ class Mount:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scans:
+class Scans(Stream):
     """Planar laser scans. angle_rad: (B,) from the scanner's ahead, counter-clockwise.
 
     time_s: (N,) of the first beam; each next one is beam_s later, 0 when all are of one instant.
