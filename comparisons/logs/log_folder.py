@@ -239,10 +239,9 @@ def _write_odometry(path: Path, odometry: Odometry) -> None:
     if isinstance(odometry, RelativePoses):
         upper = odometry.covariance[:, *np.triu_indices(3)]
         _write_csv(path, _RELATIVE, odometry.time_s, odometry.displacement, upper)
-    elif isinstance(odometry, SteeringOdometry):
-        _write_csv(path, _STEERING, odometry.time_s, odometry.speed_mps, odometry.steering_rad)
     else:
-        _write_csv(path, _VELOCITY, odometry.time_s, odometry.speed_mps, odometry.yaw_rate_radps)
+        names = _STEERING if isinstance(odometry, SteeringOdometry) else _VELOCITY
+        _write_csv(path, names, odometry.time_s, *odometry.controls)
 
 
 def _measurements_file(folder: Path, kind: str = "") -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -11,6 +12,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.validation import Stream, check, increasing, positive_definite, within
 from comparisons.shown import Brief
+from graphslam import increments
 
 Named = Literal["euler", "middle", "arc"]
 Integration = Named | int | float
@@ -74,6 +76,11 @@ class SteeringOdometry(Stream, Brief):
     vehicle: Ackermann
     noise: OdometryNoise
 
+    @property
+    def controls(self) -> tuple[Array, Array]:
+        """Of the estimators, (N,) each."""
+        return self.speed_mps, self.steering_rad
+
     def __post_init__(self) -> None:
         """Check the stream."""
         check(self, "steering odometry", rows="time_s")
@@ -98,6 +105,11 @@ class VelocityOdometry(Stream, Brief):
     speed_mps: Array
     yaw_rate_radps: Array
     noise: OdometryNoise
+
+    @property
+    def controls(self) -> tuple[Array, Array]:
+        """Of the estimators, (N,) each."""
+        return self.speed_mps, self.yaw_rate_radps
 
     def __post_init__(self) -> None:
         """Check the stream."""
@@ -147,6 +159,23 @@ def own_integration(odometry: SteeringOdometry | VelocityOdometry) -> Integratio
     return "euler" if isinstance(odometry, SteeringOdometry) else "middle"
 
 
+def wheel_samples(
+    odometry: SteeringOdometry | VelocityOdometry,
+    controls: Iterable[Array],
+    hold_s: Array,
+    integration: Integration | None = None,
+) -> increments.Samples:
+    """Motions under controls (N,) each, held so long (N,), by graphslam's vehicle models."""
+    (first, second), noise = controls, odometry.noise
+    added = increments.Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
+    common = (first, second, hold_s, (noise.sigma_speed_mps, noise.sigma_turn), added)
+    asked = integration or own_integration(odometry)
+    if isinstance(odometry, SteeringOdometry):
+        geometry = increments.AckermannGeometry(**vars(odometry.vehicle))
+        return increments.ackermann_samples(*common, geometry, asked)
+    return increments.unicycle_samples(*common, asked)
+
+
 # Odometry given as poses, which carry no covariance of their displacements, so one is stated:
 # variances grow with the way and with the turn, hence do not depend on how often a scanner fires.
 # It is generous for wheels indoors, since scan matching corrects what it leaves open.
@@ -194,9 +223,17 @@ def poses_at(time_s: Array, sample_s: Array, pose: Array) -> Array:
 def instants_of(wanted_s: Array, sample_s: Array) -> Array:
     """(N,) instants wanted, both ends of the samples, and one of them in each empty half second.
 
-    wanted_s: (M,) within the samples' time. Without the latter a trajectory would cut its corners.
+    wanted_s: (M,) within the samples' time.
+    """
+    return np.unique(np.concatenate((wanted_s, sample_s[[0, -1]], filling(wanted_s, sample_s))))
+
+
+def filling(instants_s: Array, sample_s: Array) -> Array:
+    """One of the samples (M,) in each half second in which no instant lies.
+
+    Without them a trajectory would cut its corners wherever nothing was seen for a while.
     """
     cell = np.floor(sample_s / _LONGEST_S)
     first = np.unique(cell, return_index=True)[1]
-    empty = ~np.isin(cell[first], np.floor(wanted_s / _LONGEST_S))
-    return np.unique(np.concatenate((wanted_s, sample_s[[0, -1]], sample_s[first[empty]])))
+    empty = ~np.isin(cell[first], np.floor(instants_s / _LONGEST_S))
+    return sample_s[first[empty]]
