@@ -75,9 +75,9 @@ def _kind(job: JobName) -> type[Section]:
     from comparisons.config import JOBS
 
     if job is JobName.MONTECARLO:
-        from comparisons.experiments.montecarlo.config import MonteCarloConfig
+        from comparisons.cli.montecarlo import config_class
 
-        return MonteCarloConfig
+        return config_class()
     return JOBS[job.value]
 
 

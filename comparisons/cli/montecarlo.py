@@ -173,9 +173,16 @@ set_parameters(
 )
 
 
+def config_class() -> type[MonteCarloConfig]:
+    """The class of a study's settings, for `slamcheck config`."""
+    from comparisons.experiments.montecarlo.config import MonteCarloConfig
+
+    return MonteCarloConfig
+
+
 def _configure(given: _Given) -> MonteCarloConfig:
     """What was given over an earlier study's settings, if the scenario is such a file."""
-    from comparisons.experiments.montecarlo.config import MonteCarloConfig, is_config
+    from comparisons.experiments.montecarlo.config import is_config
     from comparisons.settings import configure
 
     scenario, runs, filters = given.scenario, given.runs, given.filters
@@ -188,4 +195,4 @@ def _configure(given: _Given) -> MonteCarloConfig:
         over["runs"] = runs
     if filters is not None:
         over["filters"] = [part.strip() for part in filters.split(",") if part.strip()]
-    return configure(MonteCarloConfig, file, over=over)
+    return configure(config_class(), file, over=over)
