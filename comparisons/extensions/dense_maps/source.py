@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,6 @@ from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions import LocalRegions
-from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
 from ekf_reference.dense.view import FilterView, by_number
 
@@ -43,14 +41,6 @@ _MARGIN_M = 0.5
 """So near to a dynamic cell a measurement or a landmark counts as dynamic: both may be off."""
 _CLEARLY = 1.2
 """A later update must move the regions, all together, so many times as far to take its place."""
-
-
-class GlobalMap(Protocol):
-    """A map in the world's frame, which nothing moves afterwards."""
-
-    def fuse(self, scan: Scan) -> None:
-        """Take in a scan from the pose that it was given."""
-        ...
 
 
 def grid_model(config: DenseMapsConfig) -> InverseSensorModel:
@@ -193,7 +183,7 @@ class DenseWatcher:
         self._also: tuple[str, ...] = ()
         self._rule = Differencing()
         self._dense = self._empty()
-        self._beside: list[GlobalMap] = []
+        self._beside: list[ClassicGrid] = []
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
         self._pose: list[Array] = []
         self._before: BeforeClosing | None = None
@@ -216,8 +206,8 @@ class DenseWatcher:
             raise ValueError("the map has taken in scans")
         return build_map(self.options, self._also, self._rule)
 
-    def feed(self, other: GlobalMap) -> None:
-        """Give the same scans from the same poses to another map as well."""
+    def feed(self, other: ClassicGrid) -> None:
+        """Give the same scans from the same poses to a map in the world's frame as well."""
         self._beside.append(other)
 
     @property

@@ -18,7 +18,6 @@ from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_cloud
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import (
     Cloud,
-    Depletion,
     Sampling,
     build_fastslam,
     run_fastslam,
@@ -122,28 +121,6 @@ class FastSlamExtension(Extension):
 _AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
 
 
-def fastslam_result(
-    settings: FastSlamConfig,
-    check: CloudCheck,
-    depletion: Depletion,
-    apart: Array,
-    accuracy: Accuracy | None,
-) -> FastSlamResult:
-    """Return what was found. apart: (K, 3) poses of the whole log's cloud from the smoother's."""
-    return FastSlamResult(
-        **vars(check),
-        particles=settings.particles,
-        length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
-        level=LEVEL,
-        verdict=_AGREES[check.agrees],
-        path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
-        difference_m=float(np.hypot(*apart[-1, :2])),
-        difference_rad=float(abs(apart[-1, 2])),
-        **vars(depletion),
-        accuracy=accuracy,
-    )
-
-
 class FastSlamFinding(Finding):
     """Clouds against the smoother. accuracy: of the cloud of the whole log."""
 
@@ -152,7 +129,7 @@ class FastSlamFinding(Finding):
     ) -> None:
         """Report in remarks: a witness changes no verdict."""
         smoothed, prepared = known.gaps.smoothed, known.prepared
-        self.check, depletion = check, cloud.depletion()
+        self.check = check
         estimate = cloud_estimate(cloud, known.ekf.estimate.time_s)
         self.accuracy: Accuracy | None = assess(
             estimate, prepared.judged, labelled=prepared.labelled
@@ -161,7 +138,18 @@ class FastSlamFinding(Finding):
         self.titles = {"fastslam": "FastSLAM"}
         apart = cloud.mean - smoothed.pose
         apart[:, 2] = wrap_angle(apart[:, 2])
-        self.result = fastslam_result(settings, check, depletion, apart, self.accuracy)
+        self.result = FastSlamResult(
+            **vars(check),
+            particles=settings.particles,
+            length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
+            level=LEVEL,
+            verdict=_AGREES[check.agrees],
+            path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
+            difference_m=float(np.hypot(*apart[-1, :2])),
+            difference_rad=float(abs(apart[-1, 2])),
+            **cloud.depletion(),
+            accuracy=self.accuracy,
+        )
         self.entries = {"fastslam": self.result}
         self.remarks = _remarks(check, self.result)
         self.line = ("FastSLAM", _line(self.result))

@@ -190,7 +190,21 @@ class OwnAssociation(Extension):
 
     def start(self, prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution] | None:
         """Associate and solve beside the smoother; neither needs the other's result."""
-        return start_own_association(prepared, run) if self.asked else None
+        if not self.asked:
+            return None
+        log = replace(prepared.log, scans=None, clouds=None)
+        rows = position_rows(run.timeline, run.positions)
+        left_out = np.flatnonzero(run.landmark_index == DYNAMIC)
+        size = len(run.timeline.epoch_time_s), len(run.landmark_index), len(run.estimate.landmark)
+        return Beside(
+            solve_with_own_association,
+            log.name,
+            OwnAssociator(log, run.timeline, rows, left_out),
+            run.pose_landmarks,
+            SmootherOptions(**prepared.config.smoother.model_dump()),
+            size=size,
+            pays_from=ASSOCIATION_PAYS_FROM,
+        )
 
     def find(self, known: Known) -> OwnAssociationFinding | None:
         """Associate without the filter, solve, assess, and compare. Raises InputError."""
@@ -245,25 +259,6 @@ class OwnSolution:
     landmark_index: Index
     estimate: Estimate
     optimality: Optimality
-
-
-def start_own_association(prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution]:
-    """Begin S'."""
-    log = replace(prepared.log, scans=None, clouds=None)
-    rows = position_rows(run.timeline, run.positions)
-    left_out = np.flatnonzero(run.landmark_index == DYNAMIC)
-    associator = OwnAssociator(log, run.timeline, rows, left_out)
-    options = SmootherOptions(**prepared.config.smoother.model_dump())
-    size = len(run.timeline.epoch_time_s), len(run.landmark_index), len(run.estimate.landmark)
-    return Beside(
-        solve_with_own_association,
-        log.name,
-        associator,
-        run.pose_landmarks,
-        options,
-        size=size,
-        pays_from=ASSOCIATION_PAYS_FROM,
-    )
 
 
 def solve_with_own_association(
