@@ -20,3 +20,8 @@ def symmetric(upper: Array) -> Array:
     size = math.isqrt(len(places))
     full: Array = upper[:, places].reshape(-1, size, size)
     return full
+
+
+def upper_triangles(full: Array) -> Array:
+    """(N, 3) or (N, 6) upper triangles by rows of (N, 2, 2) or (N, 3, 3)."""
+    return full[:, *np.triu_indices(full.shape[-1])]

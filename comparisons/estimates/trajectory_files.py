@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from comparisons.arrays import Array, symmetric
+from comparisons.arrays import Array, symmetric, upper_triangles
 from comparisons.atomic import NEW, check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
@@ -38,7 +38,6 @@ _KITTI = (
     *("r20", "r21", "r22", "z"),
 )
 _EUROC = ("time_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
-_UPPER = np.triu_indices(3)
 
 
 class Trajectory(NamedTuple):
@@ -192,7 +191,7 @@ def _csv_text(trajectory: Trajectory) -> str:
     parts = [trajectory.time_s[:, None], trajectory.pose]
     if trajectory.covariance is not None:
         columns += COVARIANCE
-        parts.append(trajectory.covariance[:, *_UPPER])
+        parts.append(upper_triangles(trajectory.covariance))
     return ",".join(columns) + "\n" + _rows(np.hstack(parts), ",")
 
 

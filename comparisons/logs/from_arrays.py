@@ -175,7 +175,7 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
     variance = _step_variances(table, len(time_s) - 1)
     if variance is None and set(COVARIANCE) <= table.keys():
         twist = [table.get(name, np.zeros(len(time_s))) for name in TWIST]
-        rows = np.column_stack((poses.pose, *twist, upper_triangles(table).reshape(-1, 9)))
+        rows = np.column_stack((poses.pose, *twist, covariances(table).reshape(-1, 9)))
         motion, words = reckoned_motion(instants, time_s, rows)
         return Motion(motion, float(time_s[0]), words)
     motion = displacements(instants, poses_at(instants, time_s, poses.pose))
@@ -186,7 +186,7 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
     return Motion(stated, float(time_s[0]), "stated, for each motion between the given poses")
 
 
-def upper_triangles(table: Mapping[str, Any]) -> Array:
+def covariances(table: Mapping[str, Any]) -> Array:
     """Return the covariances (N, 3, 3) of the columns `cov_00` to `cov_22`."""
     return symmetric(np.column_stack([table[name] for name in COVARIANCE]))
 
@@ -198,7 +198,7 @@ def _relative(table: dict[str, Any]) -> Motion:
     moved = np.column_stack([table[name] for name in KINDS["relative-poses"]])
     start_s = float(2 * time_s[0] - time_s[1]) if len(time_s) > 1 else float(time_s[0] - 1.0)
     if set(COVARIANCE) <= table.keys():
-        covariance = upper_triangles(table)
+        covariance = covariances(table)
         return Motion(RelativePoses(time_s, moved, covariance), start_s, "the columns cov_00 to 22")
     variance = _step_variances(table, len(time_s))
     if variance is None:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from comparisons.archive import Shape, read_archive
-from comparisons.arrays import Array, symmetric
+from comparisons.arrays import Array, symmetric, upper_triangles
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError, naming
 from comparisons.logs.from_arrays import COVARIANCE, KINDS
@@ -66,9 +66,10 @@ _POSITIONS = ("time_s", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
 _LANDMARKS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
 _POSES = ("time_s", *KINDS["poses"])
 _SURFACES = ("x1_m", "y1_m", "x2_m", "y2_m")
-_STEERING = ("time_s", *KINDS["steering"])
-_VELOCITY = ("time_s", *KINDS["velocity"])
 _RELATIVE = ("time_s", *KINDS["relative-poses"], *COVARIANCE)
+_ODOMETRY = {kind: ("time_s", *names) for kind, names in KINDS.items()} | {
+    "relative-poses": _RELATIVE
+}
 _SCANS: dict[str, Shape] = {
     "time_s": ("N",),
     "angle_rad": ("B",),
@@ -106,32 +107,42 @@ def read_log_folder(folder: Path) -> Log:
     meta = read_meta(folder / MARK)
     start_s, provenance = origin(meta.prior.time_s), meta.provenance
 
-    def read(name: str, columns: tuple[str, ...], record: Callable[[Table], T]) -> T | None:
+    def part(
+        name: str, columns: tuple[str, ...], record: Callable[[Table], T], **more: Any
+    ) -> T | None:
         """A file's record; None where there is no such file."""
         if not (folder / name).exists():
             return None
-        table = Table(folder / name, columns, comma=True, header=True, start_s=start_s)
+        table = Table(folder / name, columns, comma=True, header=True, start_s=start_s, **more)
         with table.locating():
             return record(table)
 
+    def measured(kind: str, settings: MeasurementsModel) -> LandmarkMeasurements | None:
+        def record(table: Table) -> LandmarkMeasurements:
+            columns: dict[str, Any] = {name: table[name] for name in table.columns}
+            return LandmarkMeasurements(**columns, **settings.model_dump())
+
+        name = _measurements_file(folder, kind)
+        return part(name, _MEASUREMENTS, record, gaps=_GAPS, optional=("intensity",))
+
     truth = Truth(
-        read("truth_poses.csv", _POSES, lambda t: Poses(t["time_s"], t.data[:, 1:])),
-        read("truth_landmarks.csv", _LANDMARKS, _landmarks),
-        read("truth_surfaces.csv", _SURFACES, lambda t: Surfaces(t.data)),
+        part("truth_poses.csv", _POSES, lambda t: Poses(t["time_s"], t.data[:, 1:])),
+        part("truth_landmarks.csv", _LANDMARKS, _landmarks),
+        part("truth_surfaces.csv", _SURFACES, lambda t: Surfaces(t.data)),
     )
-    positions = read(
+    positions = part(
         "positions.csv",
         _POSITIONS,
         lambda t: Positions(
             t["time_s"], t.data[:, 1:3], symmetric(t.data[:, 3:]), meta.positions.antenna_m
         ),
     )
-    closures = read(
+    closures = part(
         "closures.csv",
         _CLOSURES,
         lambda t: LoopClosures(t["from_s"], t["to_s"], t.data[:, 2:5], symmetric(t.data[:, 5:])),
     )
-    measurements = _read_measurements(_measurements_file(folder), start_s, meta.measurements)
+    measurements = measured("", meta.measurements)
     if measurements is None:
         raise InputError(f"{folder / 'measurements.csv'}: no such file")
     odometry = _read_odometry(folder / "odometry.csv", meta, start_s)
@@ -153,8 +164,8 @@ def read_log_folder(folder: Path) -> Log:
             measurements=measurements,
             positions=positions,
             loop_closures=closures,
-            known_landmarks=read("known_landmarks.csv", _LANDMARKS, _landmarks),
-            known_measurements=_read_measurements(_measurements_file(folder, "known_"), start_s),
+            known_landmarks=part("known_landmarks.csv", _LANDMARKS, _landmarks),
+            known_measurements=measured("known_", MeasurementsModel()),
             scans=_read_scans(folder / "scans.npz", rest, meta.scans),
             clouds=_read_clouds(folder / "clouds.npz", rest),
             truth=truth,
@@ -180,27 +191,19 @@ def write_log_folder(
         _write_measurements(work / "measurements.csv", log.measurements)
         if log.known_measurements is not None:
             _write_measurements(work / "known_measurements.csv", log.known_measurements)
-        if log.positions is not None:
-            p = log.positions
-            _write_csv(
-                work / "positions.csv", _POSITIONS, p.time_s, p.position_m, _upper(p.covariance)
-            )
-        if log.loop_closures is not None:
-            c = log.loop_closures
-            upper = c.covariance[:, *np.triu_indices(3)]
+        if (p := log.positions) is not None:
+            upper = upper_triangles(p.covariance)
+            _write_csv(work / "positions.csv", _POSITIONS, p.time_s, p.position_m, upper)
+        if (c := log.loop_closures) is not None:
+            upper = upper_triangles(c.covariance)
             _write_csv(work / "closures.csv", _CLOSURES, c.from_s, c.to_s, c.displacement, upper)
         for name, table in (
             ("known_landmarks", log.known_landmarks),
             ("truth_landmarks", log.truth.landmarks),
         ):
             if table is not None:
-                _write_csv(
-                    work / f"{name}.csv",
-                    _LANDMARKS,
-                    table.id,
-                    table.position_m,
-                    _upper(table.covariance),
-                )
+                upper = upper_triangles(table.covariance)
+                _write_csv(work / f"{name}.csv", _LANDMARKS, table.id, table.position_m, upper)
         if log.truth.poses is not None:
             poses = log.truth.poses
             _write_csv(work / "truth_poses.csv", _POSES, poses.time_s, poses.pose)
@@ -217,62 +220,38 @@ def write_log_folder(
 
 def _read_odometry(path: Path, meta: LogModel, start_s: int) -> Odometry:
     settings = meta.odometry
-    if isinstance(settings, RelativeModel):
-        table = Table(path, _RELATIVE, comma=True, header=True, gaps=_RELATIVE[4:], start_s=start_s)
-        with table.locating():
+    columns = _ODOMETRY[settings.kind]
+    table = Table(path, columns, comma=True, header=True, gaps=COVARIANCE, start_s=start_s)
+    with table.locating():
+        if isinstance(settings, RelativeModel):
             covariance = symmetric(table.data[:, 4:])
             return RelativePoses(table["time_s"], table.data[:, 1:4], covariance)
-    noise = OdometryNoise(**settings.noise.model_dump())
-    if isinstance(settings, SteeringModel):
-        table = Table(path, _STEERING, comma=True, header=True, start_s=start_s)
-        vehicle = Ackermann(**settings.vehicle.model_dump())
-        with table.locating():
-            return SteeringOdometry(
-                table["time_s"], table["speed_mps"], table["steering_rad"], vehicle, noise
-            )
-    table = Table(path, _VELOCITY, comma=True, header=True, start_s=start_s)
-    with table.locating():
-        return VelocityOdometry(table["time_s"], table["speed_mps"], table["yaw_rate_radps"], noise)
+        time_s, speed, turn = table.data.T
+        noise = OdometryNoise(**settings.noise.model_dump())
+        if isinstance(settings, SteeringModel):
+            vehicle = Ackermann(**settings.vehicle.model_dump())
+            return SteeringOdometry(time_s, speed, turn, vehicle, noise)
+        return VelocityOdometry(time_s, speed, turn, noise)
 
 
 def _write_odometry(path: Path, odometry: Odometry) -> None:
     if isinstance(odometry, RelativePoses):
-        upper = odometry.covariance[:, *np.triu_indices(3)]
+        upper = upper_triangles(odometry.covariance)
         _write_csv(path, _RELATIVE, odometry.time_s, odometry.displacement, upper)
     else:
-        names = _STEERING if isinstance(odometry, SteeringOdometry) else _VELOCITY
-        _write_csv(path, names, odometry.time_s, *odometry.controls)
+        kind = "steering" if isinstance(odometry, SteeringOdometry) else "velocity"
+        _write_csv(path, _ODOMETRY[kind], odometry.time_s, *odometry.controls)
 
 
-def _measurements_file(folder: Path, kind: str = "") -> Path:
-    """Return the file of measurements, which was called sightings.csv in version 0.1.
+def _measurements_file(folder: Path, kind: str) -> str:
+    """Return the name of the file of measurements, which was called sightings.csv in version 0.1.
 
     Raises InputError where both names are there.
     """
     path, former = folder / f"{kind}measurements.csv", folder / f"{kind}sightings.csv"
     if path.exists() and former.exists():
         raise InputError(f"{folder}: holds {path.name} and {former.name}, expected one of them")
-    return former if former.exists() else path
-
-
-def _read_measurements(
-    path: Path, start_s: int, settings: MeasurementsModel | None = None
-) -> LandmarkMeasurements | None:
-    if not path.exists():
-        return None
-    settings = settings or MeasurementsModel()
-    table = Table(
-        path,
-        _MEASUREMENTS,
-        comma=True,
-        header=True,
-        gaps=_GAPS,
-        optional=("intensity",),
-        start_s=start_s,
-    )
-    with table.locating():
-        columns: dict[str, Any] = {name: table[name] for name in table.columns}
-        return LandmarkMeasurements(**columns, **settings.model_dump())
+    return former.name if former.exists() else path.name
 
 
 def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:
@@ -307,11 +286,6 @@ def _read_clouds(path: Path, rest: Callable[[Array], Array]) -> Clouds | None:
     time_s, first, point_m, point_s = read_archive(path, _CLOUDS)
     with naming(path, RecordError):
         return Clouds(rest(time_s), whole_numbers("clouds", "first", first), point_m, point_s)
-
-
-def _upper(covariance: Array) -> Array:
-    """(N, 2, 2) to (N, 3) xx, xy, yy."""
-    return covariance.reshape(-1, 4)[:, [0, 1, 3]]
 
 
 def _write_csv(path: Path, columns: tuple[str, ...], *parts: Array | np.ndarray) -> None:
