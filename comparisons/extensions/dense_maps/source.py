@@ -53,17 +53,6 @@ def classic_grid(config: DenseMapsConfig) -> ClassicGrid:
     return ClassicGrid(config.resolution_m, grid_model(config), config.confidence)
 
 
-def conditions(config: DenseMapsConfig) -> Conditions:
-    """Return when three landmarks may define a region (Nieto 2005, section 3.5)."""
-    bounds = config.bounds
-    return Conditions(
-        least_correlation=config.least_correlation,
-        known_apart_m=bounds.known_apart_m,
-        longest_edge_m=bounds.longest_edge_m,
-        margin=MARGINS[config.flip_test],
-    )
-
-
 def build_map(
     config: DenseMapsConfig, also: Sequence[str] = (), rule: Differencing | None = None
 ) -> DenseMap:
@@ -82,10 +71,16 @@ def build_map(
         ),
         "sog": Gaussians(config.d_min_m, thinned=config.thinned),
     }
+    conditions = Conditions(  # Nieto 2005, section 3.5
+        least_correlation=config.least_correlation,
+        known_apart_m=bounds.known_apart_m,
+        longest_edge_m=bounds.longest_edge_m,
+        margin=MARGINS[config.flip_test],
+    )
     waiting = DelayedInitialisation(capacity=bounds.capacity, patience=bounds.patience)
     return DenseMap(
         layers={name: made[name] for name in dict.fromkeys((*config.layers, *also))},
-        regions=LocalRegions(conditions=conditions(config)),
+        regions=LocalRegions(conditions=conditions),
         waiting=waiting if config.delayed or config.virtual_landmarks else None,
         delayed=config.delayed,
         virtual=config.virtual_landmarks,
