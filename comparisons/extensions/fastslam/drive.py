@@ -8,12 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import motion_model
+from comparisons.adapters.ekf_factory import motion_model, stabilisation
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import RelativePoses
-from ekf_reference.core.ekf import Stabilisation
 from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam.association import (
@@ -91,15 +89,11 @@ def start_fastslam(
     log: Log, sampling: Sampling, rule: ParticleAssociation, start: Start
 ) -> FastSlam:
     """Return a FastSLAM with the log's vehicle."""
-    stabilisation = Stabilisation()
-    if not isinstance(log.odometry, RelativePoses):
-        noise = log.odometry.noise
-        stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
     options = FastSlamOptions(
         particles=sampling.particles, proposal=sampling.proposal, association=rule
     )
     generator = np.random.default_rng((sampling.seed, *sampling.stream))
-    return FastSlam(motion_model(log), *start, generator, options, stabilisation)
+    return FastSlam(motion_model(log), *start, generator, options, stabilisation(log))
 
 
 class Inputs:
