@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -58,12 +58,8 @@ _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_
 _MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
 
 
-class Motion(NamedTuple):
-    """Odometry, when it starts, and words on the noise of relative poses."""
-
-    odometry: Odometry
-    start_s: float
-    noise: str | None
+Motion = tuple[Odometry, float, str | None]
+"""Odometry, when it starts, and words on the noise of relative poses."""
 
 
 def log_from_arrays(
@@ -95,18 +91,18 @@ def log_from_arrays(
     names = seen.pop("landmark", np.full(len(seen["time_s"]), NO_LANDMARK))
     stream = LandmarkMeasurements(**seen, landmark=numbers.of(names))
     wanted = [stream.time_s] + ([] if fixes is None else [fixes.time_s])
-    motion = _motion(odometry, np.concatenate(wanted))
+    moved, start_s, noise = _motion(odometry, np.concatenate(wanted))
     if with_poses and fixes is not None:
-        fixes = fixes.chosen(np.isin(fixes.time_s, (motion.start_s, *motion.odometry.time_s)))
-    where = prior or default_prior(motion.start_s, poses)
-    provenance = {} if motion.noise is None else {"odometry_noise": motion.noise}
+        fixes = fixes.chosen(np.isin(fixes.time_s, (start_s, *moved.time_s)))
+    where = prior or default_prior(start_s, poses)
+    provenance = {} if noise is None else {"odometry_noise": noise}
     if numbers.by_text:
         provenance["labels"] = numbers.text()
     return Log(
         name=name,
         format="arrays",
         prior=where,
-        odometry=motion.odometry,
+        odometry=moved,
         measurements=stream,
         positions=fixes,
         truth=Truth(
@@ -162,7 +158,7 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
         found = SteeringOdometry(time_s, first, second, vehicle, noise)
     else:
         found = VelocityOdometry(time_s, first, second, noise)
-    return Motion(found, float(found.time_s[0]) if len(found.time_s) else 0.0, None)
+    return found, float(found.time_s[0]) if len(found.time_s) else 0.0, None
 
 
 def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Motion:
@@ -177,13 +173,13 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
         twist = [table.get(name, np.zeros(len(time_s))) for name in TWIST]
         rows = np.column_stack((poses.pose, *twist, covariances(table).reshape(-1, 9)))
         motion, words = reckoned_motion(instants, time_s, rows)
-        return Motion(motion, float(time_s[0]), words)
+        return motion, float(time_s[0]), words
     motion = displacements(instants, poses_at(instants, time_s, poses.pose))
     if variance is None:
-        return Motion(motion, float(time_s[0]), NOISE_TEXT)
+        return motion, float(time_s[0]), NOISE_TEXT
     covariance = added_between(instants, time_s, variance[:, :, None] * np.eye(3))
     stated = RelativePoses(motion.time_s, motion.displacement, covariance)
-    return Motion(stated, float(time_s[0]), "stated, for each motion between the given poses")
+    return stated, float(time_s[0]), "stated, for each motion between the given poses"
 
 
 def covariances(table: Mapping[str, Any]) -> Array:
@@ -199,14 +195,14 @@ def _relative(table: dict[str, Any]) -> Motion:
     start_s = float(2 * time_s[0] - time_s[1]) if len(time_s) > 1 else float(time_s[0] - 1.0)
     if set(COVARIANCE) <= table.keys():
         covariance = covariances(table)
-        return Motion(RelativePoses(time_s, moved, covariance), start_s, "the columns cov_00 to 22")
+        return RelativePoses(time_s, moved, covariance), start_s, "the columns cov_00 to 22"
     variance = _step_variances(table, len(time_s))
     if variance is None:
         path = dead_reckoned(np.zeros(3), moved)
         stated = displacements(np.concatenate(([start_s], time_s)), path).covariance
-        return Motion(RelativePoses(time_s, moved, stated), start_s, NOISE_TEXT)
+        return RelativePoses(time_s, moved, stated), start_s, NOISE_TEXT
     covariance = variance[:, :, None] * np.eye(3)
-    return Motion(RelativePoses(time_s, moved, covariance), start_s, "stated, for each motion")
+    return RelativePoses(time_s, moved, covariance), start_s, "stated, for each motion"
 
 
 def _step_variances(table: dict[str, Any], count: int) -> Array | None:
