@@ -33,6 +33,15 @@ _FARTHEST_M = 1e6
 """A pose so far from the start has diverged; what follows is not worth comparing."""
 
 
+UNUSED = {
+    REJECTED: "rejected",
+    AMBIGUOUS: "ambiguous",
+    CANDIDATE: "candidate",
+    DYNAMIC: "dynamic",
+}
+"""Why a measurement was not used, by its code."""
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class EkfRun(Brief):
     """An estimate with what the other estimators need of it.
@@ -92,14 +101,9 @@ class EkfRun(Brief):
     @property
     def unused(self) -> dict[str, int]:
         """Measurements that were not used, by reason."""
-        codes = {
-            "rejected": REJECTED,
-            "ambiguous": AMBIGUOUS,
-            "candidate": CANDIDATE,
-            "dynamic": DYNAMIC,
-        }
         return {
-            name: int(np.count_nonzero(self.landmark_index == code)) for name, code in codes.items()
+            name: int(np.count_nonzero(self.landmark_index == code))
+            for code, name in UNUSED.items()
         }
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.ekf_run import UNUSED, EkfRun
 from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows, smoothed_estimate
 from comparisons.arrays import Array, Index
@@ -37,7 +37,7 @@ from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lin
 from comparisons.report.html.shell import number, sortable
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.words import Cause, Row
-from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
+from ekf_reference.core.measurements import DYNAMIC
 from graphslam.optimum import Optimality
 from graphslam.problem import PoseLandmarkMeasurements
 from graphslam.smoother import SmootherOptions, smooth
@@ -214,7 +214,20 @@ class OwnAssociation(Extension):
         with prepared.clock.stage("own association"):
             prepared.progress("own association", 0, 0)
             found = work.result()
-            own = compare_with_own_association(known, found)
+            log, run, estimate = prepared.log, known.ekf, found.estimate
+            own = check_own_association(
+                log.measurements,
+                run.timeline.measurement_epoch,
+                (run.landmark_index, found.landmark_index),
+                known.gaps.smoothed,
+                estimate,
+                found.optimality,
+            )
+            own = replace(
+                own,
+                accuracy=assess(estimate, prepared.judged, labelled=False),
+                association=score_association(found.landmark_index, estimate.landmark, log),
+            )
         prepared.clock.add_cpu("own association", work.cpu_s)
         return OwnAssociationFinding(known, own)
 
@@ -282,31 +295,7 @@ def solve_with_own_association(
     return OwnSolution(found.landmark_index, estimate, result.optimality)
 
 
-def compare_with_own_association(known: Known, found: OwnSolution) -> OwnAssociationCheck:
-    """Return how S' compares with S."""
-    log, run, estimate = known.prepared.log, known.ekf, found.estimate
-    own = check_own_association(
-        log.measurements,
-        run.timeline.measurement_epoch,
-        (run.landmark_index, found.landmark_index),
-        known.gaps.smoothed,
-        estimate,
-        found.optimality,
-    )
-    return replace(
-        own,
-        accuracy=assess(estimate, known.prepared.judged, labelled=False),
-        association=score_association(found.landmark_index, estimate.landmark, log),
-    )
-
-
 _MOST_ROWS = 200
-_UNUSED = {
-    REJECTED: "rejected",
-    AMBIGUOUS: "ambiguous",
-    CANDIDATE: "candidate",
-    DYNAMIC: "dynamic",
-}
 
 
 def differing_lines(drawing: Drawing, own: OwnAssociationCheck, run: EkfRun) -> None:
@@ -335,7 +324,7 @@ def association_differences(own: OwnAssociationCheck, run: EkfRun) -> str:
         filters = (
             str(ids[landmark_index[row]])
             if used
-            else _UNUSED.get(int(landmark_index[row]), "unused")
+            else UNUSED.get(int(landmark_index[row]), "unused")
         )
         key = f'data-key="{ids[landmark_index[row]]}" tabindex="0"' if used else ""
         smoothers = f"{theirs}{meant}" if theirs >= 0 else "unused"
