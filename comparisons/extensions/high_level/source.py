@@ -37,7 +37,7 @@ _APART_S = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class HighLevelOptions:
-    """every_s: between two searches. resolution_m: of the occupancy layer. d_min_m: of the sum's.
+    """every_s: between two searches. resolution_m: of the occupancy layer, and d_min of the sum's.
 
     dense: settings of the map but for its layers and cells. only_in_view, variance_factor: of a
     measurement; see HighLevelLandmarks.
@@ -49,7 +49,6 @@ class HighLevelOptions:
     every_s: float = 20.0
     search: SearchOptions = field(default_factory=SearchOptions)
     resolution_m: float = 0.2
-    d_min_m: float = 0.2
     dense: DenseMapsConfig = field(default_factory=DenseMapsConfig)
     only_in_view: bool = HighLevelLandmarks.only_in_view
     variance_factor: float = HighLevelLandmarks.variance_factor
@@ -66,7 +65,6 @@ class HighLevelOptions:
             every_s=config.every_s,
             search=looked,
             resolution_m=cell_m,
-            d_min_m=cell_m,
             dense=dense,
             only_in_view=config.only_in_view,
             variance_factor=config.variance_factor,
@@ -75,8 +73,8 @@ class HighLevelOptions:
     @property
     def kept(self) -> DenseMapsConfig:
         """The dense map that is searched."""
-        own = {"layers": SEARCHED, "resolution_m": self.resolution_m, "d_min_m": self.d_min_m}
-        return self.dense.settled().model_copy(update={**BARE, **own})
+        cells = dict.fromkeys(("resolution_m", "d_min_m"), self.resolution_m)
+        return self.dense.settled().model_copy(update={**BARE, "layers": SEARCHED, **cells})
 
     def served_by(self, options: DenseMapsConfig) -> bool:
         """Whether a map with these options has the cells that are searched."""
