@@ -96,7 +96,8 @@ def _timed(
     kept = np.diff(time_s, prepend=-np.inf) > 0.0
     lost = int((~kept).sum())
     left_out = ""
-    if 2 * lost > len(kept) and _since_1970_in_whole_seconds(time_s):
+    whole = (time_s > _SINCE_1970_S).all() and (time_s == np.round(time_s)).all()
+    if 2 * lost > len(kept) and whole:
         raise InputError(
             f"{table.path}: {lost} of {len(kept)} poses repeat the time of the one before: their "
             "times since 1970 look rounded to seconds, as '%.10g' does; write nine decimals, '%.9f'"
@@ -108,10 +109,6 @@ def _timed(
         )
     covariance = None if covariance is None else covariance[kept]
     return Trajectory(time_s[kept], pose[kept], covariance, left_out)
-
-
-def _since_1970_in_whole_seconds(time_s: Array) -> bool:
-    return bool((time_s > _SINCE_1970_S).all() and (time_s == np.round(time_s)).all())
 
 
 def _too_large_for_seconds(time_s: Array) -> str:

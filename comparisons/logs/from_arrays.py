@@ -55,7 +55,7 @@ _UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
 _NAMES = ("landmark", "id")
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
-_MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
+MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
 
 
 Motion = tuple[Odometry, float, str | None]
@@ -76,7 +76,7 @@ def log_from_arrays(
         if not isinstance(given, Mapping):
             raise InputError(f"{what}: is a {type(given).__name__}, expected columns by name")
     seen = _columns(
-        "measurements", measurements, _MEASUREMENTS, ("landmark", "diameter_m", "intensity")
+        "measurements", measurements, MEASUREMENTS, ("landmark", "diameter_m", "intensity")
     )
     numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
     fixes = None if positions is None else _positions(positions)

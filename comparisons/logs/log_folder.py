@@ -15,7 +15,7 @@ from comparisons.archive import Shape, read_archive
 from comparisons.arrays import Array, symmetric, upper_triangles
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError, naming
-from comparisons.logs.from_arrays import COVARIANCE, KINDS
+from comparisons.logs.from_arrays import COVARIANCE, KINDS, MEASUREMENTS
 from comparisons.logs.log import (
     LandmarkMeasurements,
     Landmarks,
@@ -52,15 +52,7 @@ from comparisons.logs.validation import whole_numbers
 
 T = TypeVar("T")
 SEE = "see docs/formats.md"
-_MEASUREMENTS = (
-    "time_s",
-    "range_m",
-    "bearing_rad",
-    "sigma_range_m",
-    "sigma_bearing_rad",
-    "landmark",
-    "diameter_m",
-)
+_MEASUREMENTS = (*MEASUREMENTS, "landmark", "diameter_m")
 _GAPS = ("diameter_m", "intensity")
 _POSITIONS = ("time_s", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
 _LANDMARKS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")

@@ -99,9 +99,9 @@ def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
             "scans": _scan_stream(bag, provenance),
             "clouds": _cloud_stream(bag, provenance),
             "measurements": _point_stream(bag, provenance),
-            "positions": _stream(bag, FIX, ros_points.fix, lambda m: m.header.frame_id, provenance),
+            "positions": _stream(bag, FIX, ros_points.fix, provenance),
         }
-        moved = _stream(bag, ODOMETRY, ros_points.moved, lambda m: m.child_frame_id, provenance)
+        moved = _stream(bag, ODOMETRY, ros_points.moved, provenance, lambda m: m.child_frame_id)
         transforms = _static_transforms(bag)
     found = {name: stream for name, stream in read.items() if stream is not None}
     if moved is None:  # nothing says where the vehicle was
@@ -312,9 +312,8 @@ def _stream(
     bag: Bag,
     kind: str,
     convert: Callable[[Any, str], _T | None],
-    frame_of: Callable[[Any], str],
     provenance: dict[str, str],
-    time_of: Callable[[Any], int] = stamp_ns,
+    frame_of: Callable[[Any], str] = lambda message: str(message.header.frame_id),
 ) -> _Stream | None:
     """The messages of the topic to read, repeated times left out.
 
@@ -333,9 +332,10 @@ def _stream(
             empty += 1
             continue
         items.append(item)
-        stamps.append(time_of(message))
+        one = ros_points.headed(message)
+        stamps.append(stamp_ns(one))
         recorded.append(recorded_ns)
-        frames.append(frame(frame_of(message)))
+        frames.append(frame(frame_of(one)))
         if frames[-1] != frames[0]:
             raise InputError(
                 f"{place}: frame is {frames[-1]}, expected {frames[0]} as in the first"
@@ -386,7 +386,7 @@ def _scan_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
             )
         return replace(found, angle_rad=expected)  # one array for all of them: bags are long
 
-    return _stream(bag, LASER, convert, lambda m: m.header.frame_id, provenance)
+    return _stream(bag, LASER, convert, provenance)
 
 
 def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
@@ -403,14 +403,8 @@ def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
                 raise InputError(f"{bag.path}: {fault}, expected one, as .mcap files have it")
             provenance["measurements"] = f"left out: {fault}"
             return None
-        found = _stream(
-            bag,
-            kind,
-            ros_points.markers if kind == MARKERS else ros_points.detections,
-            ros_points.points_frame,
-            provenance,
-            ros_points.points_stamp_ns,
-        )
+        convert = ros_points.markers if kind == MARKERS else ros_points.detections
+        found = _stream(bag, kind, convert, provenance)
         if found is not None:
             return found
         if kind in chosen:
@@ -434,7 +428,7 @@ def _cloud_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
             )
         return found
 
-    return _stream(bag, CLOUD, convert, lambda m: m.header.frame_id, provenance)
+    return _stream(bag, CLOUD, convert, provenance)
 
 
 def _scans(stream: _Stream, start: int, place: Array) -> Scans:
