@@ -40,7 +40,7 @@ class Given(NamedTuple):
     flags: Sequence[tuple[Flag, Any]]
     config: Path | None
     settings: Sequence[str]
-    allow_changed: bool
+    allow_changed_log: bool
     out: Path | None
     replace: bool
     log_file: Path | None
@@ -72,20 +72,10 @@ def from_flags(
                 for flag in table
                 if (value := values[flag.name]) is not None and value != []
             ]
-            job(
-                Given(
-                    values["log"],
-                    given,
-                    values["config"],
-                    values["settings"],
-                    values["allow_changed_log"],
-                    values["out"],
-                    values["replace"],
-                    values["log_file"],
-                    {name: values[name] for name in OUTPUT if prints},
-                    {name: values[name] for name in extra},
-                )
-            )
+            common = {one.name: values[one.name] for one in (_LOG, *_COMMON)}
+            printed = {name: values[name] for name in OUTPUT if prints}
+            own = {name: values[name] for name in extra}
+            job(Given(**common, flags=given, shown=printed, extra=own))
 
         parameters = [_LOG, *(of_flag(flag, hidden=flag.option not in listed) for flag in table)]
         parameters += [

@@ -292,10 +292,8 @@ class Log(Shown):
         object.__setattr__(self, "name", printable(self.name))
         texts = {printable(k): printable(v) for k, v in self.provenance.items()}
         object.__setattr__(self, "provenance", texts)
-        start, scanned = (
-            self.prior.time_s,
-            any(s is not None and len(s.time_s) for s in (self.scans, self.clouds)),
-        )
+        start = self.prior.time_s
+        scanned = any(s is not None and len(s.time_s) for s in (self.scans, self.clouds))
         self._check_loop_closures()
         for stream, times, optional in (
             ("odometry", self.odometry.time_s, scanned),
