@@ -52,9 +52,13 @@ TWIST = ("var_forward", "var_left", "var_turn")
 PRIOR_VARIANCE = 1e-6
 _UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
 """What stands, in either case, for a landmark that is not known."""
-_NAMES = ("landmark", "id")
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
+VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
+GAPS = ("diameter_m", "intensity")
+"""Columns in which NaN means not measured."""
+LABELS = ("landmark", "id")
+"""Columns of landmarks' names."""
 MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
 
 
@@ -75,9 +79,7 @@ def log_from_arrays(
     for what, given in (("odometry", odometry), ("measurements", measurements)):
         if not isinstance(given, Mapping):
             raise InputError(f"{what}: is a {type(given).__name__}, expected columns by name")
-    seen = _columns(
-        "measurements", measurements, MEASUREMENTS, ("landmark", "diameter_m", "intensity")
-    )
+    seen = _columns("measurements", measurements, MEASUREMENTS, ("landmark", *GAPS))
     numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
     fixes = None if positions is None else _positions(positions)
     poses = None
@@ -219,9 +221,8 @@ def _step_variances(table: dict[str, Any], count: int) -> Array | None:
 
 
 def _positions(given: Columns) -> Positions:
-    variances = ("var_x_m2", "cov_xy_m2", "var_y_m2")
     stated = "sigma_m" in given
-    needed = ("time_s", "x_m", "y_m", *(("sigma_m",) if stated else variances))
+    needed = ("time_s", "x_m", "y_m", *(("sigma_m",) if stated else VARIANCES))
     table = _columns("positions", given, needed)
     place = np.column_stack((table["x_m"], table["y_m"]))
     if stated:
@@ -229,7 +230,7 @@ def _positions(given: Columns) -> Positions:
         standard_deviation("positions", "sigma_m", sigma)
         covariance = sigma[:, None, None] ** 2 * np.eye(2)
     else:
-        covariance = symmetric(np.column_stack([table[name] for name in variances]))
+        covariance = symmetric(np.column_stack([table[name] for name in VARIANCES]))
     return Positions(table["time_s"], place, covariance)
 
 
@@ -312,9 +313,9 @@ def _columns(
             column = np.full(count, value)
         if column.shape != (count,):
             raise RecordError(stream, None, f"{name} has shape {column.shape}, expected {(count,)}")
-        if column.dtype.kind not in "iuf" and name not in _NAMES:
+        if column.dtype.kind not in "iuf" and name not in LABELS:
             raise RecordError(stream, None, f"{name} is not numeric")
-        found[name] = column if name in _NAMES else column.astype(float)
+        found[name] = column if name in LABELS else column.astype(float)
     return found
 
 

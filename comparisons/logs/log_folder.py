@@ -15,7 +15,7 @@ from comparisons.archive import Shape, read_archive
 from comparisons.arrays import Array, symmetric, upper_triangles
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError, naming
-from comparisons.logs.from_arrays import COVARIANCE, KINDS, MEASUREMENTS
+from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, VARIANCES
 from comparisons.logs.log import (
     LandmarkMeasurements,
     Landmarks,
@@ -53,9 +53,7 @@ from comparisons.logs.validation import whole_numbers
 T = TypeVar("T")
 SEE = "see docs/formats.md"
 _MEASUREMENTS = (*MEASUREMENTS, "landmark", "diameter_m")
-_GAPS = ("diameter_m", "intensity")
-_POSITIONS = ("time_s", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
-_LANDMARKS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
+_LANDMARKS, _POSITIONS = ((name, "x_m", "y_m", *VARIANCES) for name in ("id", "time_s"))
 _POSES = ("time_s", *KINDS["poses"])
 _SURFACES = ("x1_m", "y1_m", "x2_m", "y2_m")
 _RELATIVE = ("time_s", *KINDS["relative-poses"], *COVARIANCE)
@@ -115,7 +113,7 @@ def read_log_folder(folder: Path) -> Log:
             return LandmarkMeasurements(**columns, **settings.model_dump())
 
         name = _measurements_file(folder, kind)
-        return part(name, _MEASUREMENTS, record, gaps=_GAPS, optional=("intensity",))
+        return part(name, _MEASUREMENTS, record, gaps=GAPS, optional=("intensity",))
 
     truth = Truth(
         part("truth_poses.csv", _POSES, lambda t: Poses(t["time_s"], t.data[:, 1:])),

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST
+from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST, VARIANCES
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
 from comparisons.logs.odometry import RelativePoses, wheel_samples
@@ -39,7 +39,6 @@ _MEASUREMENTS = (
     "diameter_m",
     "intensity",
 )
-_VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
 _PLACE = ("time_s", "x_m", "y_m")
 _DEGREES = ("latitude", "longitude")
 _FIX = ("time_s", *_DEGREES)
@@ -240,7 +239,7 @@ class _Reading:
         if self.files.positions is None:
             return None
         table = self._read(
-            "positions", self.files.positions, (*_PLACE, *_DEGREES, "altitude", *_VARIANCES)
+            "positions", self.files.positions, (*_PLACE, *_DEGREES, "altitude", *VARIANCES)
         )
         self.geodetic = set(_FIX) <= table.columns.keys() and "x_m" not in table.columns
         need(table, _FIX if self.geodetic else _PLACE)
@@ -250,7 +249,7 @@ class _Reading:
             altitude = np.nan_to_num(columns.pop("altitude", np.zeros(len(table.line))))
             plane = east_north(columns.pop("latitude"), columns.pop("longitude"), altitude)
             columns |= {"x_m": plane[:, 0], "y_m": plane[:, 1]}
-        variances = {name: columns.pop(name, None) for name in _VARIANCES}
+        variances = {name: columns.pop(name, None) for name in VARIANCES}
         place = {name: columns[name] for name in _PLACE}
         if all(
             one is not None and (name == "cov_xy_m2" or one.min(initial=np.inf) >= LEAST_VARIANCE)
