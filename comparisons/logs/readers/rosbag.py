@@ -220,11 +220,9 @@ def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> 
     scans = clouds = positions = None
     measurements = no_measurements()
     if "scans" in kept:
-        place = where.place(kept["scans"], "scans_mount")
-        scans = _scans(kept["scans"], where.start, place)
+        scans = _scans(kept["scans"], where)
     if "clouds" in kept:
-        place = where.place(kept["clouds"], "clouds_mount")
-        clouds = _clouds(kept["clouds"], where.start, place)
+        clouds = _clouds(kept["clouds"], where)
     if "measurements" in kept:
         measurements = _measurements(kept["measurements"], where)
     if "positions" in kept:
@@ -431,8 +429,9 @@ def _cloud_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
     return _stream(bag, CLOUD, convert, provenance)
 
 
-def _scans(stream: _Stream, start: int, place: Array) -> Scans:
-    """With the scanner's place (4, 4) seen from the pose; upside down turns the beams' order."""
+def _scans(stream: _Stream, where: _Frame) -> Scans:
+    """With the scanner's place seen from the pose; upside down turns the beams' order."""
+    place = where.place(stream, "scans_mount")
     level = place[2, 2]
     if abs(level) < _LEVEL:
         tilt = np.degrees(np.arccos(abs(level)))
@@ -441,7 +440,7 @@ def _scans(stream: _Stream, start: int, place: Array) -> Scans:
         )
     sweeps: list[Sweep] = stream.items
     return Scans(
-        time_s=(stream.time_ns - start) / 1e9,
+        time_s=where.seconds(stream),
         angle_rad=np.sign(level) * sweeps[0].angle_rad,
         range_m=np.array([s.range_m for s in sweeps]),
         intensity=np.array([s.intensity for s in sweeps]),
@@ -452,12 +451,13 @@ def _scans(stream: _Stream, start: int, place: Array) -> Scans:
     )
 
 
-def _clouds(stream: _Stream, start: int, place: Array) -> Clouds:
+def _clouds(stream: _Stream, where: _Frame) -> Clouds:
     """All points in the pose's frame."""
+    place = where.place(stream, "clouds_mount")
     parts: list[tuple[Array, Array]] = stream.items
     points = np.concatenate([points for points, _ in parts])
     return Clouds(
-        (stream.time_ns - start) / 1e9,
+        where.seconds(stream),
         np.concatenate(([0], np.cumsum([len(points) for points, _ in parts], dtype=np.int64))),
         points @ place[:3, :3].T + place[:3, 3],
         np.concatenate([seconds for _, seconds in parts]),
