@@ -161,7 +161,6 @@ def _measurements(
         sigma_range_m=np.full(count, s.sigma_range_m),
         sigma_bearing_rad=np.full(count, s.sigma_bearing_rad),
         landmark=which,
-        diameter_m=np.full(count, np.nan),
     )
 
 

@@ -158,7 +158,6 @@ def draw_problem(case: Case, rng: np.random.Generator) -> Drawn:
             sigma_range_m=sigma[:, 0],
             sigma_bearing_rad=sigma[:, 1],
             landmark=landmark.astype(np.int64),
-            diameter_m=np.full(len(pose), np.nan),
         ),
     )
     return Drawn(log, np.concatenate((poses[-1], landmarks.ravel())))

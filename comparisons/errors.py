@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -22,6 +23,15 @@ class RecordError(InputError):
         self.stream, self.row, self.fault = stream, row, fault
         place = stream if row is None else f"{stream}, row {row}"
         super().__init__(f"{place}: {fault}")
+
+
+@contextmanager
+def naming(place: object, kind: type[InputError] = InputError) -> Iterator[None]:
+    """Say where a fault of a kind comes from, such as its file."""
+    try:
+        yield
+    except kind as error:
+        raise InputError(f"{place}: {error}") from None
 
 
 def note(text: str) -> None:

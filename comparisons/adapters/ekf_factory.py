@@ -64,13 +64,9 @@ def settle(config: EkfConfig, log: Log) -> EkfConfig:
 
 def build_ekf(log: Log, choices: EkfConfig, trace: Trace) -> Ekf:
     """The filter that a log and settled choices call for, standing at its prior."""
-    odometry, prior = log.odometry, log.prior
-    stabilisation = Stabilisation()
-    if not isinstance(odometry, RelativePoses):
-        noise = odometry.noise
-        stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
-    rule = build_association(log, choices)
-    common = (motion_model(log), rule, prior.pose, prior.covariance, stabilisation, trace)
+    prior, rule = log.prior, build_association(log, choices)
+    added = stabilisation(log)
+    common = (motion_model(log), rule, prior.pose, prior.covariance, added, trace)
     antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
     make = _misono if choices.own_axes else _of_headings
     ekf = make(choices, common, antenna)
@@ -149,6 +145,14 @@ def motion_model(log: Log) -> MotionModel:
         model = AckermannModel(**vars(log.odometry.vehicle))
     asked = log.integration or own
     return model if asked == own else IntegratedModel(model, own, asked)
+
+
+def stabilisation(log: Log) -> Stabilisation:
+    """The noise that every step adds; of relative poses the usual one."""
+    if isinstance(log.odometry, RelativePoses):
+        return Stabilisation()
+    noise = log.odometry.noise
+    return Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
 
 
 def fused_positions(log: Log, choices: EkfConfig) -> Positions | None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.attributes import measured_attributes
 from comparisons.adapters.ekf_factory import build_ekf
 from comparisons.adapters.filter_loop import Beside, run_filter_loop
 from comparisons.adapters.filter_setup import FilterSetup
@@ -32,6 +31,15 @@ from graphslam.problem import PoseLandmarkMeasurements
 
 _FARTHEST_M = 1e6
 """A pose so far from the start has diverged; what follows is not worth comparing."""
+
+
+UNUSED = {
+    REJECTED: "rejected",
+    AMBIGUOUS: "ambiguous",
+    CANDIDATE: "candidate",
+    DYNAMIC: "dynamic",
+}
+"""Why a measurement was not used, by its code."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -93,14 +101,9 @@ class EkfRun(Brief):
     @property
     def unused(self) -> dict[str, int]:
         """Measurements that were not used, by reason."""
-        codes = {
-            "rejected": REJECTED,
-            "ambiguous": AMBIGUOUS,
-            "candidate": CANDIDATE,
-            "dynamic": DYNAMIC,
-        }
         return {
-            name: int(np.count_nonzero(self.landmark_index == code)) for name, code in codes.items()
+            name: int(np.count_nonzero(self.landmark_index == code))
+            for code, name in UNUSED.items()
         }
 
 
@@ -128,9 +131,8 @@ def run_ekf(
     covariance = np.empty((epochs, 3, 3))
     landmark_index = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
-    reported = measured_attributes(log)
     epoch_states = run_filter_loop(
-        ekf, log, timeline, positions, Beside(watching, beside.source, recorder, reported)
+        ekf, log, timeline, positions, Beside(watching, beside.source, recorder)
     )
     for k, state in enumerate(epoch_states):
         landmark_index[state.rows], arrived[k] = state.landmark_indices, state.arrived

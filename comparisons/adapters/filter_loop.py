@@ -19,7 +19,7 @@ from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.logs.log import Log, Positions
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.measurements import REJECTED, MeasuredAttributes
+from ekf_reference.core.measurements import REJECTED
 from ekf_reference.core.state import FilterDivergedError
 
 
@@ -45,9 +45,11 @@ class FilterObserver(Protocol):
 
 
 class FilterObservers:
-    """Several observers, called one after the other."""
+    """Several observers, called one after the other; an observer that does nothing without any."""
 
-    def __init__(self, watching: Sequence[FilterObserver]) -> None:
+    _watching: Sequence[FilterObserver] = ()
+
+    def __init__(self, watching: Sequence[FilterObserver] = ()) -> None:
         """watching: the observers, in the order of the calls."""
         self._watching = watching
 
@@ -70,22 +72,6 @@ class FilterObservers:
         """Call every observer."""
         for one in self._watching:
             one.on_end(ekf, time_s)
-
-
-class NoObserver:
-    """An observer that does nothing."""
-
-    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
-        """Do nothing."""
-
-    def on_predict(self, ekf: Ekf) -> None:
-        """Do nothing."""
-
-    def on_update(self, ekf: Ekf) -> None:
-        """Do nothing."""
-
-    def on_end(self, ekf: Ekf, time_s: float) -> None:
-        """Do nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,14 +97,12 @@ class Beside:
     """What goes along with a filter.
 
     watching: observes. source: of measurements of pose landmarks, fused last and kept
-    in the recorder. reported: what the measurements tell besides places, None for what the log
-    says.
+    in the recorder.
     """
 
-    watching: FilterObserver = field(default_factory=NoObserver)
+    watching: FilterObserver = field(default_factory=FilterObservers)
     source: PoseLandmarkSource = field(default_factory=NoPoseLandmarkSource)
     recorder: PoseLandmarkRecorder = field(default_factory=PoseLandmarkRecorder)
-    reported: MeasuredAttributes | None = None
 
 
 def run_filter_loop(
@@ -140,7 +124,7 @@ def run_filter_loop(
     seen, done = log.measurements, 0
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-    reported = beside.reported or measured_attributes(log)
+    reported = measured_attributes(log)
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
             control = timeline.control[i]

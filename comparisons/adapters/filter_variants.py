@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from comparisons.arrays import Array, Index
 from ekf_reference.core.blocks import block_diagonal, stack
@@ -323,7 +324,7 @@ class UnscentedEkf(Ekf):
             return np.array([self.motion.step(x, u, duration_s).pose for x, u in both])
 
         x = np.concatenate((pose, control)) if self.controls else pose
-        spread = block_diagonal_of(p, covariance) if self.controls else p
+        spread = block_diag(p, covariance) if self.controls else p
         y = unscented(x, spread, moved, points=self.points)
         b = self.motion.step(pose, control, duration_s).jacobian_control
         b = y.slope[:, v:] if self.controls else b
@@ -370,7 +371,7 @@ class UnscentedEkf(Ekf):
                     [model.invert(x[: len(p)], x[None, len(p) :]).landmark[0] for x in points]
                 )
 
-            both = block_diagonal_of(p, seen.noise[row])
+            both = block_diag(p, seen.noise[row])
             x = np.concatenate((pose, seen.z[row]))
             found.append(unscented(x, both, placed, points=self.points))
         slope = np.array([y.slope for y in found])
@@ -425,11 +426,3 @@ def unscented(
     rest = even.T @ even / squared + points.central * np.outer(shift, shift)
     cross = np.asarray(np.linalg.solve(root.T, odd).T, dtype=np.float64)
     return Transformed(y[0] + shift, cross, rest)
-
-
-def block_diagonal_of(first: Array, second: Array) -> Array:
-    """Return a covariance of both, independent of each other."""
-    n = len(first)
-    both = np.zeros((n + len(second), n + len(second)))
-    both[:n, :n], both[n:, n:] = first, second
-    return both

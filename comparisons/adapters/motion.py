@@ -17,7 +17,7 @@ from comparisons.logs.odometry import (
     RelativePoses,
     SteeringOdometry,
     VelocityOdometry,
-    own_integration,
+    wheel_samples,
 )
 from graphslam import increments
 from graphslam.scan import planar
@@ -36,18 +36,7 @@ def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
     odometry = log.odometry
     if isinstance(odometry, RelativePoses):
         return increments.relative_pose_samples(timeline.control, timeline.control_covariance)
-    noise = odometry.noise
-    stabilisation = increments.Stabilisation(
-        noise.variance_rate_position, noise.variance_rate_heading
-    )
-    first, second = timeline.control.T
-    asked = log.integration or own_integration(odometry)
-    sigma = noise.sigma_speed_mps, noise.sigma_turn
-    common = (timeline.step_duration_s, sigma, stabilisation)
-    if isinstance(odometry, SteeringOdometry):
-        geometry = increments.AckermannGeometry(**vars(odometry.vehicle))
-        return increments.ackermann_samples(first, second, *common, geometry, asked)
-    return increments.unicycle_samples(first, second, *common, asked)
+    return wheel_samples(odometry, timeline.control.T, timeline.step_duration_s, log.integration)
 
 
 def composed_motion(log: Log, timeline: Timeline) -> increments.Samples:
@@ -156,7 +145,6 @@ def motion_between(log: Log, time_s: Array) -> increments.Samples:
         sigma_range_m=np.ones(count),
         sigma_bearing_rad=np.ones(count),
         landmark=np.zeros(count, dtype=np.int64),
-        diameter_m=np.full(count, np.nan),
     )
     try:
         timeline = build_timeline(replace(log, measurements=marks))

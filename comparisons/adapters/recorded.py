@@ -127,12 +127,8 @@ def _initialised(r: MeasurementRecords, kind: LandmarkKind, until: Index) -> Rec
     measured = r.weight > 0.0
     if kind == POINT:
         _check_spread(r.landmark_index[measured], covariance[measured])
-    return RecordedRelations(
-        first=np.searchsorted(until, r.step),
-        second=r.landmark_index,
-        first_point=r.pose,
-        second_point=r.landmark,
-        residual=r.innovation,
+    return replace(
+        _measured(r, until),
         jacobian_first=-r.jacobian_pose,
         jacobian_second=np.broadcast_to(np.eye(r.noise.shape[-1]), r.noise.shape),
         covariance=covariance,

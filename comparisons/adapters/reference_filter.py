@@ -86,7 +86,7 @@ def _part_of_step(run: FilterRun, i: int, pose: Array, late_s: float) -> MotionS
     return MotionStep(pose, f, b @ own @ b.T + run.noise.covariance(late_s, pose))
 
 
-class _Recorder:
+class _Recorder(FilterObservers):
     """Notes pose and covariance before each step and on each arrival, and the map at an instant."""
 
     def __init__(self, map_s: float) -> None:
@@ -108,9 +108,6 @@ class _Recorder:
     def on_predict(self, ekf: Ekf) -> None:
         """Nothing of this instant is."""
         self.before[len(self.pose)] = ekf.state.pose, ekf.state.pose_covariance
-
-    def on_update(self, ekf: Ekf) -> None:
-        """The next step notes it."""
 
     def on_end(self, ekf: Ekf, time_s: float) -> None:
         """Note the end."""

@@ -46,9 +46,11 @@ class PositionRows(NamedTuple):
 
 
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
-    """The log as the smoother's arrays, with the EKF's association of measurements to landmarks."""
-    count = len(run.estimate.landmark)
-    problem = assemble(log, run.timeline, run.landmark_index, count, _positions(run))
+    """The log as the smoother's arrays, with the EKF's association, and the fixes it accepted."""
+    count, rows = len(run.estimate.landmark), run.fix_number
+    epoch, z, covariance, antenna_m = position_rows(run.timeline, run.positions)
+    fused = PositionRows(epoch[rows], z[rows], covariance[rows], antenna_m)
+    problem = assemble(log, run.timeline, run.landmark_index, count, fused)
     return replace(problem, pose_landmarks=run.pose_landmarks)
 
 
@@ -92,13 +94,6 @@ def _loop_closures(log: Log, timeline: Timeline) -> LoopClosures:
     rows = np.flatnonzero(c.time_s <= timeline.epoch_time_s[-1])
     first, second = (np.searchsorted(timeline.epoch_time_s, t[rows]) for t in (c.from_s, c.to_s))
     return LoopClosures(first, second, c.displacement[rows], c.covariance[rows])
-
-
-def _positions(run: EkfRun) -> PositionRows:
-    """The fixes that the filter accepted: poses, positions, covariances, lever arm."""
-    epoch, z, covariance, antenna_m = position_rows(run.timeline, run.positions)
-    rows = run.fix_number
-    return PositionRows(epoch[rows], z[rows], covariance[rows], antenna_m)
 
 
 def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRows:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.motion import motion_between
 from comparisons.errors import InputError
@@ -15,8 +14,7 @@ from comparisons.logs.odometry import Odometry, RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from graphslam.scan.planar import compose, rotation
 
-Rows = NDArray[np.bool_] | NDArray[np.intp]
-S = TypeVar("S", bound=LandmarkMeasurements | Positions | Scans | Odometry)
+S = TypeVar("S", LandmarkMeasurements, Positions, Scans)
 
 
 def cut_log(log: Log, start_s: float | None = None, end_s: float | None = None) -> Log:
@@ -90,28 +88,14 @@ def _prior(log: Log, first_s: float) -> Prior:
 def _odometry(odometry: Odometry, first_s: float, last_s: float) -> Odometry:
     time_s = odometry.time_s
     if isinstance(odometry, RelativePoses):
-        return _rows(odometry, (time_s > first_s) & (time_s < last_s))
+        return odometry.chosen((time_s > first_s) & (time_s < last_s))
     holding = max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0)
-    kept = _rows(odometry, np.arange(holding, int(np.searchsorted(time_s, last_s))))
+    kept = odometry.chosen(np.arange(holding, int(np.searchsorted(time_s, last_s))))
     return replace(kept, time_s=np.maximum(kept.time_s, first_s))
 
 
 def _chosen(stream: S, first_s: float, last_s: float) -> S:
-    return _rows(stream, (stream.time_s >= first_s) & (stream.time_s < last_s))
-
-
-def _rows(stream: S, rows: Rows) -> S:
-    """The same with some of its rows; what is one for all of them stays."""
-    count = len(stream.time_s)
-    columns: dict[str, Any] = {
-        one.name: value[rows]
-        for one in fields(stream)
-        if isinstance(value := getattr(stream, one.name), np.ndarray)
-        and len(value) == count
-        and one.name != "angle_rad"
-    }
-    found: S = replace(stream, **columns)
-    return found
+    return stream.chosen((stream.time_s >= first_s) & (stream.time_s < last_s))
 
 
 def _loop_closures(
@@ -119,16 +103,8 @@ def _loop_closures(
 ) -> LoopClosures | None:
     """Those both of whose poses are left."""
     ends = np.column_stack((loop_closures.from_s, loop_closures.to_s))
-    kept = ((ends >= first_s) & (ends < last_s)).all(axis=1)
-    if not kept.any():
-        return None
-    columns = (
-        loop_closures.from_s,
-        loop_closures.to_s,
-        loop_closures.displacement,
-        loop_closures.covariance,
-    )
-    return LoopClosures(*(column[kept] for column in columns))
+    kept = np.asarray(((ends >= first_s) & (ends < last_s)).all(axis=1))
+    return loop_closures.chosen(kept) if kept.any() else None
 
 
 def _clouds(clouds: Clouds, first_s: float, last_s: float) -> Clouds:

@@ -12,10 +12,8 @@ import numpy as np
 from comparisons.arrays import Array, Index
 from comparisons.errors import RecordError
 from comparisons.logs.log import Log, Positions
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.logs.odometry import RelativePoses, filling
 from comparisons.logs.stamps import resolved
-
-_LONGEST_S = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,15 +104,11 @@ def build_timeline(
     )
     end = resolved(np.array([log.end_s]))
     epochs = np.unique(np.concatenate((start, seen, fixes, resolved(looks), end)))
-    epochs = np.union1d(epochs, _between(epochs, sampled[(sampled > start) & (sampled < end)]))
+    epochs = np.union1d(epochs, filling(epochs, sampled[(sampled > start) & (sampled < end)]))
     cuts = np.unique(np.concatenate((epochs, sampled)))
     begin = cuts[:-1]
     sample = np.searchsorted(sampled, begin, side="right") - 1
-    if isinstance(odometry, SteeringOdometry):
-        recorded = np.column_stack((odometry.speed_mps, odometry.steering_rad))
-    else:
-        recorded = np.column_stack((odometry.speed_mps, odometry.yaw_rate_radps))
-    control = np.where(sample[:, None] >= 0, recorded[sample], 0.0)
+    control = np.where(sample[:, None] >= 0, np.column_stack(odometry.controls)[sample], 0.0)
     noise = odometry.noise
     covariance = np.diag((noise.sigma_speed_mps**2, noise.sigma_turn**2))
     return Timeline(
@@ -127,17 +121,6 @@ def build_timeline(
         measurement_epoch=np.searchsorted(epochs, seen),
         position_epoch=np.searchsorted(epochs, fixes),
     )
-
-
-def _between(epochs: Array, sampled: Array) -> Array:
-    """Odometry samples that become epochs: one in every half second that has none yet.
-
-    Without them a trajectory would cut its corners wherever nothing was seen for a while.
-    """
-    cell = np.floor(sampled / _LONGEST_S)
-    first = np.unique(cell, return_index=True)[1]
-    empty = ~np.isin(cell[first], np.floor(epochs / _LONGEST_S))
-    return sampled[first[empty]]
 
 
 def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array, looks: Array) -> Timeline:

@@ -9,7 +9,6 @@ import numpy as np
 from comparisons.adapters.motion import motion_between
 from comparisons.errors import InputError
 from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Log
-from comparisons.logs.scans import Scans
 from ekf_reference.features.tree_detection import ROUNDNESS, TreeTracker
 from graphslam.scan import planar
 from graphslam.scan.points import planar_points
@@ -20,19 +19,14 @@ SIGMA_BEARING_RAD = np.deg2rad(1.0)
 def with_tree_features(log: Log) -> Log:
     """Return the log with trunks found in its scans in place of its measurements.
 
-    Raises InputError for a log without scans, or without trunks in them.
+    Range, bearing and diameter of tracked trunks (Guivant 2002, section 3.1). The vehicle's motion
+    between scans, which the tracks need, is dead reckoned. Trunks are found and followed in the
+    scanner's frame, and expressed in the vehicle's. Raises InputError for a log without scans, or
+    without trunks in them.
     """
-    if log.scans is None:
+    scans = log.scans
+    if scans is None:
         raise InputError(f"{log.name}: holds no scans to find trees in; use --features log")
-    return with_tree_measurements(log, log.scans)
-
-
-def with_tree_measurements(log: Log, scans: Scans) -> Log:
-    """Range, bearing and diameter of tracked trunks (Guivant 2002, section 3.1).
-
-    The vehicle's motion between scans, which the tracks need, is dead reckoned. Trunks are found
-    and followed in the scanner's frame, and expressed in the vehicle's.
-    """
     if not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry, which following trunks needs")
     inside = (scans.time_s >= log.prior.time_s) & (scans.time_s <= log.odometry.time_s[-1])

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
 import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from comparisons.cli.flags import OUTPUT, argument, set_parameters
+from comparisons.cli.flags import OUTPUT, argument, parameter, set_parameters
 from comparisons.cli.support import VERDICTS, chosen_output, guarded, print_result, progress_bar
 from comparisons.errors import InputError
 
@@ -73,17 +72,7 @@ _OUT = typer.Option(metavar="DIR", help="Output folder. [slamcheck-audit-TRACE]"
 set_parameters(
     audit,
     argument("trace", Path, "TRACE", "Trace of a filter, an SQLite file."),
-    inspect.Parameter(
-        "tolerance",
-        inspect.Parameter.KEYWORD_ONLY,
-        default=1e-6,
-        annotation=Annotated[float, _TOLERANCE],
-    ),
-    inspect.Parameter(
-        "out",
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None,
-        annotation=Annotated[Path | None, _OUT],
-    ),
+    parameter("tolerance", Annotated[float, _TOLERANCE], 1e-6),
+    parameter("out", Annotated[Path | None, _OUT], None),
     *OUTPUT.values(),
 )

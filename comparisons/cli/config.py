@@ -53,6 +53,7 @@ def config(
       slamcheck config check
     """
     with guarded():
+        from comparisons.cli.app import build
         from comparisons.config import Configured, config_class, json_schema
         from comparisons.extension_names import EXTENSIONS
 
@@ -60,14 +61,13 @@ def config(
         if schema:
             typer.echo(json.dumps(json_schema(kind), indent=2))
             return
-        command = _command(job.value)
         options = _options(job.value)
         lines = [f'job = "{job.value}"', *_fields(kind, options)]
         if issubclass(kind, Configured):
             lines.append("\n# Extensions: each takes part where its section is present.")
             for name in EXTENSIONS:
                 lines += _section(f"extensions.{name}", config_class(name), options, aside=True)
-        lines += _others(command, job.value)
+        lines += _others(build(job.value), job.value)
         typer.echo("\n".join(lines))
 
 
@@ -79,12 +79,6 @@ def _kind(job: JobName) -> type[Section]:
 
         return config_class()
     return JOBS[job.value]
-
-
-def _command(job: str) -> Any:
-    from comparisons.cli.app import build
-
-    return build(job)
 
 
 def _options(job: str) -> dict[str, str]:
@@ -131,7 +125,9 @@ def _lines(name: str, kind: type[BaseModel], option: str) -> list[str]:
     value = field.get_default(call_default_factory=True)
     if not option:
         option = " | ".join(choices_of(field.annotation))
-    comment = [*_comment(_sentence(field.description or "")), *(option and [f"# {option}"])]
+    about = field.description or ""
+    about += "" if about[-1:] in (".", ":", "") else "."
+    comment = [*_comment(about), *(option and [f"# {option}"])]
     if value is None:
         return [*comment, f'#{name} = ""']
     plain = list(value) if isinstance(value, tuple) else value
@@ -153,10 +149,6 @@ def _others(command: Any, job: str) -> list[str]:
 
 def _metavar(one: Any) -> str:
     return f" {one.metavar}" if (one.metavar or "").strip() else ""
-
-
-def _sentence(text: str) -> str:
-    return text if not text or text[-1] in ".:" else f"{text}."
 
 
 def _comment(text: str) -> list[str]:

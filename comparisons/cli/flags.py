@@ -40,7 +40,7 @@ class Given(NamedTuple):
     flags: Sequence[tuple[Flag, Any]]
     config: Path | None
     settings: Sequence[str]
-    allow_changed: bool
+    allow_changed_log: bool
     out: Path | None
     replace: bool
     log_file: Path | None
@@ -72,24 +72,14 @@ def from_flags(
                 for flag in table
                 if (value := values[flag.name]) is not None and value != []
             ]
-            job(
-                Given(
-                    values["log"],
-                    given,
-                    values["config"],
-                    values["settings"],
-                    values["allow_changed_log"],
-                    values["out"],
-                    values["replace"],
-                    values["log_file"],
-                    {name: values[name] for name in OUTPUT if prints},
-                    {name: values[name] for name in extra},
-                )
-            )
+            common = {one.name: values[one.name] for one in (_LOG, *_COMMON)}
+            printed = {name: values[name] for name in OUTPUT if prints}
+            own = {name: values[name] for name in extra}
+            job(Given(**common, flags=given, shown=printed, extra=own))
 
         parameters = [_LOG, *(of_flag(flag, hidden=flag.option not in listed) for flag in table)]
         parameters += [
-            _parameter(name, annotation, *default) for name, (annotation, *default) in extra.items()
+            parameter(name, annotation, *default) for name, (annotation, *default) in extra.items()
         ]
         parameters += (*_COMMON, *(OUTPUT.values() if prints else ()))
         set_parameters(command, *parameters)
@@ -119,13 +109,14 @@ def argument(
     """
     option = typer.Argument(metavar=metavar, help=text, autocompletion=complete, show_default=False)
     if isinstance(None, kind):
-        return _parameter(name, Annotated[kind, option], None)
-    return _parameter(name, Annotated[kind, option])
+        return parameter(name, Annotated[kind, option], None)
+    return parameter(name, Annotated[kind, option])
 
 
 def of_flag(flag: Flag, *, hidden: bool = False) -> inspect.Parameter:
     """Return an option as typer reads it; the help of one with choices names them."""
-    kind: Any = _words(flag) if flag.words else flag.kind
+    words = {one: one for one in flag.words}
+    kind: Any = Enum(flag.option, words, type=str) if words else flag.kind
     names = f"{flag.option}/--no-{flag.option[2:]}" if flag.off else flag.option
     option = typer.Option(
         names,
@@ -136,12 +127,8 @@ def of_flag(flag: Flag, *, hidden: bool = False) -> inspect.Parameter:
         hidden=hidden,
     )
     if flag.many:
-        return _parameter(flag.name, Annotated[list[kind], option], [])
-    return _parameter(flag.name, Annotated[kind | None, option], None)
-
-
-def _words(flag: Flag) -> Any:
-    return Enum(flag.option, {one: one for one in flag.words}, type=str)
+        return parameter(flag.name, Annotated[list[kind], option], [])
+    return parameter(flag.name, Annotated[kind | None, option], None)
 
 
 def _plain(value: Any) -> Any:
@@ -150,9 +137,10 @@ def _plain(value: Any) -> Any:
     return value.value if isinstance(value, Enum) else value
 
 
-def _parameter(
+def parameter(
     name: str, annotation: Any, default: Any = inspect.Parameter.empty
 ) -> inspect.Parameter:
+    """Return a parameter as typer reads it."""
     keyword = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
@@ -165,7 +153,7 @@ def log_names(incomplete: str) -> list[str]:
 
 
 _LOG_HELP = "LOG: a name in `slamcheck logs`, a path, or the config.toml of an earlier run."
-_LOG = _parameter(
+_LOG = parameter(
     "log",
     Annotated[
         str | None,
@@ -185,7 +173,7 @@ def _common(
     name: str, kind: Any, default: Any, *names: str, hidden: bool = False, **words: str
 ) -> inspect.Parameter:
     option = typer.Option(*names, rich_help_panel=JOB, hidden=hidden, **words)  # type: ignore[arg-type]
-    return _parameter(name, Annotated[kind, option], default)
+    return parameter(name, Annotated[kind, option], default)
 
 
 _COMMON = (

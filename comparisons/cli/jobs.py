@@ -106,7 +106,7 @@ def read_job(
         over = {**(base or {}), **over}
     config = configure(kind, file, given.flags, given.settings, over)
     check(config)
-    return read_for(config, allow_changed=given.allow_changed)
+    return read_for(config, allow_changed=given.allow_changed_log)
 
 
 def _file_and_source(given: Given) -> tuple[Path | None, str | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
-from comparisons.cli.flags import OUTPUT
+from comparisons.cli.flags import OUTPUT, parameter, set_parameters
 from comparisons.cli.support import AGREE, chosen_output, guarded, print_result, progress_bar
 from comparisons.errors import note
 
@@ -168,18 +167,10 @@ def _kept_if_stopped(study: Study, folder: Path, commands: Mapping[str, Command]
 
 _HINTS = get_type_hints(_Given, include_extras=True)
 _HINTS |= {name: one.annotation for name, one in OUTPUT.items()}
-montecarlo.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-    [
-        inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=_Given._field_defaults[name],
-            annotation=hint,
-        )
-        for name, hint in _HINTS.items()
-    ]
+set_parameters(
+    montecarlo,
+    *(parameter(name, hint, _Given._field_defaults[name]) for name, hint in _HINTS.items()),
 )
-montecarlo.__annotations__ = _HINTS
 
 
 def config_class() -> type[MonteCarloConfig]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from comparisons.cli.flags import argument, set_parameters
+from comparisons.cli.flags import argument, parameter, set_parameters
 from comparisons.cli.support import guarded
 from comparisons.errors import InputError
 
@@ -71,8 +71,11 @@ def new_log(folder: Path, **given: Any) -> None:
 
         check_replaceable(folder)
         units = _units(given["unit"] or ())
-        by_option = {column: given[_parameter(option)] for column, option in OPTIONS.items()}
-        stated = {column: value for column, value in by_option.items() if value is not None}
+        stated = {
+            column: value
+            for column, option in OPTIONS.items()
+            if (value := given[option.removeprefix("--").replace("-", "_")]) is not None
+        }
         truth = given["truth"]
         files = UserFiles(
             name=folder.resolve().name,
@@ -140,10 +143,6 @@ def _pose(text: str | None) -> tuple[float, float, float] | None:
     return x, y, heading
 
 
-def _parameter(option: str) -> str:
-    return option.removeprefix("--").replace("-", "_")
-
-
 def _option(name: str, kind: Any, metavar: str, text: str) -> inspect.Parameter:
     option = typer.Option(
         f"--{name.replace('_', '-')}",
@@ -151,9 +150,7 @@ def _option(name: str, kind: Any, metavar: str, text: str) -> inspect.Parameter:
         help=text,
         show_default=False,
     )
-    default = inspect.Parameter.empty if kind is Path else None
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option])
+    return parameter(name, Annotated[kind, option], *([] if kind is Path else [None]))
 
 
 set_parameters(

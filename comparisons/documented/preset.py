@@ -8,7 +8,7 @@ from typing import Any
 from comparisons.documented.row import AnyBut, Documented, Value, same
 from comparisons.documented.rows import ROWS
 from comparisons.extension_names import EXTENSIONS
-from comparisons.options import merge
+from comparisons.options import below, merge
 
 Default = Callable[[str], Value]
 """The default of a run's setting `section.key`."""
@@ -28,10 +28,10 @@ def published(
         keys = _keys(row.at)
         there = keys[0] in sections if len(keys) == 2 else keys[1] in found.get("extensions", {})
         if there and read(found, row.at) is None and applies(row, found, default):
-            below: Any = row.value
+            stated: Any = row.value
             for key in reversed(keys):
-                below = {key: below}
-            found = merge(found, below)
+                stated = {key: stated}
+            found = merge(found, stated)
     return found
 
 
@@ -44,16 +44,14 @@ def without_documented(given: Mapping[str, Any], default: Default) -> dict[str, 
     stated = _of(given.get("preset", ""))
     for row in SETTINGS:
         *sections, key = _keys(row.at)
-        below: Any = found
-        for name in sections:
-            below = below.get(name, {}) if isinstance(below, Mapping) else {}
-        if isinstance(below, dict) and key in below:
+        section = below(found, ".".join(sections))
+        if isinstance(section, dict) and key in section:
             rules = [
                 one.value for one in stated if one.at == row.at and applies(one, given, default)
             ]
             usual = rules[0] if rules else default(row.at)
-            if same(_plain(below[key]), usual):
-                del below[key]
+            if same(_plain(section[key]), usual):
+                del section[key]
     return found
 
 
@@ -90,10 +88,7 @@ def applies(row: Documented, given: Mapping[str, Any], default: Default) -> bool
 
 def read(given: Mapping[str, Any], path: str) -> Any:
     """Return a setting of nested mappings, None where it is absent."""
-    found: Any = given
-    for key in _keys(path):
-        found = found.get(key) if isinstance(found, Mapping) else None
-    return found
+    return below(given, ".".join(_keys(path)))
 
 
 def _format(given: Mapping[str, Any]) -> str | None:

@@ -30,7 +30,7 @@ from comparisons.trace.reader import Trace
 
 _POSE, _POINT = 3, 2
 _ID = re.compile(r"(?:.*\D)?(\d{1,18})")
-_COLUMNS = {
+COLUMNS: dict[str, dict[str, tuple[int, ...]]] = {
     "step": {
         "time_s": (),
         "departed": (_POSE,),
@@ -61,6 +61,7 @@ _COLUMNS = {
         "noise": (_POINT, _POINT),
     },
 }
+"""By part and name, the shapes of the columns' rows."""
 
 
 def event_arrays(trace: Trace) -> dict[str, Array]:
@@ -112,7 +113,7 @@ class _Reading:
             f"{part}_{name}": np.array(self.rows[f"{part}_{name}"], dtype=np.float64).reshape(
                 -1, *shape
             )
-            for part, columns in _COLUMNS.items()
+            for part, columns in COLUMNS.items()
             for name, shape in columns.items()
         }
         point = self._sized(self.prior, "point", self.prior.point, _POSE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,24 +189,17 @@ def in_plane(table: Table, place: Array, up: Array) -> None:
         )
 
 
-class NamedLandmarks(NamedTuple):
-    """ids: (L,). place: (L, 2). labels: names by id where the file has texts, else none."""
+def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array, dict[int, str]]:
+    """Read ids (L,), places (L, 2) and names by id of a `landmarks.csv`.
 
-    ids: NDArray[np.int64]
-    place: Array
-    labels: dict[int, str]
-
-
-def read_landmarks(path: Path) -> NamedLandmarks:
-    """Read a `landmarks.csv`. Where any name is text, all are, and ids are by their order.
-
-    Raises InputError.
+    Where any name is text, all are, and ids are by their order; else there are none. Raises
+    InputError.
     """
     header, *lines = read_text(path).splitlines() or [""]
     words = [line.partition(",")[0] for line in lines if is_record(line)]
     numbers = all(is_number(word) for word in words if word.strip())
     if numbers or header.strip().split(",") != list(_LANDMARKS):
-        return NamedLandmarks(*_read_ids(path), {})
+        return *_read_ids(path), {}
     from comparisons.logs.plain_csv import read_plain
 
     table = read_plain(path, _LANDMARKS)
@@ -221,7 +214,7 @@ def read_landmarks(path: Path) -> NamedLandmarks:
     if not (np.abs(place) <= LARGEST).all():
         row = int(np.argwhere(~(np.abs(place) <= LARGEST))[0][0])
         raise InputError(f"{path}:{table.line[row]}: expected at most {LARGEST:g} m")
-    return NamedLandmarks(np.arange(len(words)), place, dict(enumerate(words)))
+    return np.arange(len(words)), place, dict(enumerate(words))
 
 
 def _read_ids(path: Path) -> tuple[NDArray[np.int64], Array]:

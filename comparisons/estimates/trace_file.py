@@ -5,7 +5,6 @@ A recorder's trace, or `trace.npz` of 0.2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from comparisons.archive import Shape, read_arrays
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
-from comparisons.estimates.event_arrays import event_arrays
+from comparisons.estimates.event_arrays import COLUMNS, event_arrays
 from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from comparisons.trace.reader import OUTDATED, Trace
@@ -32,32 +31,6 @@ TRACE, FORMER = "filter.trace", "trace.npz"
 """One of them stands in an estimate folder."""
 
 _PRIOR = {"prior_pose": (3,), "prior_covariance": (3, 3)}
-_STEPS = {
-    "step_time_s": (),
-    **dict.fromkeys(("step_departed", "step_arrived"), (3,)),
-    **dict.fromkeys(("step_f", "step_q"), (3, 3)),
-}
-_USE = {
-    **dict.fromkeys(("step", "measurement", "landmark"), ()),
-    "pose": (3,),
-    "point": (2,),
-    "jacobian_pose": (2, 3),
-    "noise": (2, 2),
-}
-_UPDATES = {f"update_{name}": shape for name, shape in _USE.items()} | {
-    "update_innovation": (2,),
-    "update_jacobian_landmark": (2, 2),
-}
-_INITIALISATIONS = {f"initialise_{name}": shape for name, shape in _USE.items()} | {
-    "initialise_jacobian_measurement": (2, 2)
-}
-_POSITIONS = {
-    **dict.fromkeys(("position_step", "position_number"), ()),
-    "position_pose": (3,),
-    "position_innovation": (2,),
-    "position_jacobian_pose": (2, 3),
-    "position_noise": (2, 2),
-}
 _COVARIANCES = (
     *("prior_covariance", "step_q", "update_noise", "initialise_noise", "position_noise"),
 )
@@ -113,28 +86,21 @@ def _former_arrays(path: Path) -> dict[str, Array]:
     Positions and weights may be absent: none, and one.
     """
     shapes: dict[str, Shape] = dict(_PRIOR)
-    for part in (_STEPS, _UPDATES, _INITIALISATIONS, _POSITIONS):
-        kind = _kind(part)
-        shapes |= {name: (f"{kind}s", *shape) for name, shape in part.items()}
-        shapes |= {} if part is _STEPS else {f"{kind}_weight": (f"{kind}s",)}
+    for part, columns in COLUMNS.items():
+        shapes |= {f"{part}_{name}": (f"{part}s", *shape) for name, shape in columns.items()}
     found = read_arrays(path, shapes)
-    if next(iter(_POSITIONS)) not in found:
-        found |= {name: np.zeros((0, *shape)) for name, shape in _POSITIONS.items()}
-    needed = (*_PRIOR, *_STEPS, *_UPDATES, *_INITIALISATIONS, *_POSITIONS)
-    missing = [name for name in needed if name not in found]
+    if "position_step" not in found:
+        none = {f"position_{name}": np.zeros((0, *s)) for name, s in COLUMNS["position"].items()}
+        found = none | found
+    missing = [name for name in shapes if name not in found and not name.endswith("_weight")]
     if missing:
         raise InputError(f"{path}: holds no {missing[0]} (traces of 0.1: slamcheck 0.2 reads them)")
-    for part in (_UPDATES, _INITIALISATIONS, _POSITIONS):
-        found.setdefault(f"{_kind(part)}_weight", np.ones(len(found[next(iter(part))])))
+    for part in ("update", "initialise", "position"):
+        found.setdefault(f"{part}_weight", np.ones(len(found[f"{part}_step"])))
     for name, array in found.items():
         if name not in _COVARIANCES:
             _check(path, name, array)
     return found
-
-
-def _kind(part: Mapping[str, tuple[int, ...]]) -> str:
-    """Return what the names of a part begin with."""
-    return next(iter(part)).partition("_")[0]
 
 
 def _checked(

@@ -15,10 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, symmetric, upper_triangles
 from comparisons.atomic import NEW, check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.folder import TUM, in_plane, planar_poses, tum_text
+from comparisons.logs.from_arrays import COVARIANCE, KINDS
 from comparisons.logs.plain_csv import PlainTable, need, read_plain
 from comparisons.logs.table import Table, first_record, is_number
 from comparisons.logs.validation import LARGEST, increasing, within
@@ -31,15 +32,12 @@ FORMATS = ("tum", "kitti", "csv")
 TIMES = "times.txt"
 """Stands beside a KITTI file."""
 
-_CSV = ("time_s", "x_m", "y_m", "heading_rad")
-_COVARIANCE = tuple(f"cov_{i}{j}" for i in range(3) for j in range(i, 3))
+_CSV = ("time_s", *KINDS["poses"])
 _KITTI = (
     *("r00", "r01", "r02", "x", "r10", "r11", "r12", "y"),
     *("r20", "r21", "r22", "z"),
 )
 _EUROC = ("time_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
-_UPPER = np.triu_indices(3)
-_WHOLE = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 
 
 class Trajectory(NamedTuple):
@@ -98,7 +96,8 @@ def _timed(
     kept = np.diff(time_s, prepend=-np.inf) > 0.0
     lost = int((~kept).sum())
     left_out = ""
-    if 2 * lost > len(kept) and _since_1970_in_whole_seconds(time_s):
+    whole = (time_s > _SINCE_1970_S).all() and (time_s == np.round(time_s)).all()
+    if 2 * lost > len(kept) and whole:
         raise InputError(
             f"{table.path}: {lost} of {len(kept)} poses repeat the time of the one before: their "
             "times since 1970 look rounded to seconds, as '%.10g' does; write nine decimals, '%.9f'"
@@ -110,10 +109,6 @@ def _timed(
         )
     covariance = None if covariance is None else covariance[kept]
     return Trajectory(time_s[kept], pose[kept], covariance, left_out)
-
-
-def _since_1970_in_whole_seconds(time_s: Array) -> bool:
-    return bool((time_s > _SINCE_1970_S).all() and (time_s == np.round(time_s)).all())
 
 
 def _too_large_for_seconds(time_s: Array) -> str:
@@ -154,18 +149,18 @@ def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> No
 
 
 def _read_csv(path: Path) -> Trajectory:
-    table = read_plain(path, _CSV + _COVARIANCE)
+    table = read_plain(path, _CSV + COVARIANCE)
     need(table, _CSV)
     found = table.columns
-    has = any(found[name].any() for name in _COVARIANCE if name in found)
-    columns = _CSV + (_COVARIANCE if has else ())
+    has = any(found[name].any() for name in COVARIANCE if name in found)
+    columns = _CSV + (COVARIANCE if has else ())
     need(table, columns)
     with table.locating():
         for name in columns:
-            largest = LARGEST**2 if name in _COVARIANCE else LARGEST
+            largest = LARGEST**2 if name in COVARIANCE else LARGEST
             within("trajectory", name, found[name], -largest, largest)
     data = np.column_stack([found[name] for name in columns])
-    covariance = data[:, 4:][:, _WHOLE].reshape(-1, 3, 3) if has else None
+    covariance = symmetric(data[:, 4:]) if has else None
     pose = np.column_stack((data[:, 1:3], np.unwrap(data[:, 3])))
     return _timed(table, data[:, 0], pose, covariance)
 
@@ -192,8 +187,8 @@ def _csv_text(trajectory: Trajectory) -> str:
     columns: tuple[str, ...] = _CSV
     parts = [trajectory.time_s[:, None], trajectory.pose]
     if trajectory.covariance is not None:
-        columns += _COVARIANCE
-        parts.append(trajectory.covariance[:, *_UPPER])
+        columns += COVARIANCE
+        parts.append(upper_triangles(trajectory.covariance))
     return ",".join(columns) + "\n" + _rows(np.hstack(parts), ",")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from comparisons.adapters.filter_loop import FilterObserver, NoObserver
+from comparisons.adapters.filter_loop import FilterObserver, FilterObservers
 from comparisons.arrays import Array
 from comparisons.checks.grade import Likeness, in_sigma, pose_difference
 from comparisons.errors import InputError
@@ -25,7 +25,7 @@ class Left(Exception):  # noqa: N818  # no error: the run is given up
     """The run has left the estimate."""
 
 
-class Companion(NoObserver):
+class Companion(FilterObservers):
     """Gives a run up where it is farther from the estimate than a share of a sound filter's.
 
     poses: so many were equal to rounding, before any that was not. last_s: when the last of them
@@ -112,7 +112,7 @@ def remainder(
     return left if np.isfinite(left).all() else None
 
 
-class _First(NoObserver):
+class _First(FilterObservers):
     """Compares the first poses, then gives the run up. left: what a companion says of each."""
 
     def __init__(self, beside: Companion, count: int) -> None:

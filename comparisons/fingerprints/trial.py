@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from comparisons.adapters.filter_loop import FilterObserver, NoObserver
+from comparisons.adapters.filter_loop import FilterObserver, FilterObservers
 from comparisons.arrays import Array
 from comparisons.checks.grade import Likeness, likeness
 from comparisons.config import SolveConfig
@@ -120,7 +120,7 @@ class Trial:
     @cached_property
     def _bare(self) -> Likeness | None:
         """The filter without a fault beside the estimate; None where it cannot run."""
-        found = self._run(NONE, NoObserver())
+        found = self._run(NONE, FilterObservers())
         if found is None:
             return None
         return likeness(self.given, found, labelled=self.prepared.labelled)

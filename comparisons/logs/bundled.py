@@ -33,13 +33,16 @@ class SimulationChoices:
             raise InputError(f"--noise-scale is {self.noise_scale}, expected above 0, at most 1e6")
 
 
-class NamedLog(NamedTuple):
-    """A log by name: what it is, how to get it, and the options that it takes."""
+_SIMULATED = ("--seed", "--loops", "--noise-scale")
 
-    kind: str
+
+class NamedLog(NamedTuple):
+    """A log by name: what it is, how to get it, the options that it takes, where it is from."""
+
     what: str
     open: Callable[[SimulationChoices], Log]
-    takes: tuple[str, ...] = ()
+    takes: tuple[str, ...] = _SIMULATED
+    kind: str = "simulated"
 
 
 def _victoria_park(choices: SimulationChoices) -> Log:
@@ -74,74 +77,53 @@ def _scans(experiment: str, **options: bool) -> Callable[[SimulationChoices], Lo
     return simulated
 
 
-_DRAWN = ("--seed", "--noise-scale")
-_SIMULATED = ("--seed", "--loops", "--noise-scale")
-
 NAMED: dict[str, NamedLog] = {
     "victoria-park": NamedLog(
-        "bundled with gtsam",
         "Victoria Park, Sydney: 6,969 poses, 151 labelled trees",
         _victoria_park,
+        (),
+        "bundled with gtsam",
     ),
     "simulated-loop": NamedLog(
-        "simulated",
         "255 m loop among 60 landmarks (Nieto 2005, section 2.9)",
         _simulated_loop,
-        _SIMULATED,
     ),
     "waypoint-run": NamedLog(
-        "simulated",
         "waypoints and back (Misono 2007, section 4.1)",
         _waypoint_run,
-        _DRAWN,
+        ("--seed", "--noise-scale"),
     ),
     "scan-loop": NamedLog(
-        "simulated",
         "laser scans, objects and landmarks (Nieto 2005, Fig. 3.17)",
         _scans("dense_slam"),
-        _SIMULATED,
     ),
     "scan-loop-fine": NamedLog(
-        "simulated",
         "scan-loop with the noise of a SICK laser",
         _scans("dense_slam_fine"),
-        _SIMULATED,
     ),
     "scan-loop-3d": NamedLog(
-        "simulated",
         "scan-loop with a 3D scanner of 16 rings",
         _scans("dense_slam_in_space"),
-        _SIMULATED,
     ),
     "occupancy-loop": NamedLog(
-        "simulated",
         "laser scans for occupancy maps (Nieto 2005, Fig. 4.2)",
         _scans("occupancy"),
-        _SIMULATED,
     ),
     "dynamic-lanes": NamedLog(
-        "simulated",
         "static scanner, traffic (Nieto 2005, Fig. 6.9)",
         _scans("dynamic_lanes", carried=True),
-        _SIMULATED,
     ),
     "dynamic-places": NamedLog(
-        "simulated",
         "objects added, removed between loops (Nieto 2005, Fig. 6.10)",
         _scans("dynamic_places"),
-        _SIMULATED,
     ),
     "scan-slam": NamedLog(
-        "simulated",
         "laser scans without point landmarks (Nieto 2005, Fig. 5.8)",
         _scans("scan_slam"),
-        _SIMULATED,
     ),
     "scan-slam-maps": NamedLog(
-        "simulated",
         "scan-slam in half the area (Nieto 2005, Fig. 6.7)",
         _scans("scan_slam_with_maps"),
-        _SIMULATED,
     ),
 }
 

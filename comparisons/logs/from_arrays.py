@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, symmetric
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
     NO_LANDMARK,
@@ -54,35 +54,32 @@ _UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
 """What stands, in either case, for a landmark that is not known."""
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
-_MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
+VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
+GAPS = ("diameter_m", "intensity")
+"""Columns in which NaN means not measured."""
+LABELS = ("landmark", "id")
+"""Columns of landmarks' names."""
+MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
 
 
-class Motion(NamedTuple):
-    """Odometry, when it starts, and words on the noise of relative poses."""
-
-    odometry: Odometry
-    start_s: float
-    noise: str | None
+Motion = tuple[Odometry, float, str | None]
+"""Odometry, when it starts, and words on the noise of relative poses."""
 
 
 def log_from_arrays(
     odometry: Columns,
     measurements: Columns,
-    *,
-    positions: Columns | None = None,
-    truth: Columns | None = None,
-    truth_landmarks: Columns | None = None,
-    prior: Prior | None = None,
-    name: str = "arrays",
+    positions: Columns | None,
+    truth: Columns | None,
+    truth_landmarks: Columns | None,
+    prior: Prior | None,
+    name: str,
 ) -> Log:
     """See Log.from_arrays."""
     for what, given in (("odometry", odometry), ("measurements", measurements)):
         if not isinstance(given, Mapping):
             raise InputError(f"{what}: is a {type(given).__name__}, expected columns by name")
-    seen = _columns(
-        "measurements", measurements, _MEASUREMENTS, ("landmark", "diameter_m", "intensity")
-    )
-    count = len(seen["time_s"])
+    seen = _columns("measurements", measurements, MEASUREMENTS, ("landmark", *GAPS))
     numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
     fixes = None if positions is None else _positions(positions)
     poses = None
@@ -90,36 +87,24 @@ def log_from_arrays(
         poses = _poses("truth", _columns("truth", truth, ("time_s", *KINDS["poses"])))
     with_poses = "x_m" in odometry
     if with_poses:  # a pose is needed at every instant with a measurement or a position
-        seen["time_s"] = resolved(np.asarray(seen["time_s"], dtype=float))
+        seen["time_s"] = resolved(seen["time_s"])
         if fixes is not None:
             fixes = Positions(resolved(fixes.time_s), fixes.position_m, fixes.covariance)
-    time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad = (
-        np.asarray(seen[name], dtype=float) for name in _MEASUREMENTS
-    )
-    names = seen.get("landmark", np.full(count, NO_LANDMARK))
-    stream = LandmarkMeasurements(
-        time_s=time_s,
-        range_m=range_m,
-        bearing_rad=bearing_rad,
-        sigma_range_m=sigma_range_m,
-        sigma_bearing_rad=sigma_bearing_rad,
-        landmark=numbers.of(names),
-        diameter_m=np.asarray(seen.get("diameter_m", np.full(count, np.nan)), dtype=float),
-        intensity=np.asarray(seen.get("intensity", np.zeros(0)), dtype=float),
-    )
+    names = seen.pop("landmark", np.full(len(seen["time_s"]), NO_LANDMARK))
+    stream = LandmarkMeasurements(**seen, landmark=numbers.of(names))
     wanted = [stream.time_s] + ([] if fixes is None else [fixes.time_s])
-    motion = _motion(odometry, np.concatenate(wanted))
+    moved, start_s, noise = _motion(odometry, np.concatenate(wanted))
     if with_poses and fixes is not None:
-        fixes = fixes.chosen(np.isin(fixes.time_s, (motion.start_s, *motion.odometry.time_s)))
-    where = prior or default_prior(motion.start_s, poses)
-    provenance = {} if motion.noise is None else {"odometry_noise": motion.noise}
+        fixes = fixes.chosen(np.isin(fixes.time_s, (start_s, *moved.time_s)))
+    where = prior or default_prior(start_s, poses)
+    provenance = {} if noise is None else {"odometry_noise": noise}
     if numbers.by_text:
         provenance["labels"] = numbers.text()
     return Log(
         name=name,
         format="arrays",
         prior=where,
-        odometry=motion.odometry,
+        odometry=moved,
         measurements=stream,
         positions=fixes,
         truth=Truth(
@@ -155,7 +140,7 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
     if kind == "poses":
         optional = (*sigmas, *COVARIANCE, *TWIST)
         table = _columns("odometry", given, ("time_s", *KINDS[kind]), optional)
-        table["time_s"] = resolved(np.asarray(table["time_s"], dtype=float))
+        table["time_s"] = resolved(table["time_s"])
         return _between_poses(_poses("odometry", table), table, wanted_s)
     if kind == "relative-poses":
         table = _columns("odometry", given, ("time_s", *KINDS[kind]), (*sigmas, *COVARIANCE))
@@ -168,16 +153,14 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
         *(_single(given, name) for name in ("sigma_speed_mps", "sigma_turn")),
         **{name: _single(given, name) for name in _NOISE if name in given},
     )
-    time_s, first, second = (
-        np.asarray(table[name], dtype=float) for name in ("time_s", *KINDS[kind])
-    )
+    time_s, first, second = (table[name] for name in ("time_s", *KINDS[kind]))
     found: Odometry
     if kind == "steering":
         vehicle = Ackermann(**{name: _single(given, name) for name in _VEHICLE if name in given})
         found = SteeringOdometry(time_s, first, second, vehicle, noise)
     else:
         found = VelocityOdometry(time_s, first, second, noise)
-    return Motion(found, float(found.time_s[0]) if len(found.time_s) else 0.0, None)
+    return found, float(found.time_s[0]) if len(found.time_s) else 0.0, None
 
 
 def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Motion:
@@ -190,40 +173,38 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
     variance = _step_variances(table, len(time_s) - 1)
     if variance is None and set(COVARIANCE) <= table.keys():
         twist = [table.get(name, np.zeros(len(time_s))) for name in TWIST]
-        rows = np.column_stack((poses.pose, *twist, upper_triangles(table).reshape(-1, 9)))
+        rows = np.column_stack((poses.pose, *twist, covariances(table).reshape(-1, 9)))
         motion, words = reckoned_motion(instants, time_s, rows)
-        return Motion(motion, float(time_s[0]), words)
+        return motion, float(time_s[0]), words
     motion = displacements(instants, poses_at(instants, time_s, poses.pose))
     if variance is None:
-        return Motion(motion, float(time_s[0]), NOISE_TEXT)
+        return motion, float(time_s[0]), NOISE_TEXT
     covariance = added_between(instants, time_s, variance[:, :, None] * np.eye(3))
     stated = RelativePoses(motion.time_s, motion.displacement, covariance)
-    return Motion(stated, float(time_s[0]), "stated, for each motion between the given poses")
+    return stated, float(time_s[0]), "stated, for each motion between the given poses"
 
 
-def upper_triangles(table: Mapping[str, Any]) -> Array:
+def covariances(table: Mapping[str, Any]) -> Array:
     """Return the covariances (N, 3, 3) of the columns `cov_00` to `cov_22`."""
-    upper = np.column_stack([table[name] for name in COVARIANCE])
-    found: Array = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    return found
+    return symmetric(np.column_stack([table[name] for name in COVARIANCE]))
 
 
 def _relative(table: dict[str, Any]) -> Motion:
-    time_s = np.asarray(table["time_s"], dtype=float)
+    time_s = table["time_s"]
     if not len(time_s):
         raise InputError("odometry: holds no motions, expected at least one")
     moved = np.column_stack([table[name] for name in KINDS["relative-poses"]])
     start_s = float(2 * time_s[0] - time_s[1]) if len(time_s) > 1 else float(time_s[0] - 1.0)
     if set(COVARIANCE) <= table.keys():
-        covariance = upper_triangles(table)
-        return Motion(RelativePoses(time_s, moved, covariance), start_s, "the columns cov_00 to 22")
+        covariance = covariances(table)
+        return RelativePoses(time_s, moved, covariance), start_s, "the columns cov_00 to 22"
     variance = _step_variances(table, len(time_s))
     if variance is None:
         path = dead_reckoned(np.zeros(3), moved)
         stated = displacements(np.concatenate(([start_s], time_s)), path).covariance
-        return Motion(RelativePoses(time_s, moved, stated), start_s, NOISE_TEXT)
+        return RelativePoses(time_s, moved, stated), start_s, NOISE_TEXT
     covariance = variance[:, :, None] * np.eye(3)
-    return Motion(RelativePoses(time_s, moved, covariance), start_s, "stated, for each motion")
+    return RelativePoses(time_s, moved, covariance), start_s, "stated, for each motion"
 
 
 def _step_variances(table: dict[str, Any], count: int) -> Array | None:
@@ -233,36 +214,32 @@ def _step_variances(table: dict[str, Any], count: int) -> Array | None:
         return None
     if len(given) < 2:
         raise InputError(f"odometry: {given[0]} alone, expected sigma_move_m and sigma_turn")
-    move, turn = (np.asarray(table[name], dtype=float) for name in given)
+    move, turn = (table[name] for name in given)
     for name, values in zip(given, (move, turn), strict=True):
         standard_deviation("odometry", name, values)
     return np.column_stack((move, move, turn))[-count:] ** 2
 
 
 def _positions(given: Columns) -> Positions:
-    variances = ("var_x_m2", "cov_xy_m2", "var_y_m2")
     stated = "sigma_m" in given
-    needed = ("time_s", "x_m", "y_m", *(("sigma_m",) if stated else variances))
+    needed = ("time_s", "x_m", "y_m", *(("sigma_m",) if stated else VARIANCES))
     table = _columns("positions", given, needed)
     place = np.column_stack((table["x_m"], table["y_m"]))
     if stated:
-        sigma = np.asarray(table["sigma_m"], dtype=float)
+        sigma = table["sigma_m"]
         standard_deviation("positions", "sigma_m", sigma)
         covariance = sigma[:, None, None] ** 2 * np.eye(2)
     else:
-        covariance = np.column_stack([table[name] for name in variances])
-        covariance = covariance[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-    return Positions(np.asarray(table["time_s"], dtype=float), place, covariance)
+        covariance = symmetric(np.column_stack([table[name] for name in VARIANCES]))
+    return Positions(table["time_s"], place, covariance)
 
 
 def _poses(stream: str, table: dict[str, Any]) -> Poses:
     if not len(table["time_s"]):
         raise InputError(f"{stream}: holds no poses, expected at least one")
     try:
-        return Poses(
-            np.asarray(table["time_s"], dtype=float),
-            np.column_stack([table[name] for name in KINDS["poses"]]),
-        )
+        pose = np.column_stack([table[name] for name in KINDS["poses"]])
+        return Poses(table["time_s"], pose)
     except RecordError as error:
         raise RecordError(stream, error.row, error.fault) from None
 
@@ -316,7 +293,10 @@ def _number(word: str) -> float | None:
 def _columns(
     stream: str, given: Columns, needed: Sequence[str], optional: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """All columns as arrays of one length. Raises InputError naming what is missing or unknown."""
+    """All columns as arrays of one length, of floats but for landmarks' names.
+
+    Raises InputError naming what is missing or unknown.
+    """
     known = (*needed, *optional)
     if missing := [name for name in needed if name not in given]:
         raise InputError(f"{stream}: {missing[0]} is missing, expected {', '.join(known)}")
@@ -333,9 +313,9 @@ def _columns(
             column = np.full(count, value)
         if column.shape != (count,):
             raise RecordError(stream, None, f"{name} has shape {column.shape}, expected {(count,)}")
-        if column.dtype.kind not in "iuf" and name not in ("landmark", "id"):
+        if column.dtype.kind not in "iuf" and name not in LABELS:
             raise RecordError(stream, None, f"{name} is not numeric")
-        found[name] = column
+        found[name] = column if name in LABELS else column.astype(float)
     return found
 
 

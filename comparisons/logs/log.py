@@ -21,6 +21,7 @@ from comparisons.logs.odometry import Integration, Odometry, RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
+    Stream,
     above_zero,
     check,
     distinct,
@@ -44,12 +45,12 @@ NO_LANDMARK = -1
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class LandmarkMeasurements(Brief):
+class LandmarkMeasurements(Stream, Brief):
     """Range-bearing detections of landmarks, bearings counter-clockwise from straight ahead.
 
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad: (M,). landmark: (M,) ids, or
-    NO_LANDMARK. diameter_m, intensity: (M,), NaN where unknown; the latter in the sensor's own
-    unit, and all unknown when left out. label_gate: normalised innovation squared
+    NO_LANDMARK. diameter_m, intensity: (M,), NaN where unknown, as all are when left out; the
+    latter in the sensor's own unit. label_gate: normalised innovation squared
     beyond which an id is taken for a misread; infinite where ids are certain.
     needs_confirmation: detections may be spurious, so that a new landmark wants several.
     """
@@ -60,15 +61,16 @@ class LandmarkMeasurements(Brief):
     sigma_range_m: Array
     sigma_bearing_rad: Array
     landmark: Ids
-    diameter_m: Array
+    diameter_m: Array = field(default_factory=lambda: np.zeros(0))
     label_gate: float = float("inf")
     needs_confirmation: bool = False
     intensity: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Check the stream."""
-        if not len(self.intensity):
-            object.__setattr__(self, "intensity", np.full(len(self.time_s), np.nan))
+        for name in ("diameter_m", "intensity"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(len(self.time_s), np.nan))
         if not self.label_gate > 0:
             raise InputError(f"measurements: label_gate is {self.label_gate}, expected above 0")
         check(self, "measurements", rows="time_s", gaps=("diameter_m", "intensity"))
@@ -85,13 +87,6 @@ class LandmarkMeasurements(Brief):
                 f"landmark is {self.landmark[bad[0]]}, expected an id from 0 or {NO_LANDMARK}",
             )
 
-    def chosen(self, rows: NDArray[np.bool_]) -> LandmarkMeasurements:
-        """Those in some of the rows (M,)."""
-        columns = {
-            name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)
-        }
-        return LandmarkMeasurements(**{**vars(self), **columns})
-
     @property
     def labelled(self) -> bool:
         """Every measurement names its landmark."""
@@ -105,7 +100,7 @@ class LandmarkMeasurements(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Positions(Brief):
+class Positions(Stream, Brief):
     """Absolute positions, such as GPS.
 
     time_s: (N,). position_m: (N, 2) of the antenna. covariance: (N, 2, 2). antenna_m: where the
@@ -127,18 +122,13 @@ class Positions(Brief):
         increasing("positions", self.time_s)
         positive_definite("positions", self.covariance)
 
-    def chosen(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Positions:
-        """Those in some of the rows."""
-        columns = (self.time_s[rows], self.position_m[rows], self.covariance[rows])
-        return Positions(*columns, self.antenna_m)
-
     def with_sigma(self, sigma_m: float) -> Positions:
         """The same positions, each with one sigma [m] on both axes."""
         return replace(self, covariance=np.tile(sigma_m**2 * np.eye(2), (len(self.time_s), 1, 1)))
 
 
 @dataclass(frozen=True)
-class LoopClosures:
+class LoopClosures(Stream):
     """Measured motions between poses that do not follow each other, such as closed loops.
 
     from_s, to_s: (N,) times of the poses. displacement: (N, 3) dx, dy [m], dheading [rad] of the
@@ -302,10 +292,8 @@ class Log(Shown):
         object.__setattr__(self, "name", printable(self.name))
         texts = {printable(k): printable(v) for k, v in self.provenance.items()}
         object.__setattr__(self, "provenance", texts)
-        start, scanned = (
-            self.prior.time_s,
-            any(s is not None and len(s.time_s) for s in (self.scans, self.clouds)),
-        )
+        start = self.prior.time_s
+        scanned = any(s is not None and len(s.time_s) for s in (self.scans, self.clouds))
         self._check_loop_closures()
         for stream, times, optional in (
             ("odometry", self.odometry.time_s, scanned),
@@ -365,15 +353,8 @@ class Log(Shown):
         """
         from comparisons.logs.from_arrays import log_from_arrays
 
-        return log_from_arrays(
-            odometry,
-            measurements,
-            positions=positions,
-            truth=truth,
-            truth_landmarks=truth_landmarks,
-            prior=prior,
-            name=name,
-        )
+        given = odometry, measurements, positions, truth, truth_landmarks
+        return log_from_arrays(*given, prior, name)
 
     def __repr__(self) -> str:
         """Return name, counts and duration in one line."""

@@ -5,16 +5,17 @@ Numbers are written so that they read back to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from comparisons.archive import Shape, read_archive
-from comparisons.arrays import Array
+from comparisons.arrays import Array, symmetric, upper_triangles
 from comparisons.atomic import fresh_folder
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, naming
+from comparisons.logs.from_arrays import COVARIANCE, GAPS, KINDS, MEASUREMENTS, VARIANCES
 from comparisons.logs.log import (
     LandmarkMeasurements,
     Landmarks,
@@ -49,30 +50,16 @@ from comparisons.logs.stamps import origin, since_origin
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers
 
+T = TypeVar("T")
 SEE = "see docs/formats.md"
-_MEASUREMENTS = (
-    "time_s",
-    "range_m",
-    "bearing_rad",
-    "sigma_range_m",
-    "sigma_bearing_rad",
-    "landmark",
-    "diameter_m",
-)
-_GAPS = ("diameter_m", "intensity")
-_POSITIONS = ("time_s", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
-_LANDMARKS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
-_POSES = ("time_s", "x_m", "y_m", "heading_rad")
+_MEASUREMENTS = (*MEASUREMENTS, "landmark", "diameter_m")
+_LANDMARKS, _POSITIONS = ((name, "x_m", "y_m", *VARIANCES) for name in ("id", "time_s"))
+_POSES = ("time_s", *KINDS["poses"])
 _SURFACES = ("x1_m", "y1_m", "x2_m", "y2_m")
-_STEERING = ("time_s", "speed_mps", "steering_rad")
-_VELOCITY = ("time_s", "speed_mps", "yaw_rate_radps")
-_RELATIVE = (
-    "time_s",
-    "dx_m",
-    "dy_m",
-    "dheading_rad",
-    *(f"cov_{i}{j}" for i in range(3) for j in range(i, 3)),
-)
+_RELATIVE = ("time_s", *KINDS["relative-poses"], *COVARIANCE)
+_ODOMETRY = {kind: ("time_s", *names) for kind, names in KINDS.items()} | {
+    "relative-poses": _RELATIVE
+}
 _SCANS: dict[str, Shape] = {
     "time_s": ("N",),
     "angle_rad": ("B",),
@@ -109,12 +96,43 @@ def read_log_folder(folder: Path) -> Log:
     """Read a log folder. Raises InputError naming file, line, value and expectation."""
     meta = read_meta(folder / MARK)
     start_s, provenance = origin(meta.prior.time_s), meta.provenance
+
+    def part(
+        name: str, columns: tuple[str, ...], record: Callable[[Table], T], **more: Any
+    ) -> T | None:
+        """A file's record; None where there is no such file."""
+        if not (folder / name).exists():
+            return None
+        table = Table(folder / name, columns, comma=True, header=True, start_s=start_s, **more)
+        with table.locating():
+            return record(table)
+
+    def measured(kind: str, settings: MeasurementsModel) -> LandmarkMeasurements | None:
+        def record(table: Table) -> LandmarkMeasurements:
+            columns: dict[str, Any] = {name: table[name] for name in table.columns}
+            return LandmarkMeasurements(**columns, **settings.model_dump())
+
+        name = _measurements_file(folder, kind)
+        return part(name, _MEASUREMENTS, record, gaps=GAPS, optional=("intensity",))
+
     truth = Truth(
-        _read_poses(folder / "truth_poses.csv", start_s),
-        _read_landmarks(folder / "truth_landmarks.csv"),
-        _read_surfaces(folder / "truth_surfaces.csv"),
+        part("truth_poses.csv", _POSES, lambda t: Poses(t["time_s"], t.data[:, 1:])),
+        part("truth_landmarks.csv", _LANDMARKS, _landmarks),
+        part("truth_surfaces.csv", _SURFACES, lambda t: Surfaces(t.data)),
     )
-    measurements = _read_measurements(_measurements_file(folder), start_s, meta.measurements)
+    positions = part(
+        "positions.csv",
+        _POSITIONS,
+        lambda t: Positions(
+            t["time_s"], t.data[:, 1:3], symmetric(t.data[:, 3:]), meta.positions.antenna_m
+        ),
+    )
+    closures = part(
+        "closures.csv",
+        _CLOSURES,
+        lambda t: LoopClosures(t["from_s"], t["to_s"], t.data[:, 2:5], symmetric(t.data[:, 5:])),
+    )
+    measurements = measured("", meta.measurements)
     if measurements is None:
         raise InputError(f"{folder / 'measurements.csv'}: no such file")
     odometry = _read_odometry(folder / "odometry.csv", meta, start_s)
@@ -127,24 +145,22 @@ def read_log_folder(folder: Path) -> Log:
     if start_s:
         provenance = {**provenance, "time_origin_s": str(start_s)}
     prior_s = float(rest(np.array([meta.prior.time_s]))[0])
-    try:
+    with naming(folder, RecordError):
         return Log(
             name=meta.name,
             format="log-folder",
             prior=Prior(prior_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)),
             odometry=odometry,
             measurements=measurements,
-            positions=_read_positions(folder / "positions.csv", start_s, meta.positions.antenna_m),
-            loop_closures=_read_loop_closures(folder / "closures.csv", start_s),
-            known_landmarks=_read_landmarks(folder / "known_landmarks.csv"),
-            known_measurements=_read_measurements(_measurements_file(folder, "known_"), start_s),
+            positions=positions,
+            loop_closures=closures,
+            known_landmarks=part("known_landmarks.csv", _LANDMARKS, _landmarks),
+            known_measurements=measured("known_", MeasurementsModel()),
             scans=_read_scans(folder / "scans.npz", rest, meta.scans),
             clouds=_read_clouds(folder / "clouds.npz", rest),
             truth=truth,
             provenance=provenance,
         )
-    except RecordError as error:
-        raise InputError(f"{folder}: {error}") from None
 
 
 def write_log_folder(
@@ -165,27 +181,19 @@ def write_log_folder(
         _write_measurements(work / "measurements.csv", log.measurements)
         if log.known_measurements is not None:
             _write_measurements(work / "known_measurements.csv", log.known_measurements)
-        if log.positions is not None:
-            p = log.positions
-            _write_csv(
-                work / "positions.csv", _POSITIONS, p.time_s, p.position_m, _upper(p.covariance)
-            )
-        if log.loop_closures is not None:
-            c = log.loop_closures
-            upper = c.covariance[:, *np.triu_indices(3)]
+        if (p := log.positions) is not None:
+            upper = upper_triangles(p.covariance)
+            _write_csv(work / "positions.csv", _POSITIONS, p.time_s, p.position_m, upper)
+        if (c := log.loop_closures) is not None:
+            upper = upper_triangles(c.covariance)
             _write_csv(work / "closures.csv", _CLOSURES, c.from_s, c.to_s, c.displacement, upper)
         for name, table in (
             ("known_landmarks", log.known_landmarks),
             ("truth_landmarks", log.truth.landmarks),
         ):
             if table is not None:
-                _write_csv(
-                    work / f"{name}.csv",
-                    _LANDMARKS,
-                    table.id,
-                    table.position_m,
-                    _upper(table.covariance),
-                )
+                upper = upper_triangles(table.covariance)
+                _write_csv(work / f"{name}.csv", _LANDMARKS, table.id, table.position_m, upper)
         if log.truth.poses is not None:
             poses = log.truth.poses
             _write_csv(work / "truth_poses.csv", _POSES, poses.time_s, poses.pose)
@@ -193,13 +201,8 @@ def write_log_folder(
             _write_csv(work / "truth_surfaces.csv", _SURFACES, log.truth.surfaces.segment)
         if log.scans is not None:
             s = log.scans
-            np.savez_compressed(
-                work / "scans.npz",
-                time_s=s.time_s,
-                angle_rad=s.angle_rad,
-                range_m=s.range_m,
-                intensity=s.intensity,
-            )
+            scans: dict[str, Array] = {name: getattr(s, name) for name in _SCANS}
+            np.savez_compressed(work / "scans.npz", allow_pickle=False, **scans)
         if log.clouds is not None:
             np.savez_compressed(work / "clouds.npz", **vars(log.clouds))
         (work / MARK).write_text(meta_text(log, remarks), encoding="utf-8")
@@ -207,73 +210,38 @@ def write_log_folder(
 
 def _read_odometry(path: Path, meta: LogModel, start_s: int) -> Odometry:
     settings = meta.odometry
-    if isinstance(settings, RelativeModel):
-        table = Table(path, _RELATIVE, comma=True, header=True, gaps=_RELATIVE[4:], start_s=start_s)
-        with table.locating():
-            covariance = _spatial(table.data[:, 4:])
-            return RelativePoses(table["time_s"], table.data[:, 1:4], covariance)
-    noise = OdometryNoise(**settings.noise.model_dump())
-    if isinstance(settings, SteeringModel):
-        table = Table(path, _STEERING, comma=True, header=True, start_s=start_s)
-        vehicle = Ackermann(**settings.vehicle.model_dump())
-        with table.locating():
-            return SteeringOdometry(
-                table["time_s"], table["speed_mps"], table["steering_rad"], vehicle, noise
-            )
-    table = Table(path, _VELOCITY, comma=True, header=True, start_s=start_s)
+    columns = _ODOMETRY[settings.kind]
+    table = Table(path, columns, comma=True, header=True, gaps=COVARIANCE, start_s=start_s)
     with table.locating():
-        return VelocityOdometry(table["time_s"], table["speed_mps"], table["yaw_rate_radps"], noise)
+        if isinstance(settings, RelativeModel):
+            covariance = symmetric(table.data[:, 4:])
+            return RelativePoses(table["time_s"], table.data[:, 1:4], covariance)
+        time_s, speed, turn = table.data.T
+        noise = OdometryNoise(**settings.noise.model_dump())
+        if isinstance(settings, SteeringModel):
+            vehicle = Ackermann(**settings.vehicle.model_dump())
+            return SteeringOdometry(time_s, speed, turn, vehicle, noise)
+        return VelocityOdometry(time_s, speed, turn, noise)
 
 
 def _write_odometry(path: Path, odometry: Odometry) -> None:
     if isinstance(odometry, RelativePoses):
-        upper = odometry.covariance[:, *np.triu_indices(3)]
+        upper = upper_triangles(odometry.covariance)
         _write_csv(path, _RELATIVE, odometry.time_s, odometry.displacement, upper)
-    elif isinstance(odometry, SteeringOdometry):
-        _write_csv(path, _STEERING, odometry.time_s, odometry.speed_mps, odometry.steering_rad)
     else:
-        _write_csv(path, _VELOCITY, odometry.time_s, odometry.speed_mps, odometry.yaw_rate_radps)
+        kind = "steering" if isinstance(odometry, SteeringOdometry) else "velocity"
+        _write_csv(path, _ODOMETRY[kind], odometry.time_s, *odometry.controls)
 
 
-def _measurements_file(folder: Path, kind: str = "") -> Path:
-    """Return the file of measurements, which was called sightings.csv in version 0.1.
+def _measurements_file(folder: Path, kind: str) -> str:
+    """Return the name of the file of measurements, which was called sightings.csv in version 0.1.
 
     Raises InputError where both names are there.
     """
     path, former = folder / f"{kind}measurements.csv", folder / f"{kind}sightings.csv"
     if path.exists() and former.exists():
         raise InputError(f"{folder}: holds {path.name} and {former.name}, expected one of them")
-    return former if former.exists() else path
-
-
-def _read_measurements(
-    path: Path, start_s: int, settings: MeasurementsModel | None = None
-) -> LandmarkMeasurements | None:
-    if not path.exists():
-        return None
-    settings = settings or MeasurementsModel()
-    table = Table(
-        path,
-        _MEASUREMENTS,
-        comma=True,
-        header=True,
-        gaps=_GAPS,
-        optional=("intensity",),
-        start_s=start_s,
-    )
-    with table.locating():
-        return LandmarkMeasurements(
-            time_s=table["time_s"],
-            range_m=table["range_m"],
-            bearing_rad=table["bearing_rad"],
-            sigma_range_m=table["sigma_range_m"],
-            sigma_bearing_rad=table["sigma_bearing_rad"],
-            landmark=whole_numbers("measurements", "landmark", table["landmark"]),
-            diameter_m=table["diameter_m"],
-            label_gate=settings.label_gate,
-            needs_confirmation=settings.needs_confirmation,
-            intensity=table["intensity"] if "intensity" in table.columns else np.zeros(0),
-        )
+    return former.name if former.exists() else path.name
 
 
 def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:
@@ -281,48 +249,9 @@ def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:
     _write_csv(path, names, *(getattr(s, name) for name in names))
 
 
-def _read_positions(path: Path, start_s: int, antenna_m: tuple[float, float]) -> Positions | None:
-    if not path.exists():
-        return None
-    table = Table(path, _POSITIONS, comma=True, header=True, start_s=start_s)
-    with table.locating():
-        covariance = _symmetric(table.data[:, 3:])
-        return Positions(table["time_s"], table.data[:, 1:3], covariance, antenna_m)
-
-
-def _read_loop_closures(path: Path, start_s: int) -> LoopClosures | None:
-    if not path.exists():
-        return None
-    table = Table(path, _CLOSURES, comma=True, header=True, start_s=start_s)
-    with table.locating():
-        covariance = _spatial(table.data[:, 5:])
-        return LoopClosures(table["from_s"], table["to_s"], table.data[:, 2:5], covariance)
-
-
-def _read_landmarks(path: Path) -> Landmarks | None:
-    if not path.exists():
-        return None
-    table = Table(path, _LANDMARKS, comma=True, header=True)
-    with table.locating():
-        return Landmarks(
-            whole_numbers("landmarks", "id", table["id"]),
-            table.data[:, 1:3],
-            _symmetric(table.data[:, 3:]),
-        )
-
-
-def _read_poses(path: Path, start_s: int) -> Poses | None:
-    if not path.exists():
-        return None
-    table = Table(path, _POSES, comma=True, header=True, start_s=start_s)
-    with table.locating():
-        return Poses(table["time_s"], table.data[:, 1:])
-
-
-def _read_surfaces(path: Path) -> Surfaces | None:
-    if not path.exists():
-        return None
-    return Surfaces(Table(path, _SURFACES, comma=True, header=True).data)
+def _landmarks(table: Table) -> Landmarks:
+    ids = whole_numbers("landmarks", "id", table["id"])
+    return Landmarks(ids, table.data[:, 1:3], symmetric(table.data[:, 3:]))
 
 
 def _read_scans(path: Path, rest: Callable[[Array], Array], settings: ScansModel) -> Scans | None:
@@ -330,7 +259,7 @@ def _read_scans(path: Path, rest: Callable[[Array], Array], settings: ScansModel
         return None
     time_s, angle_rad, range_m, intensity = read_archive(path, _SCANS)
     mount = Mount(settings.forward_m, settings.left_m, settings.heading_rad)
-    with _naming(path):
+    with naming(path, RecordError):
         return Scans(
             time_s=rest(time_s),
             angle_rad=angle_rad,
@@ -345,32 +274,8 @@ def _read_clouds(path: Path, rest: Callable[[Array], Array]) -> Clouds | None:
     if not path.exists():
         return None
     time_s, first, point_m, point_s = read_archive(path, _CLOUDS)
-    with _naming(path):
+    with naming(path, RecordError):
         return Clouds(rest(time_s), whole_numbers("clouds", "first", first), point_m, point_s)
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Say which file a faulty record comes from."""
-    try:
-        yield
-    except RecordError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def _spatial(upper: Array) -> Array:
-    """(N, 6) upper triangles by rows to (N, 3, 3)."""
-    return upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-
-
-def _symmetric(upper: Array) -> Array:
-    """(N, 3) xx, xy, yy to (N, 2, 2)."""
-    return upper[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-
-
-def _upper(covariance: Array) -> Array:
-    """(N, 2, 2) to (N, 3) xx, xy, yy."""
-    return covariance.reshape(-1, 4)[:, [0, 1, 3]]
 
 
 def _write_csv(path: Path, columns: tuple[str, ...], *parts: Array | np.ndarray) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
+from comparisons.logs.from_arrays import COVARIANCE
 from comparisons.logs.table import is_number, shorten
 
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
@@ -48,10 +49,7 @@ PARTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "heading_rad": (QUATERNION,),
     "speed_mps": (("forward",),),
     "yaw_rate_radps": (("turn",),),
-    **{
-        f"cov_{i}{j}": ((f"pose_{k}",),)
-        for k, (i, j) in zip(_UPPER, ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), strict=True)
-    },
+    **{name: ((f"pose_{k}",),) for name, k in zip(COVARIANCE, _UPPER, strict=True)},
     "var_x_m2": (("position_0",), ("pose_0",)),
     "cov_xy_m2": (("position_1",), ("pose_1",)),
     "var_y_m2": (("position_4",), ("pose_7",)),

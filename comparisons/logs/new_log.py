@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST
+from comparisons.logs.from_arrays import COVARIANCE, KINDS, TWIST, VARIANCES
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.message_csv import is_message
-from comparisons.logs.odometry import Odometry, RelativePoses, VelocityOdometry
+from comparisons.logs.odometry import RelativePoses, wheel_samples
 from comparisons.logs.plain_csv import (
     NAMES,
     SEE,
@@ -26,8 +26,7 @@ from comparisons.logs.plain_csv import (
 )
 from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_fixes
 from comparisons.logs.stamps import since
-from graphslam import increments
-from graphslam.increments import dead_reckoned
+from graphslam.increments import Samples, dead_reckoned
 
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
 _MEASUREMENTS = (
@@ -40,7 +39,6 @@ _MEASUREMENTS = (
     "diameter_m",
     "intensity",
 )
-_VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
 _PLACE = ("time_s", "x_m", "y_m")
 _DEGREES = ("latitude", "longitude")
 _FIX = ("time_s", *_DEGREES)
@@ -241,7 +239,7 @@ class _Reading:
         if self.files.positions is None:
             return None
         table = self._read(
-            "positions", self.files.positions, (*_PLACE, *_DEGREES, "altitude", *_VARIANCES)
+            "positions", self.files.positions, (*_PLACE, *_DEGREES, "altitude", *VARIANCES)
         )
         self.geodetic = set(_FIX) <= table.columns.keys() and "x_m" not in table.columns
         need(table, _FIX if self.geodetic else _PLACE)
@@ -251,7 +249,7 @@ class _Reading:
             altitude = np.nan_to_num(columns.pop("altitude", np.zeros(len(table.line))))
             plane = east_north(columns.pop("latitude"), columns.pop("longitude"), altitude)
             columns |= {"x_m": plane[:, 0], "y_m": plane[:, 1]}
-        variances = {name: columns.pop(name, None) for name in _VARIANCES}
+        variances = {name: columns.pop(name, None) for name in VARIANCES}
         place = {name: columns[name] for name in _PLACE}
         if all(
             one is not None and (name == "cov_xy_m2" or one.min(initial=np.inf) >= LEAST_VARIANCE)
@@ -354,7 +352,7 @@ class _Reading:
                 f"--kind; found {found}; {SEE}"
             )
         choices = "; ".join(
-            f"{kind}: {', '.join(_called(name) for name in needed)}"
+            f"{kind}: {', '.join(' or '.join(NAMES[name][:2]) for name in needed)}"
             for kind, needed in KINDS.items()
         )
         raise InputError(
@@ -483,33 +481,15 @@ def _laid(log: Log, plane: Positions) -> tuple[Log, str]:
 
 def _reckoned(log: Log) -> Reckoned:
     """The odometry from the origin."""
-    moved = _samples(log.odometry)
-    pose = dead_reckoned(np.zeros(3), moved.displacement)
-    time_s = log.odometry.time_s
-    if isinstance(log.odometry, RelativePoses):
-        time_s = np.append(log.prior.time_s, time_s)
-    return Reckoned(time_s, pose, pose[:, 0] + 1j * pose[:, 1], moved.covariance)
-
-
-def _samples(odometry: Odometry) -> increments.Samples:
-    """The motion between each two samples of odometry."""
+    odometry, time_s = log.odometry, log.odometry.time_s
+    moved: RelativePoses | Samples
     if isinstance(odometry, RelativePoses):
-        return increments.Samples(odometry.displacement, odometry.covariance)
-    noise = odometry.noise
-    sigma = (noise.sigma_speed_mps, noise.sigma_turn)
-    added = increments.Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
-    hold, speed = np.diff(odometry.time_s), odometry.speed_mps[:-1]
-    if isinstance(odometry, VelocityOdometry):
-        rate = odometry.yaw_rate_radps[:-1]
-        return increments.unicycle_samples(speed, rate, hold, sigma, added)
-    vehicle = increments.AckermannGeometry(**vars(odometry.vehicle))
-    angle = odometry.steering_rad[:-1]
-    return increments.ackermann_samples(speed, angle, hold, sigma, added, vehicle)
-
-
-def _called(name: str) -> str:
-    """A column as a user may call it."""
-    return " or ".join(NAMES[name][:2])
+        moved, time_s = odometry, np.append(log.prior.time_s, time_s)
+    else:
+        controls = (one[:-1] for one in odometry.controls)
+        moved = wheel_samples(odometry, controls, np.diff(time_s))
+    pose = dead_reckoned(np.zeros(3), moved.displacement)
+    return Reckoned(time_s, pose, pose[:, 0] + 1j * pose[:, 1], moved.covariance)
 
 
 def _only(table: PlainTable, names: tuple[str, ...]) -> PlainTable:
@@ -542,9 +522,9 @@ def _remarks(files: UserFiles, log: Log) -> dict[str, str]:
         pose = "default: the true pose at that time; --prior-pose gives another"
     else:
         pose = "default: the origin; --prior-pose gives another"
-    stated = {"sigma_speed_mps": "--sigma-speed", "wheelbase_m": "--wheelbase"}
     return {
-        **stated,
+        "sigma_speed_mps": "--sigma-speed",
+        "wheelbase_m": "--wheelbase",
         "sigma_turn": "--sigma-turn: of the steering angle [rad] or the yaw rate [rad/s]",
         "pose": pose,
         "covariance": "default: 1 mm and 1 mrad",

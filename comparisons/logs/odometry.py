@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -9,8 +10,9 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import check, increasing, positive_definite, within
+from comparisons.logs.validation import Stream, check, increasing, positive_definite, within
 from comparisons.shown import Brief
+from graphslam import increments
 
 Named = Literal["euler", "middle", "arc"]
 Integration = Named | int | float
@@ -65,7 +67,7 @@ class OdometryNoise:
 
 
 @dataclass(frozen=True, repr=False)
-class SteeringOdometry(Brief):
+class SteeringOdometry(Stream, Brief):
     """Speed [m/s] and steering angle [rad, left positive], each held until the next sample."""
 
     time_s: Array
@@ -73,6 +75,11 @@ class SteeringOdometry(Brief):
     steering_rad: Array
     vehicle: Ackermann
     noise: OdometryNoise
+
+    @property
+    def controls(self) -> tuple[Array, Array]:
+        """Of the estimators, (N,) each."""
+        return self.speed_mps, self.steering_rad
 
     def __post_init__(self) -> None:
         """Check the stream."""
@@ -91,13 +98,18 @@ class SteeringOdometry(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class VelocityOdometry(Brief):
+class VelocityOdometry(Stream, Brief):
     """Speed [m/s] and yaw rate [rad/s], each held until the next sample."""
 
     time_s: Array
     speed_mps: Array
     yaw_rate_radps: Array
     noise: OdometryNoise
+
+    @property
+    def controls(self) -> tuple[Array, Array]:
+        """Of the estimators, (N,) each."""
+        return self.speed_mps, self.yaw_rate_radps
 
     def __post_init__(self) -> None:
         """Check the stream."""
@@ -106,7 +118,7 @@ class VelocityOdometry(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class RelativePoses(Brief):
+class RelativePoses(Stream, Brief):
     """Displacements between consecutive poses; the first departs from the prior.
 
     time_s: (N,) of arrival. displacement: (N, 3) dx, dy [m], dheading [rad] in the departing
@@ -145,6 +157,23 @@ Odometry = SteeringOdometry | VelocityOdometry | RelativePoses
 def own_integration(odometry: SteeringOdometry | VelocityOdometry) -> Integration:
     """As the documents have it: Nieto 2005, eqs. 2.5 and A.4; the middle heading of yaw rates."""
     return "euler" if isinstance(odometry, SteeringOdometry) else "middle"
+
+
+def wheel_samples(
+    odometry: SteeringOdometry | VelocityOdometry,
+    controls: Iterable[Array],
+    hold_s: Array,
+    integration: Integration | None = None,
+) -> increments.Samples:
+    """Motions under controls (N,) each, held so long (N,), by graphslam's vehicle models."""
+    (first, second), noise = controls, odometry.noise
+    added = increments.Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
+    common = (first, second, hold_s, (noise.sigma_speed_mps, noise.sigma_turn), added)
+    asked = integration or own_integration(odometry)
+    if isinstance(odometry, SteeringOdometry):
+        geometry = increments.AckermannGeometry(**vars(odometry.vehicle))
+        return increments.ackermann_samples(*common, geometry, asked)
+    return increments.unicycle_samples(*common, asked)
 
 
 # Odometry given as poses, which carry no covariance of their displacements, so one is stated:
@@ -194,9 +223,17 @@ def poses_at(time_s: Array, sample_s: Array, pose: Array) -> Array:
 def instants_of(wanted_s: Array, sample_s: Array) -> Array:
     """(N,) instants wanted, both ends of the samples, and one of them in each empty half second.
 
-    wanted_s: (M,) within the samples' time. Without the latter a trajectory would cut its corners.
+    wanted_s: (M,) within the samples' time.
+    """
+    return np.unique(np.concatenate((wanted_s, sample_s[[0, -1]], filling(wanted_s, sample_s))))
+
+
+def filling(instants_s: Array, sample_s: Array) -> Array:
+    """One of the samples (M,) in each half second in which no instant lies.
+
+    Without them a trajectory would cut its corners wherever nothing was seen for a while.
     """
     cell = np.floor(sample_s / _LONGEST_S)
     first = np.unique(cell, return_index=True)[1]
-    empty = ~np.isin(cell[first], np.floor(wanted_s / _LONGEST_S))
-    return np.unique(np.concatenate((wanted_s, sample_s[[0, -1]], sample_s[first[empty]])))
+    empty = ~np.isin(cell[first], np.floor(instants_s / _LONGEST_S))
+    return sample_s[first[empty]]

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
+from comparisons.logs.from_arrays import COVARIANCE, GAPS, LABELS, TWIST
 from comparisons.logs.message_csv import MESSAGES, MessageFields, heading_of, message_of
 from comparisons.logs.stamps import origin
 from comparisons.logs.table import is_number, locate_rows, number_or_fail, read_text, shorten
@@ -68,18 +69,15 @@ NAMES: dict[str, tuple[str, ...]] = {
     "latitude": ("latitude", "lat"),
     "longitude": ("longitude", "lon", "lng"),
     "altitude": ("altitude", "alt"),
-    **{name: (name,) for name in ("var_forward", "var_left", "var_turn")},
-    **{f"cov_{i}{j}": (f"cov_{i}{j}",) for i in range(3) for j in range(i, 3)},
+    **{name: (name,) for name in (*TWIST, *COVARIANCE)},
 }
 """What a header may be called, by column of a log folder."""
 _NEXT = "are not supported in a log: record your filter and slamcheck audit it, see docs/audit.md"
 _ALONE = {"bearing_rad": f" (ranges alone {_NEXT})", "range_m": f" (bearings alone {_NEXT})"}
 """What is said where one of two columns is missing."""
 _DIGITS = re.compile(r"\d+")
-_GAPS = ("diameter_m", "intensity")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_WORDS = ("landmark", "id")
 _SIGNED = (
     "bearing_rad", "yaw_rate_radps", "steering_rad", "heading_rad", "dheading_rad", "x_m", "y_m",
     "dx_m", "dy_m", "speed_mps",
@@ -180,7 +178,7 @@ def read_plain(
     factor: dict[str, float] = {}
     for name, source in sources.items():
         header = "', '".join(lines.names[place] for place in source.places)
-        if name in _WORDS:
+        if name in LABELS:
             columns[name] = np.array(lines.words(source.places[0], text=True), dtype=str)
         elif name == "time_s":
             columns[name], start_s, unit[name] = _times(lines, source, header, start_s)
@@ -289,7 +287,7 @@ def _no_columns(header: str, names: list[str], delimiter: str, wanted: Sequence[
 def _empty(sources: Mapping[str, _Source], rows: list[list[str]]) -> list[str]:
     """Columns of numbers without any, where that is no value of their own."""
     some = {place for row in rows for place, word in enumerate(row) if word.strip()}
-    own = (*_WORDS, *_GAPS)
+    own = (*LABELS, *GAPS)
     return [
         name
         for name, source in sources.items()
@@ -439,7 +437,7 @@ def _numbers(path: Path, words: list[str], lines: list[int], name: str, header: 
         return values
     found = []
     for word, line in zip(words, lines, strict=True):
-        if name in _GAPS and word.lower() in ("", "nan"):
+        if name in GAPS and word.lower() in ("", "nan"):
             found.append(float("nan"))
         else:
             found.append(number_or_fail(word, path, line, f"'{shorten(header)}'"))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import check, increasing
+from comparisons.logs.validation import Stream, check, increasing
 
 Index = NDArray[np.int64]
 
@@ -37,7 +37,7 @@ class Mount:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scans:
+class Scans(Stream):
     """Planar laser scans. angle_rad: (B,) from the scanner's ahead, counter-clockwise.
 
     time_s: (N,) of the first beam; each next one is beam_s later, 0 when all are of one instant.
@@ -95,11 +95,10 @@ class Clouds:
             raise RecordError("clouds", None, f"first must run from 0 up to {points} points")
         first = first.astype(np.int64)
         first.flags.writeable = False
-        table = _Points(self.point_m, self.point_s)
-        object.__setattr__(self, "point_m", table.point_m)
-        object.__setattr__(self, "point_s", table.point_s)
-        check(self, "clouds", rows="time_s", gaps=("point_m",), first=None, point_m=None,
-              point_s=None)  # fmt: skip
+        own = {"first": None, "point_m": None, "point_s": None}
+        check(self, "clouds", rows="point_m", gaps=("point_m",), time_s=None, first=None,
+              point_m=(3,))  # fmt: skip
+        check(self, "clouds", rows="time_s", gaps=("point_m",), **own)
         object.__setattr__(self, "first", first)
         increasing("clouds", self.time_s)
 
@@ -115,12 +114,3 @@ class Clouds:
     def _returned(self, scan: int) -> NDArray[np.intp]:
         first, end = int(self.first[scan]), int(self.first[scan + 1])
         return first + np.flatnonzero(~np.isnan(self.point_m[first:end]).any(axis=1))
-
-
-@dataclass(frozen=True)
-class _Points:
-    point_m: Array
-    point_s: Array
-
-    def __post_init__(self) -> None:
-        check(self, "clouds", rows="point_m", gaps=("point_m",), point_m=(3,))

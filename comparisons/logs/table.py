@@ -119,7 +119,7 @@ def is_record(line: str) -> bool:
 
 def first_record(path: Path) -> str:
     """The first record of a text file without blanks around it, or nothing. Raises InputError."""
-    with _reading(path), path.open(encoding="utf-8-sig") as file:
+    with reading(path), path.open(encoding="utf-8-sig") as file:
         return next((line.strip() for line in file if is_record(line)), "")
 
 
@@ -165,12 +165,12 @@ def first_words(path: Path) -> list[str]:
 
 def read_text(path: Path) -> str:
     """A file's text. Raises InputError when it is missing, unreadable or not text."""
-    with _reading(path):
+    with reading(path):
         return path.read_text(encoding="utf-8-sig")
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
+def reading(path: Path) -> Iterator[None]:
     """Turn what may go wrong with a file into an InputError."""
     try:
         check_regular(path)

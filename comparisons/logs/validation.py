@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import Any
+from dataclasses import fields, replace
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index, Mask
 from comparisons.errors import RecordError
 
 LARGEST = 1e10
 """Beyond this no time, length, speed or angle of a drive lies; squares of it stay finite."""
 LARGEST_ID = 2**53
 """Beyond this whole numbers are not exact as floating point."""
+
+
+class Stream:
+    """Records in the order of time, columns of which are arrays of one length."""
+
+    def chosen(self, rows: Mask | Index) -> Self:
+        """The same with some of its rows; what is one for all of them stays."""
+        own = cast(Any, self)
+        columns = {
+            one.name: value[rows]
+            for one in fields(own)
+            if isinstance(value := getattr(own, one.name), np.ndarray)
+            and len(value) == len(own.time_s)
+            and one.name != "angle_rad"
+        }
+        return cast(Self, replace(own, **columns))
 
 
 def frozen(value: object) -> Array:

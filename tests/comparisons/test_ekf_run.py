@@ -5,7 +5,7 @@ import pytest
 
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.filter_loop import NoObserver, run_filter_loop
+from comparisons.adapters.filter_loop import FilterObservers, run_filter_loop
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
@@ -18,7 +18,7 @@ from tests.ekf_reference.filters.test_compressed import NoTheta
 from tests.helpers import compared, simulated
 
 
-class Meddler(NoObserver):
+class Meddler(FilterObservers):
     """Reads the whole mean at every epoch, which brings passive landmarks up to date."""
 
     def on_update(self, ekf: Ekf) -> None:

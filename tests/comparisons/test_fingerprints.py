@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.strangers import Course, simulate
-from comparisons.adapters.filter_loop import NoObserver
+from comparisons.adapters.filter_loop import FilterObservers
 from comparisons.adapters.filter_variants import RobocentricState
 from comparisons.arrays import Array
 from comparisons.checks.grade import likeness
@@ -48,10 +48,10 @@ def tried(solution: Solution, fault: Fault, name: str = EKF) -> Reference | None
     if fault.feed is not None:
         prepared = replace(prepared, log=fault.feed(prepared.log))
 
-    def started(ekf: Ekf) -> NoObserver:
+    def started(ekf: Ekf) -> FilterObservers:
         if fault.plant is not None:
             fault.plant(ekf)
-        return NoObserver()
+        return FilterObservers()
 
     return filter_named(name, prepared, solution.estimate.time_s, started)
 
@@ -239,7 +239,7 @@ def test_steps_without_a_turn_say_nothing_of_their_integration() -> None:
     timeline = prepared.timeline
     times_s = np.append(timeline.step_begin_s[0], timeline.step_end_s)
     euler = replace(prepared, log=replace(log, integration="euler"))
-    given = handed_in(present(filter_named(EKF, euler, times_s, lambda ekf: NoObserver())))
+    given = handed_in(present(filter_named(EKF, euler, times_s, lambda ekf: FilterObservers())))
     assert integrations_by_steps(given, prepared) == ("euler",)
 
 

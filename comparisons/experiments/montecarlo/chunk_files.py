@@ -67,12 +67,6 @@ def _sorted(folder: Path) -> list[Path]:
     return sorted(folder.iterdir()) if folder.is_dir() else []
 
 
-def _scenario_of(folder: Path) -> str:
-    """In brackets, the scenario of a study that was finished in a folder."""
-    path = folder / CONFIG
-    return f" ({read_toml(path).get('scenario')})" if path.is_file() else ""
-
-
 class ChunkFiles:
     """The chunks of one study. sha256: of what they were computed from."""
 
@@ -97,8 +91,10 @@ class ChunkFiles:
             return None
         if sha256 != self._sha256:
             folder = self._folder.parent
+            path = folder / CONFIG  # of a study that was finished there
+            scenario = f" ({read_toml(path).get('scenario')})" if path.is_file() else ""
             raise InputError(
-                f"{folder}: its chunks are of another scenario{_scenario_of(folder)}; give --out "
+                f"{folder}: its chunks are of another scenario{scenario}; give --out "
                 f"{free_beside(folder)}"
             )
         if any(r.shape != self._shape or r.dtype != np.float64 for r in records):

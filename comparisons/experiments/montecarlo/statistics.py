@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -24,9 +24,9 @@ ERRORS = {"position": "m", "heading": "rad", "landmarks": "m"}
 Place = Literal["below", "inside", "above", "not given"]
 
 
-def anees_band(runs: int, dof: int, level: float = LEVEL) -> tuple[float, float]:
+def anees_band(runs: int, dof: int) -> tuple[float, float]:
     """Two-sided band of the mean NEES of independent runs, by chi-square with runs * dof."""
-    tail = 0.5 * (1.0 - level)
+    tail = 0.5 * (1.0 - LEVEL)
     low, high = stats.chi2.ppf((tail, 1.0 - tail), runs * dof) / runs
     return float(low), float(high)
 
@@ -178,7 +178,11 @@ def tally(
         last = Records(*(r[:, -1].copy() for r in records))
         for values in (*means, *last):
             values[lost] = np.nan
-        run_mean.append(_with_map(means, last) if final_map else means)
+        if final_map:
+            means = means._replace(
+                landmark_nees=last.landmark_nees, landmark_square=last.landmark_square
+            )
+        run_mean.append(means)
         ends.append(last)
     with np.errstate(invalid="ignore", divide="ignore"):
         step_mean = Records(*(t / n for t, n in zip(total, count, strict=True)))
@@ -192,10 +196,6 @@ def _lost(records: Records) -> NDArray[np.bool_]:
     nees = np.isnan(records.pose_nees)
     partly = nees.any(axis=1) & ~nees.all(axis=1)
     return np.asarray(np.isnan(records.position_square).any(axis=1) | partly)
-
-
-def _with_map(means: Records, last: Records) -> Records:
-    return means._replace(landmark_nees=last.landmark_nees, landmark_square=last.landmark_square)
 
 
 def _joined(parts: list[Records]) -> Records:
@@ -233,18 +233,14 @@ def figures_of(kept: Tally) -> FilterFigures:
 
 def compare_pairs(kept: dict[str, Tally]) -> list[Pair]:
     """Every two filters, in the order given."""
+    each = {name: per_run(one) for name, one in kept.items()}
     rows = [
-        (first, second, what, a - b)
-        for first, second in combinations(kept, 2)
-        for what, a, b in _matched(kept[first], kept[second])
+        (first, second, what, a - each[second][what])
+        for first, second in combinations(each, 2)
+        for what, a in each[first].items()
     ]
     family = 2 * max(sum(bool(np.isfinite(row[-1]).any()) for row in rows), 1)
     return [_pair(*row, family) for row in rows]
-
-
-def _matched(first: Tally, second: Tally) -> Iterator[tuple[str, Array, Array]]:
-    a, b = per_run(first), per_run(second)
-    return ((what, a[what], b[what]) for what in a)
 
 
 def _pair(first: str, second: str, what: str, difference: Array, family: int) -> Pair:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from comparisons.config import Section
-from comparisons.errors import InputError
+from comparisons.errors import InputError, naming
 from comparisons.logs.table import read_toml
 
 _FOLDER = Path(__file__).parent
@@ -155,7 +155,5 @@ def read_scenario(name: str) -> Scenario:
             )
         path = _FOLDER / f"{name}.toml"
     found = read_toml(path)
-    try:
+    with naming(name):
         return Scenario.of(**found)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, naming
 from comparisons.experiments.scenarios.scenario import (
     Circle,
     Points,
@@ -69,10 +69,8 @@ def build_world(scenario: Scenario, place: str = "scenario") -> World:
 
     Raises InputError where no landmark is ever seen, or no way.
     """
-    try:
+    with naming(place):
         return _world(scenario)
-    except InputError as error:
-        raise InputError(f"{place}: {error}") from None
 
 
 def _world(scenario: Scenario) -> World:
@@ -163,7 +161,6 @@ def log_of_run(world: World, run: int, name: str) -> Log:
             sigma_range_m=sigma[real, 0],
             sigma_bearing_rad=sigma[real, 1],
             landmark=label[real].astype(np.int64),
-            diameter_m=np.full(int(real.sum()), np.nan),
         ),
     )
 

@@ -50,34 +50,27 @@ class BatchFilter(Protocol):
 
 
 class _Labelled:
-    """Which landmark is where in the state."""
+    """Which landmark is where in the state. label: (L,), in the state's order."""
 
     def __init__(self) -> None:
-        self.label = np.zeros(0, dtype=np.intp)
+        self.label: Index = np.zeros(0, dtype=np.intp)
 
-    def split(self, label: Index) -> tuple[Index, Index, Index]:
+    def _split(self, label: Index) -> tuple[Index, Index, Index]:
         """Rows seen before, their landmark_indices, and rows that are new."""
         same = label[:, None] == self.label
         known = same.any(axis=1)
         return np.flatnonzero(known), np.nonzero(same)[1], np.flatnonzero(~known)
 
-    def add(self, label: Index) -> None:
-        self.label = np.concatenate((self.label, label))
 
-
-class BatchEkf:
+class BatchEkf(_Labelled):
     """The EKF with additive errors; where it linearises is its only freedom."""
 
     def __init__(self, robot: Robot, linearisation: Linearisation, runs: int, capacity: int):
         """capacity: the most landmarks there may be."""
-        self._robot, self._points, self._labels = robot, linearisation, _Labelled()
+        super().__init__()
+        self._robot, self._points = robot, linearisation
         self.state = BatchState(robot.pose, robot.covariance, runs, capacity)
         linearisation.start(self.state)
-
-    @property
-    def label(self) -> Index:
-        """(L,) labels."""
-        return self._labels.label
 
     def predict(self, control: Array) -> None:
         """P becomes Phi P Phi^T + B Q B^T."""
@@ -90,7 +83,7 @@ class BatchEkf:
 
     def observe(self, z: Array, sigma: Array, label: Index) -> None:
         """Update with what is known, then begin what is new, at the updated pose."""
-        old, landmark_index, new = self._labels.split(label)
+        old, landmark_index, new = self._split(label)
         if len(old):
             self._update(z[:, old], sigma[old], landmark_index)
         if len(new):
@@ -111,24 +104,20 @@ class BatchEkf:
         by_measurement = np.linalg.inv(sensor.by_offset(at.heading[:, None], at.offset))
         spread = (by_measurement * sigma[:, None] ** 2) @ by_measurement.transpose(0, 1, 3, 2)
         self.state.augment(point, at.offset, spread)
-        self._labels.add(label)
+        self.label = np.concatenate((self.label, label))
 
 
-class InvariantEkf:
+class InvariantEkf(_Labelled):
     """The right-invariant EKF (Barrau and Bonnabel 2015): its errors do not see the heading."""
 
     def __init__(self, robot: Robot, runs: int, capacity: int):
         """capacity: the most landmarks there may be."""
-        self._robot, self._labels = robot, _Labelled()
+        super().__init__()
+        self._robot = robot
         start = np.eye(3)
         start[:2, 2] = -turned(robot.pose[:2])
         covariance = start @ robot.covariance @ start.T
         self.state = InvariantState(robot.pose, covariance, runs, capacity)
-
-    @property
-    def label(self) -> Index:
-        """(L,) labels."""
-        return self._labels.label
 
     def predict(self, control: Array) -> None:
         """Phi is the identity; a turn that went wrong shows in every point."""
@@ -145,7 +134,7 @@ class InvariantEkf:
     def observe(self, z: Array, sigma: Array, label: Index) -> None:
         """Update with what is known, then begin what is new, at the updated pose."""
         sensor, state = self._robot.sensor, self.state
-        old, landmark_index, new = self._labels.split(label)
+        old, landmark_index, new = self._split(label)
         if len(old):
             offset = state.landmarks[:, landmark_index] - state.pose[:, None, :2]
             heading = state.pose[:, 2:]
@@ -158,4 +147,4 @@ class InvariantEkf:
             by_measurement = np.linalg.inv(sensor.by_offset(heading, offset))
             spread = (by_measurement * sigma[new, None] ** 2) @ by_measurement.transpose(0, 1, 3, 2)
             state.augment(state.pose[:, None, :2] + offset, np.zeros_like(offset), spread)
-            self._labels.add(label[new])
+            self.label = np.concatenate((self.label, label[new]))

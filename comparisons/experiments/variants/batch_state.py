@@ -128,9 +128,6 @@ class BatchState:
 
     def landmark_covariance(self) -> Array:
         """(B, L, 2, 2) of the additive error, each landmark's own."""
-        return self._landmark_blocks()
-
-    def _landmark_blocks(self) -> Array:
         diagonal = np.arange((self._size - 3) // 2)
         p = self.covariance[:, 3:, 3:]
         blocks = p.reshape(len(p), len(diagonal), 2, len(diagonal), 2)
@@ -188,7 +185,7 @@ class InvariantState(BatchState):
         with_heading = self.covariance[:, 3:, 2].reshape(arm.shape)
         mixed = with_heading[..., :, None] * arm[..., None, :]
         across = self._covariance[:, 2, 2, None, None, None] * arm[..., None] * arm[..., None, :]
-        return self._landmark_blocks() + mixed + mixed.transpose(0, 1, 3, 2) + across
+        return super().landmark_covariance() + mixed + mixed.transpose(0, 1, 3, 2) + across
 
     def _move(self, correction: Array) -> None:
         """exp(xi) applied to the whole state."""

@@ -265,15 +265,11 @@ def _layer_files(mapping: DenseMapping) -> dict[str, Callable[[Path], object]]:
         point = samples.point[samples.occupancy > _LIKELY]
         if cloud is not None and len(point):
             flat = np.column_stack((point, np.zeros(len(point))))
-            files[f"{name}.{cloud}"] = partial(_write_cloud, flat)
+            files[f"{name}.{cloud}"] = partial(write_cloud, points=flat)
     if mapping.dense.dense.dynamic is not None:
         raster = rasterise(mapping.dense.dense.dynamic, mapping.placed, cell_m)
         files["dynamic.png"] = partial(write_image, raster)
     return files
-
-
-def _write_cloud(point: np.ndarray, path: Path) -> None:
-    write_cloud(path, point)
 
 
 def regions_csv(mapping: DenseMapping) -> str:

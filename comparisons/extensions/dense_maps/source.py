@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,6 @@ from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions import LocalRegions
-from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
 from ekf_reference.dense.view import FilterView, by_number
 
@@ -45,14 +43,6 @@ _CLEARLY = 1.2
 """A later update must move the regions, all together, so many times as far to take its place."""
 
 
-class GlobalMap(Protocol):
-    """A map in the world's frame, which nothing moves afterwards."""
-
-    def fuse(self, scan: Scan) -> None:
-        """Take in a scan from the pose that it was given."""
-        ...
-
-
 def grid_model(config: DenseMapsConfig) -> InverseSensorModel:
     """Return what one return says of a grid's cells (Nieto 2005, eq. 4.4)."""
     return InverseSensorModel(p_occupied=config.p_occupied, p_free=config.p_free)
@@ -61,17 +51,6 @@ def grid_model(config: DenseMapsConfig) -> InverseSensorModel:
 def classic_grid(config: DenseMapsConfig) -> ClassicGrid:
     """Return one empty grid in the world, with the cells of the occupancy layer."""
     return ClassicGrid(config.resolution_m, grid_model(config), config.confidence)
-
-
-def conditions(config: DenseMapsConfig) -> Conditions:
-    """Return when three landmarks may define a region (Nieto 2005, section 3.5)."""
-    bounds = config.bounds
-    return Conditions(
-        least_correlation=config.least_correlation,
-        known_apart_m=bounds.known_apart_m,
-        longest_edge_m=bounds.longest_edge_m,
-        margin=MARGINS[config.flip_test],
-    )
 
 
 def build_map(
@@ -92,10 +71,16 @@ def build_map(
         ),
         "sog": Gaussians(config.d_min_m, thinned=config.thinned),
     }
+    conditions = Conditions(  # Nieto 2005, section 3.5
+        least_correlation=config.least_correlation,
+        known_apart_m=bounds.known_apart_m,
+        longest_edge_m=bounds.longest_edge_m,
+        margin=MARGINS[config.flip_test],
+    )
     waiting = DelayedInitialisation(capacity=bounds.capacity, patience=bounds.patience)
     return DenseMap(
         layers={name: made[name] for name in dict.fromkeys((*config.layers, *also))},
-        regions=LocalRegions(conditions=conditions(config)),
+        regions=LocalRegions(conditions=conditions),
         waiting=waiting if config.delayed or config.virtual_landmarks else None,
         delayed=config.delayed,
         virtual=config.virtual_landmarks,
@@ -193,7 +178,7 @@ class DenseWatcher:
         self._also: tuple[str, ...] = ()
         self._rule = Differencing()
         self._dense = self._empty()
-        self._beside: list[GlobalMap] = []
+        self._beside: list[ClassicGrid] = []
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
         self._pose: list[Array] = []
         self._before: BeforeClosing | None = None
@@ -216,8 +201,8 @@ class DenseWatcher:
             raise ValueError("the map has taken in scans")
         return build_map(self.options, self._also, self._rule)
 
-    def feed(self, other: GlobalMap) -> None:
-        """Give the same scans from the same poses to another map as well."""
+    def feed(self, other: ClassicGrid) -> None:
+        """Give the same scans from the same poses to a map in the world's frame as well."""
         self._beside.append(other)
 
     @property

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import motion_model
+from comparisons.adapters.ekf_factory import motion_model, stabilisation
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import RelativePoses
-from ekf_reference.core.ekf import Stabilisation
-from ekf_reference.core.geometry import rotation
 from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import Measurements
 from ekf_reference.fastslam.association import (
@@ -25,22 +22,10 @@ from ekf_reference.fastslam.association import (
     View,
 )
 from ekf_reference.fastslam.filter import FastSlam, FastSlamOptions, Proposal
+from graphslam.scan import planar
 
 VIEW = View(range_m=30.0, half_angle_rad=1.2)
 """Where a landmark should be detected when it exists, for logs without labels."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Depletion:
-    """How small a cloud is.
-
-    effective: mean effective sample size over the epochs. first, middle: particles of the first and
-    of the middle epoch that have descendants in the last cloud.
-    """
-
-    effective: float
-    first: int
-    middle: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,15 +42,15 @@ class Cloud:
     covariance: Array
     sampled: Index
 
-    def depletion(self) -> Depletion:
-        """Return how depleted it is."""
+    def depletion(self) -> dict[str, Any]:
+        """Return how small it is: entries of FastSlamResult."""
         history = self.slam.history
         distinct = history.distinct()
-        return Depletion(
-            effective=float(np.mean(history.effective)),
-            first=int(distinct[0]),
-            middle=int(distinct[len(distinct) // 2]),
-        )
+        return {
+            "effective": float(np.mean(history.effective)),
+            "first": int(distinct[0]),
+            "middle": int(distinct[len(distinct) // 2]),
+        }
 
 
 class Sampling(NamedTuple):
@@ -104,15 +89,11 @@ def start_fastslam(
     log: Log, sampling: Sampling, rule: ParticleAssociation, start: Start
 ) -> FastSlam:
     """Return a FastSLAM with the log's vehicle."""
-    stabilisation = Stabilisation()
-    if not isinstance(log.odometry, RelativePoses):
-        noise = log.odometry.noise
-        stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
     options = FastSlamOptions(
         particles=sampling.particles, proposal=sampling.proposal, association=rule
     )
     generator = np.random.default_rng((sampling.seed, *sampling.stream))
-    return FastSlam(motion_model(log), *start, generator, options, stabilisation)
+    return FastSlam(motion_model(log), *start, generator, options, stabilisation(log))
 
 
 class Inputs:
@@ -163,16 +144,8 @@ def run_fastslam(slam: FastSlam, log: Log, timeline: Timeline) -> Cloud:
         mean[k] = weight @ pose
         covariance[k] = np.einsum("n,ni,nj->ij", weight, pose - mean[k], pose - mean[k])
         root = slam.motion.root_at_arrival()  # of motion that is not sampled yet
-        root = rotated(root, float(mean[k, 2]))
+        root = planar.rotation(float(mean[k, 2])) @ root
         covariance[k] += root @ root.T
     return Cloud(
         slam=slam, mean=mean, covariance=covariance, sampled=np.array(sampled, dtype=np.intp)
     )
-
-
-def rotated(root: Array, heading_rad: float) -> Array:
-    """A root (3, 3) of a pose's covariance in its own frame, on the map."""
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(heading_rad)
-    found: Array = turn @ root
-    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,6 @@ from comparisons.extensions.fastslam.check import LEVEL, CloudCheck, check_cloud
 from comparisons.extensions.fastslam.config import FastSlamConfig
 from comparisons.extensions.fastslam.drive import (
     Cloud,
-    Depletion,
     Sampling,
     build_fastslam,
     run_fastslam,
@@ -122,28 +121,6 @@ class FastSlamExtension(Extension):
 _AGREES = {True: "agree", False: "disagree", None: "no verdict: the clouds are too small"}
 
 
-def fastslam_result(
-    settings: FastSlamConfig,
-    check: CloudCheck,
-    depletion: Depletion,
-    apart: Array,
-    accuracy: Accuracy | None,
-) -> FastSlamResult:
-    """Return what was found. apart: (K, 3) poses of the whole log's cloud from the smoother's."""
-    return FastSlamResult(
-        **vars(check),
-        particles=settings.particles,
-        length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
-        level=LEVEL,
-        verdict=_AGREES[check.agrees],
-        path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
-        difference_m=float(np.hypot(*apart[-1, :2])),
-        difference_rad=float(abs(apart[-1, 2])),
-        **vars(depletion),
-        accuracy=accuracy,
-    )
-
-
 class FastSlamFinding(Finding):
     """Clouds against the smoother. accuracy: of the cloud of the whole log."""
 
@@ -152,7 +129,7 @@ class FastSlamFinding(Finding):
     ) -> None:
         """Report in remarks: a witness changes no verdict."""
         smoothed, prepared = known.gaps.smoothed, known.prepared
-        self.check, depletion = check, cloud.depletion()
+        self.check = check
         estimate = cloud_estimate(cloud, known.ekf.estimate.time_s)
         self.accuracy: Accuracy | None = assess(
             estimate, prepared.judged, labelled=prepared.labelled
@@ -161,70 +138,65 @@ class FastSlamFinding(Finding):
         self.titles = {"fastslam": "FastSLAM"}
         apart = cloud.mean - smoothed.pose
         apart[:, 2] = wrap_angle(apart[:, 2])
-        self.result = fastslam_result(settings, check, depletion, apart, self.accuracy)
+        self.result = FastSlamResult(
+            **vars(check),
+            particles=settings.particles,
+            length_s=float(np.mean([one.end_s - one.begin_s for one in check.stretches])),
+            level=LEVEL,
+            verdict=_AGREES[check.agrees],
+            path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
+            difference_m=float(np.hypot(*apart[-1, :2])),
+            difference_rad=float(abs(apart[-1, 2])),
+            **cloud.depletion(),
+            accuracy=self.accuracy,
+        )
         self.entries = {"fastslam": self.result}
         self.remarks = _remarks(check, self.result)
         self.line = ("FastSLAM", _line(self.result))
 
     def rows(self) -> Sequence[Row]:
         """Return how the clouds compare with the smoother, and how depleted the whole log's is."""
-        own, group = self.result, "FastSLAM"
-        ran = f"{own.particles:,}, {own.clouds:,}, {len(own.stretches):,}"
+        own, level = self.result, f"above {LEVEL:g}"
         turned = f"{np.degrees(own.difference_rad):.2f} deg"
-        return [
-            Row(group, "clouds against the smoother", own.verdict),
-            Row(group, "particles of a cloud, clouds, stretches", ran),
-            Row(group, "stretches: mean length", f"{own.length_s:.1f} s"),
-            Row(
-                group,
+        exact: list[tuple[Any, ...]] = []
+        if own.exact is not None and own.exact.stretches:
+            exact = [
+                (
+                    f"stretches: p of the {of} against the exact posterior",
+                    f"{p:.4f}",
+                    level,
+                    p > LEVEL,
+                )
+                for of, p in (("clouds", own.exact.clouds), ("Gaussian", own.exact.gaussian))
+            ]
+        most, known = f"at most {own.largest_shift:.2f}", own.independent
+        found: list[tuple[Any, ...]] = [
+            ("clouds against the smoother", own.verdict),
+            (
+                "particles of a cloud, clouds, stretches",
+                f"{own.particles:,}, {own.clouds:,}, {len(own.stretches):,}",
+            ),
+            ("stretches: mean length", f"{own.length_s:.1f} s"),
+            (
                 "stretches: independent particles of a cloud",
-                f"{own.independent:.2g}",
+                f"{known:.2g}",
                 "at least 1",
-                own.independent >= 1.0,
+                known >= 1.0,
             ),
-            Row(
-                group,
-                "stretches: p of the energy distance",
-                f"{own.p:.4f}",
-                f"above {LEVEL:g}",
-                own.p > LEVEL,
-            ),
-            *self._exact_rows(),
-            Row(group, "stretches: energy distance (1 expected)", f"{own.energy:.2f}"),
-            Row(
-                group,
-                "stretches: squared shift (1 expected)",
-                f"{own.squared_shift:.2f}",
-                f"at most {own.largest_shift:.2f}",
-            ),
-            Row(group, "stretches: variance (1 expected)", f"{own.spread:.2f}"),
-            Row(group, "whole log: path from the smoother's (RMS)", f"{own.path_m:.3f} m"),
-            Row(
-                group,
-                "whole log: last pose from the smoother's",
-                f"{own.difference_m:.3f} m, {turned}",
-            ),
-            Row(group, "whole log: mean effective sample size", f"{own.effective:.0f}"),
-            Row(
-                group,
-                "whole log: ancestors in first and middle epoch",
-                f"{own.first}, {own.middle}",
-            ),
+            ("stretches: p of the energy distance", f"{own.p:.4f}", level, own.p > LEVEL),
+            *exact,
+            ("stretches: energy distance (1 expected)", f"{own.energy:.2f}"),
+            ("stretches: squared shift (1 expected)", f"{own.squared_shift:.2f}", most),
+            ("stretches: variance (1 expected)", f"{own.spread:.2f}"),
+            ("whole log: path from the smoother's (RMS)", f"{own.path_m:.3f} m"),
+            ("whole log: last pose from the smoother's", f"{own.difference_m:.3f} m, {turned}"),
+            ("whole log: mean effective sample size", f"{own.effective:.0f}"),
+            ("whole log: ancestors in first and middle epoch", f"{own.first}, {own.middle}"),
+        ]
+        return [
+            *(Row("FastSLAM", *one) for one in found),
             *accuracy_rows("FastSLAM", own.accuracy),
         ]
-
-    def _exact_rows(self) -> Iterator[Row]:
-        exact = self.result.exact
-        if exact is None or not exact.stretches:
-            return
-        for words, p in (("clouds", exact.clouds), ("Gaussian", exact.gaussian)):
-            yield Row(
-                "FastSLAM",
-                f"stretches: p of the {words} against the exact posterior",
-                f"{p:.4f}",
-                f"above {LEVEL:g}",
-                p > LEVEL,
-            )
 
     def draw(self, axis: Axes) -> None:
         """Draw FastSLAM's trajectory and map."""

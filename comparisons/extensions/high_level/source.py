@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.filter_loop import FilterObserver, NoObserver
+from comparisons.adapters.filter_loop import FilterObservers
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.arrays import Array
@@ -37,7 +37,7 @@ _APART_S = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class HighLevelOptions:
-    """every_s: between two searches. resolution_m: of the occupancy layer. d_min_m: of the sum's.
+    """every_s: between two searches. resolution_m: of the occupancy layer, and d_min of the sum's.
 
     dense: settings of the map but for its layers and cells. only_in_view, variance_factor: of a
     measurement; see HighLevelLandmarks.
@@ -49,7 +49,6 @@ class HighLevelOptions:
     every_s: float = 20.0
     search: SearchOptions = field(default_factory=SearchOptions)
     resolution_m: float = 0.2
-    d_min_m: float = 0.2
     dense: DenseMapsConfig = field(default_factory=DenseMapsConfig)
     only_in_view: bool = HighLevelLandmarks.only_in_view
     variance_factor: float = HighLevelLandmarks.variance_factor
@@ -66,7 +65,6 @@ class HighLevelOptions:
             every_s=config.every_s,
             search=looked,
             resolution_m=cell_m,
-            d_min_m=cell_m,
             dense=dense,
             only_in_view=config.only_in_view,
             variance_factor=config.variance_factor,
@@ -75,8 +73,8 @@ class HighLevelOptions:
     @property
     def kept(self) -> DenseMapsConfig:
         """The dense map that is searched."""
-        own = {"layers": SEARCHED, "resolution_m": self.resolution_m, "d_min_m": self.d_min_m}
-        return self.dense.settled().model_copy(update={**BARE, **own})
+        cells = dict.fromkeys(("resolution_m", "d_min_m"), self.resolution_m)
+        return self.dense.settled().model_copy(update={**BARE, "layers": SEARCHED, **cells})
 
     def served_by(self, options: DenseMapsConfig) -> bool:
         """Whether a map with these options has the cells that are searched."""
@@ -125,7 +123,7 @@ class HighLevelRun:
         return np.repeat(self.place[:, :2], 2, axis=0), np.reshape(tip, (-1, 2))
 
 
-class HighLevelSource:
+class HighLevelSource(FilterObservers):
     """Watches the filter, with a dense map, and sees the landmarks that are found in it.
 
     The map at an epoch holds the scans of earlier ones: a scan never meets itself.
@@ -148,28 +146,16 @@ class HighLevelSource:
             only_in_view=self.options.only_in_view, variance_factor=self.options.variance_factor
         )
         self._map = shared or DenseWatcher(log, self.options.kept)
-        self._watcher: FilterObserver = NoObserver() if shared else self._map
+        super().__init__([] if shared else [self._map])
         self._scans = PlanarScans(log)
         self._view = _view(log)
         self._searches: list[Search] = []
         self._next_s = log.prior.time_s + self.options.every_s
         self._place, self._rectangle = np.empty((0, 3)), np.empty((0, 4, 2))
 
-    def before_predict(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
-        """Take in the scans of the interval."""
-        self._watcher.before_predict(ekf, time_s, control, duration_s)
-
-    def on_predict(self, ekf: Ekf) -> None:
-        """What waits for a region follows the vehicle."""
-        self._watcher.on_predict(ekf)
-
-    def on_update(self, ekf: Ekf) -> None:
-        """The map follows its landmarks."""
-        self._watcher.on_update(ekf)
-
     def on_end(self, ekf: Ekf, time_s: float) -> None:
         """Note where all are in the end."""
-        self._watcher.on_end(ekf, time_s)
+        super().on_end(ekf, time_s)
         self._place, self._rectangle = self.landmarks.places(ekf), self.landmarks.rectangles(ekf)
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:

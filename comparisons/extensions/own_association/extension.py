@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.ekf_run import UNUSED, EkfRun
 from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows, smoothed_estimate
 from comparisons.arrays import Array, Index
@@ -37,7 +37,7 @@ from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lin
 from comparisons.report.html.shell import number, sortable
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.words import Cause, Row
-from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
+from ekf_reference.core.measurements import DYNAMIC
 from graphslam.optimum import Optimality
 from graphslam.problem import PoseLandmarkMeasurements
 from graphslam.smoother import SmootherOptions, smooth
@@ -190,7 +190,21 @@ class OwnAssociation(Extension):
 
     def start(self, prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution] | None:
         """Associate and solve beside the smoother; neither needs the other's result."""
-        return start_own_association(prepared, run) if self.asked else None
+        if not self.asked:
+            return None
+        log = replace(prepared.log, scans=None, clouds=None)
+        rows = position_rows(run.timeline, run.positions)
+        left_out = np.flatnonzero(run.landmark_index == DYNAMIC)
+        size = len(run.timeline.epoch_time_s), len(run.landmark_index), len(run.estimate.landmark)
+        return Beside(
+            solve_with_own_association,
+            log.name,
+            OwnAssociator(log, run.timeline, rows, left_out),
+            run.pose_landmarks,
+            SmootherOptions(**prepared.config.smoother.model_dump()),
+            size=size,
+            pays_from=ASSOCIATION_PAYS_FROM,
+        )
 
     def find(self, known: Known) -> OwnAssociationFinding | None:
         """Associate without the filter, solve, assess, and compare. Raises InputError."""
@@ -200,7 +214,20 @@ class OwnAssociation(Extension):
         with prepared.clock.stage("own association"):
             prepared.progress("own association", 0, 0)
             found = work.result()
-            own = compare_with_own_association(known, found)
+            log, run, estimate = prepared.log, known.ekf, found.estimate
+            own = check_own_association(
+                log.measurements,
+                run.timeline.measurement_epoch,
+                (run.landmark_index, found.landmark_index),
+                known.gaps.smoothed,
+                estimate,
+                found.optimality,
+            )
+            own = replace(
+                own,
+                accuracy=assess(estimate, prepared.judged, labelled=False),
+                association=score_association(found.landmark_index, estimate.landmark, log),
+            )
         prepared.clock.add_cpu("own association", work.cpu_s)
         return OwnAssociationFinding(known, own)
 
@@ -247,25 +274,6 @@ class OwnSolution:
     optimality: Optimality
 
 
-def start_own_association(prepared: Prepared[Any], run: EkfRun) -> Beside[OwnSolution]:
-    """Begin S'."""
-    log = replace(prepared.log, scans=None, clouds=None)
-    rows = position_rows(run.timeline, run.positions)
-    left_out = np.flatnonzero(run.landmark_index == DYNAMIC)
-    associator = OwnAssociator(log, run.timeline, rows, left_out)
-    options = SmootherOptions(**prepared.config.smoother.model_dump())
-    size = len(run.timeline.epoch_time_s), len(run.landmark_index), len(run.estimate.landmark)
-    return Beside(
-        solve_with_own_association,
-        log.name,
-        associator,
-        run.pose_landmarks,
-        options,
-        size=size,
-        pays_from=ASSOCIATION_PAYS_FROM,
-    )
-
-
 def solve_with_own_association(
     name: str,
     associator: OwnAssociator,
@@ -287,31 +295,7 @@ def solve_with_own_association(
     return OwnSolution(found.landmark_index, estimate, result.optimality)
 
 
-def compare_with_own_association(known: Known, found: OwnSolution) -> OwnAssociationCheck:
-    """Return how S' compares with S."""
-    log, run, estimate = known.prepared.log, known.ekf, found.estimate
-    own = check_own_association(
-        log.measurements,
-        run.timeline.measurement_epoch,
-        (run.landmark_index, found.landmark_index),
-        known.gaps.smoothed,
-        estimate,
-        found.optimality,
-    )
-    return replace(
-        own,
-        accuracy=assess(estimate, known.prepared.judged, labelled=False),
-        association=score_association(found.landmark_index, estimate.landmark, log),
-    )
-
-
 _MOST_ROWS = 200
-_UNUSED = {
-    REJECTED: "rejected",
-    AMBIGUOUS: "ambiguous",
-    CANDIDATE: "candidate",
-    DYNAMIC: "dynamic",
-}
 
 
 def differing_lines(drawing: Drawing, own: OwnAssociationCheck, run: EkfRun) -> None:
@@ -340,7 +324,7 @@ def association_differences(own: OwnAssociationCheck, run: EkfRun) -> str:
         filters = (
             str(ids[landmark_index[row]])
             if used
-            else _UNUSED.get(int(landmark_index[row]), "unused")
+            else UNUSED.get(int(landmark_index[row]), "unused")
         )
         key = f'data-key="{ids[landmark_index[row]]}" tabindex="0"' if used else ""
         smoothers = f"{theirs}{meant}" if theirs >= 0 else "unused"

@@ -60,10 +60,6 @@ class Judged:
     landmarks: tuple[Judgement, ...]
     whole: Judgement
 
-    def worst_landmark(self) -> int:
-        """Return the landmark whose ellipsoid holds the least of the posterior."""
-        return int(np.argmin([one.coverage.value for one in self.landmarks]))
-
 
 @dataclass(frozen=True, kw_only=True)
 class Moments:
@@ -295,7 +291,8 @@ def _limited(quantity: str, value: float | None, limit: float, side: str, form: 
 def _judged_rows(name: str, judged: Judged) -> list[Row]:
     blocks = [("last pose", judged.pose), ("whole", judged.whole)]
     if judged.landmarks:
-        blocks.insert(1, ("worst landmark", judged.landmarks[judged.worst_landmark()]))
+        worst = min(judged.landmarks, key=lambda one: one.coverage.value)
+        blocks.insert(1, ("worst landmark", worst))
     rows = []
     for block, one in blocks:
         held = f"{100.0 * one.coverage.value:.1f} +- {100.0 * one.coverage.error:.1f} %"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -45,8 +45,8 @@ from comparisons.pipeline.extension import Extension
 from comparisons.pipeline.known import Known
 from comparisons.pipeline.prepared import Prepared
 from comparisons.words import Row
-from graphslam.scan.loop_closure import LoopCloser, loop_closer
-from graphslam.smoother import SmootherOptions, SmootherResult, smooth
+from graphslam.scan.loop_closure import loop_closer
+from graphslam.smoother import SmootherResult, smooth
 
 
 class ScanMotionExtension(Extension):
@@ -136,11 +136,10 @@ class ScanMotionFinding(Finding):
 def solve_on_scans(known: Known, motion: ScanMotion) -> ThreeWay:
     """Solve with the scans' motion, and compare both estimates on wheels with that."""
     prepared, run, gaps = known.prepared, known.ekf, known.gaps
-    closer = loop_closer(motion.options)
-    scans = smooth_on_scans(prepared.log, motion, run, closer, SmootherOptions())
-    accuracy = assess(scans.estimate, prepared.judged, labelled=False)
-    ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, gaps.smoothed))
-    optimality = readable(scans.result)
+    result, estimate = smooth_on_scans(prepared.log, motion, run)
+    accuracy = assess(estimate, prepared.judged, labelled=False)
+    ekf, smoother = (compare_maps(own, estimate) for own in (run.estimate, gaps.smoothed))
+    optimality = readable(result)
     inconsistent_source, evidence = "", "the maps agree"
     if not (ekf.agrees and smoother.agrees):
         inconsistent_source, evidence = find_inconsistent_source(
@@ -152,30 +151,20 @@ def solve_on_scans(known: Known, motion: ScanMotion) -> ThreeWay:
     return ThreeWay(
         ekf=ekf,
         smoother=smoother,
-        loops=scans.loops,
-        verified=scans.result.optimality.verified,
+        loops=len(result.problem.loop_closures.first),
+        verified=result.optimality.verified,
         chi2=optimality.chi_square.chi2,
         dof=optimality.chi_square.dof,
         accuracy=accuracy,
         inconsistent_source=inconsistent_source,
         evidence=evidence,
         too_high=optimality.chi_square.reading == "too high",
-        estimate=scans.estimate,
+        estimate=estimate,
     )
 
 
-class ScanSmoother(NamedTuple):
-    """The smoother on scans, with the ids of the EKF's landmarks."""
-
-    result: SmootherResult
-    estimate: Estimate
-    loops: int
-
-
-def smooth_on_scans(
-    log: Log, motion: ScanMotion, run: EkfRun, closer: LoopCloser, options: SmootherOptions
-) -> ScanSmoother:
-    """Solve with the scans' motion and the EKF's association. Raises InputError.
+def smooth_on_scans(log: Log, motion: ScanMotion, run: EkfRun) -> tuple[SmootherResult, Estimate]:
+    """Solve with the scans' motion and the EKF's association and ids. Raises InputError.
 
     Landmarks that were only seen outside the time of the scans are left out, but for surveyed
     ones. The positions are those that the filter fused. Measurements after a breakdown of the
@@ -198,11 +187,11 @@ def smooth_on_scans(
     landmark_index = np.where(landmark_index >= 0, compact[landmark_index], -1)
     rows = position_rows(timeline, positions)
     problem = assemble(scanned, timeline, landmark_index, len(used), rows)
-    closed = closer.close(problem, motion.clouds(timeline.epoch_time_s))
-    result = smooth(replace(problem, loop_closures=closed.loop_closures), {}, options=options)
+    closed = loop_closer(motion.options).close(problem, motion.clouds(timeline.epoch_time_s))
+    result = smooth(replace(problem, loop_closures=closed.loop_closures), {})
     ids = run.estimate.landmark_id[used]
     estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, "the EKF's")
-    return ScanSmoother(result, estimate, len(closed.loop_closures.first))
+    return result, estimate
 
 
 def _fused(run: EkfRun) -> Positions | None:

@@ -106,9 +106,11 @@ def _by_positions(motion: ScanMotion, fixes: Positions) -> IncrementCheck | None
         rows = np.flatnonzero((fixes.time_s >= begin) & (fixes.time_s < begin + WINDOW_S))
         rows = rows[(fixes.time_s[rows] >= motion.time_s[0])]
         rows = rows[(fixes.time_s[rows] <= motion.time_s[-1])]
-        if len(rows) >= _LEAST_FIXES and not _bridged(motion, fixes.time_s[rows]):
-            window = _Window(motion, fixes.time_s[rows], fixes.position_m[rows],
-                             fixes.covariance[rows], fixes.antenna_m)  # fmt: skip
+        if (
+            len(rows) >= _LEAST_FIXES
+            and not motion.bridged[_steps(motion, fixes.time_s[rows])].any()
+        ):
+            window = _Window(motion, fixes.chosen(rows))
             if window.spread_m > _LEAST_SPREAD_M:
                 windows.append(window)
     if not windows:
@@ -138,21 +140,11 @@ def _steps(motion: ScanMotion, time_s: Array) -> slice:
     return slice(first + 1, int(np.searchsorted(motion.time_s, time_s[-1], side="left")) + 1)
 
 
-def _bridged(motion: ScanMotion, time_s: Array) -> bool:
-    return bool(motion.bridged[_steps(motion, time_s)].any())
-
-
 class _Window:
-    """Places of an antenna by chained increments, against positions (n, 2)."""
+    """Places of an antenna by chained increments, against n positions."""
 
-    def __init__(
-        self,
-        motion: ScanMotion,
-        time_s: Array,
-        position: Array,
-        covariance: Array,
-        antenna_m: tuple[float, float],
-    ) -> None:
+    def __init__(self, motion: ScanMotion, fixes: Positions) -> None:
+        time_s, position = fixes.time_s, fixes.position_m
         steps = _steps(motion, time_s)
         knots = motion.time_s[steps.start - 1 : steps.stop]
         times = np.unique(np.concatenate((knots, time_s)))
@@ -160,7 +152,7 @@ class _Window:
         pieces = divide(whole, knots, times)
         path = dead_reckoned(np.zeros(3), pieces.displacement)
         at = np.searchsorted(times, time_s)
-        lever = np.array(antenna_m)
+        lever = np.array(fixes.antenna_m)
         places = path[at, :2] + _turned(path[at, 2], lever)
         fitted = aligned(places, position)
         turn = _angle(places, fitted)
@@ -168,7 +160,7 @@ class _Window:
         spread = _places_covariance(path, pieces.covariance, at, places, turn)
         self._own = spread
         self._fixes = np.zeros_like(spread)
-        for k, block in enumerate(covariance):
+        for k, block in enumerate(fixes.covariance):
             self._fixes[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
         centred = fitted - fitted.mean(axis=0)
         gauge = np.zeros((2 * len(at), 3))

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, naming
 from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers.gps_start import start_from_gps
@@ -57,22 +57,16 @@ def read(path: Path) -> Log:
             raise InputError(f"{path / name}: holds no records")
     start_ms = min(float(times.flat[0]) for times in instants.values())
     seconds = {name: (times.ravel() - start_ms) / 1e3 for name, times in instants.items()}
-    try:
+    with naming(path / _WHEELS):
         odometry = SteeringOdometry(
             seconds[_WHEELS], wheels["speed"].ravel(), wheels["steering"].ravel(), UTE, NOISE
         )
-    except InputError as error:
-        raise InputError(f"{path / _WHEELS}: {error}") from None
-    try:
+    with naming(path / _LASER):
         scans = _scans(seconds[_LASER], laser["LASER"])
-    except InputError as error:
-        raise InputError(f"{path / _LASER}: {error}") from None
     positions = None
     if gps is not None:
-        try:
+        with naming(path / _GPS):
             positions = _positions(seconds[_GPS], gps["Lo_m"], gps["La_m"], odometry)
-        except InputError as error:
-            raise InputError(f"{path / _GPS}: {error}") from None
     return Log(
         name="victoria-park-scans",
         format="aa3",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, naming
 from comparisons.logs.log import (
     NO_LANDMARK,
     LandmarkMeasurements,
@@ -60,7 +60,7 @@ def read(path: Path) -> Log:
     if data["GPSLon"].size != data["GPSLat"].size:
         raise InputError(f"{path / _FILES[0]}: GPSLon and GPSLat differ in length")
     start = min(float(instants[0]) for instants in time.values())
-    try:
+    with naming(path / _FILES[0]):
         odometry = SteeringOdometry(
             time["Time_VS"] - start, data["Velocity"].ravel(), data["Steering"].ravel(), UTE, _NOISE
         )
@@ -75,8 +75,6 @@ def read(path: Path) -> Log:
         positions = Positions(time["TimeGPS"] - start, position, covariance)
         measurements = reflector_measurements(scans)
         start_pose = start_from_gps(odometry, positions, _ALIGNED_S)
-    except InputError as error:
-        raise InputError(f"{path / _FILES[0]}: {error}") from None
     return Log(
         name="acfr-car-park",
         format="acfr-car-park",
@@ -119,6 +117,5 @@ def reflector_measurements(scans: Scans) -> LandmarkMeasurements:
         sigma_range_m=np.full(count, _SIGMA_RANGE_M),
         sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
         landmark=np.full(count, NO_LANDMARK),
-        diameter_m=np.full(count, np.nan),
         intensity=np.bincount(run, scans.intensity[scan, beam]) / size,
     )

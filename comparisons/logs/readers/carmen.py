@@ -24,10 +24,10 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
-from comparisons.logs.log import Log
-from comparisons.logs.odometry import poses_at
-from comparisons.logs.readers.carmen_lines import TAGS, LineReader, Sweeps
-from comparisons.logs.readers.scan_odometry import scan_log
+from comparisons.logs.log import Log, Prior
+from comparisons.logs.odometry import NOISE_TEXT, displacements, poses_at
+from comparisons.logs.readers.carmen_lines import TAGS, LineReader, Sweep
+from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import first_words, locate_rows, read_text, shorten
 
@@ -58,21 +58,22 @@ def read(path: Path) -> Log:
         words = line.split()
         if words and not words[0].startswith("#"):
             reader.take(number, words)
-    kind = "ROBOTLASER1" if reader.sweeps["ROBOTLASER1"].line else "FLASER"
+    kind = "ROBOTLASER1" if reader.sweeps["ROBOTLASER1"] else "FLASER"
     sweeps = reader.sweeps[kind]
-    if not sweeps.line:
+    if not sweeps:
         raise InputError(f"{path}: expected at least one FLASER or ROBOTLASER1 line")
     mount = _mount(path, sweeps)
-    clock = _clock(sweeps.line, np.array(sweeps.times))
-    order, time_s, repeated, swapped = _in_order(sweeps, clock)
-    start, pose = time_s[0], np.array(sweeps.robot)[order]
+    lines, times = [one.line for one in sweeps], np.array([one.times_s for one in sweeps])
+    clock = _clock(lines, times)
+    order, time_s, repeated, swapped = _in_order(times, clock)
+    start, pose = time_s[0], np.array([one.poses[3:] for one in sweeps])[order]
     time_s = time_s - start
     source = f"the robot's pose in the {kind} lines"
     untimed = sum(row[1] == 0 for row in reader.odometry)
     if untimed > 1:
         source += ", which a mapper may have corrected: gmapping writes ODOM lines of time 0"
     if reader.odometry and not np.ptp(pose, axis=0).any():
-        samples = _odometry(path, np.array(reader.odometry), clock, sweeps.line)
+        samples = _odometry(path, np.array(reader.odometry), clock, lines)
         sample_s = samples[:, 0] - start
         inside = (time_s >= sample_s[0]) & (time_s <= sample_s[-1])
         if not inside.any():
@@ -81,16 +82,16 @@ def read(path: Path) -> Log:
         pose, source = poses_at(time_s, sample_s, samples[:, 1:]), "ODOM lines"
     else:
         outside = 0
-    with locate_rows(path, lambda row: sweeps.line[order[row]]):
+    with locate_rows(path, lambda row: lines[order[row]]):
         scans = Scans(
             time_s=time_s,
-            angle_rad=sweeps.angle,
-            range_m=np.array(sweeps.ranges)[order],
-            intensity=np.array(sweeps.remissions)[order],
+            angle_rad=sweeps[0].angle_rad,
+            range_m=np.array([one.range_m for one in sweeps])[order],
+            intensity=np.array([one.remission for one in sweeps])[order],
             mount=mount,
         )
     others = reader.skipped + Counter(
-        {tag: len(other.line) for tag, other in reader.sweeps.items() if tag != kind}
+        {tag: len(other) for tag, other in reader.sweeps.items() if tag != kind}
     )
     provenance = {
         "file": path.name,
@@ -103,8 +104,17 @@ def read(path: Path) -> Log:
         "lines_passed_over": ", ".join(
             f"{count} {shorten(tag)}" for tag, count in others.most_common(20) if count
         ),
+        "odometry_noise": NOISE_TEXT,
     }
-    return scan_log(path.stem, "carmen", time_s, pose, provenance, scans=scans)
+    return Log(
+        name=path.stem,
+        format="carmen",
+        prior=Prior(float(time_s[0]), np.zeros(3), PRIOR_SIGMA**2 * np.eye(3)),
+        odometry=displacements(time_s, pose),
+        measurements=no_measurements(),
+        scans=scans,
+        provenance=provenance,
+    )
 
 
 def _clock(lines: list[int], times: Array) -> _Clock:
@@ -132,18 +142,14 @@ def _clock(lines: list[int], times: Array) -> _Clock:
     return _Clock(None, f"scan numbers in place of seconds, since {why} and the logger's {other}")
 
 
-def _fallen(path: Path, line: int, time: float, fall: float) -> str:
-    return (
-        f"{path}:{line}: time {time:.6f} s follows {time + fall:.6f} s, expected times to increase "
-        f"but for {_LARGEST_FALL_S:g} s (cut the log where its clock was set)"
-    )
+def _in_order(times: Array, clock: _Clock) -> tuple[Index, Array, int, int]:
+    """Rows (K,) by time, their times (K,), how many of the same time were dropped, or moved.
 
-
-def _in_order(sweeps: Sweeps, clock: _Clock) -> tuple[Index, Array, int, int]:
-    """Rows (K,) by time, their times (K,), how many of the same time were dropped, or moved."""
+    times: (N, 2) of the sweeps.
+    """
     if clock.column is None:
-        return np.arange(len(sweeps.line)), np.arange(float(len(sweeps.line))), 0, 0
-    time: Array = np.array(sweeps.times)[:, clock.column]
+        return np.arange(len(times)), np.arange(float(len(times))), 0, 0
+    time: Array = times[:, clock.column]
     swapped = int(np.count_nonzero(time < np.maximum.accumulate(time)))
     order = np.argsort(time, kind="stable")
     order = order[np.diff(time[order], prepend=-np.inf) > 0]
@@ -174,14 +180,18 @@ def _odometry(path: Path, rows: Array, clock: _Clock, scans: list[int]) -> Array
     fallen = np.flatnonzero(fall > _LARGEST_FALL_S)
     if len(fallen):
         row = int(fallen[0])
-        raise InputError(_fallen(path, int(kept[row, 0]), time[row], fall[row]))
+        raise InputError(
+            f"{path}:{int(kept[row, 0])}: time {time[row]:.6f} s follows "
+            f"{time[row] + fall[row]:.6f} s, expected times to increase but for "
+            f"{_LARGEST_FALL_S:g} s (cut the log where its clock was set)"
+        )
     time, first = np.unique(time, return_index=True)
     return np.column_stack((time, kept[first, 3:]))
 
 
-def _mount(path: Path, sweeps: Sweeps) -> Mount:
+def _mount(path: Path, sweeps: list[Sweep]) -> Mount:
     """The laser seen from the robot, which all lines must agree on."""
-    laser, robot = np.array(sweeps.laser), np.array(sweeps.robot)
+    laser, robot = (np.array([one.poses[k : k + 3] for one in sweeps]) for k in (0, 3))
     offset = (laser[:, :2] - robot[:, :2]) @ np.array([1.0, 1j]) * np.exp(-1j * robot[:, 2])
     turn = np.angle(np.exp(1j * (laser[:, 2] - robot[:, 2])))
     # Numbers are printed to a few digits only: the middle of all is better than the first.
@@ -194,7 +204,7 @@ def _mount(path: Path, sweeps: Sweeps) -> Mount:
     if len(far):
         x, y, heading = seen[far[0]]
         raise InputError(
-            f"{path}:{sweeps.line[far[0]]}: the laser's pose is {x:.4g} m forward, {y:.4g} m left, "
+            f"{path}:{sweeps[far[0]].line}: the laser's pose is {x:.4g} m forward, {y:.4g} m left, "
             f"{heading:.4g} rad of the robot's, expected {place[0]:.4g}, {place[1]:.4g}, "
             f"{place[2]:.4g} as in most lines (corrected poses? take the log as recorded)"
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +32,8 @@ class Sweep(NamedTuple):
     """One laser line. line: its number from 1.
 
     times_s: in the log's own seconds. angle_rad, range_m, remission: (B,). maximum_m: ranges from
-    there on are none. poses: (6,) x, y [m], heading [rad] of the laser, then of the robot.
+    there on are none, and NaN once the line is taken. poses: (6,) x, y [m], heading [rad] of the
+    laser, then of the robot.
     """
 
     line: int
@@ -43,23 +43,6 @@ class Sweep(NamedTuple):
     maximum_m: float
     remission: Array
     poses: Array
-
-
-@dataclass(kw_only=True)
-class Sweeps:
-    """Laser lines of one kind, N so far with B beams each.
-
-    line: (N,) numbers from 1. times: (N,) in the log's own seconds. angle: (B,). ranges and
-    remissions: N arrays (B,). laser, robot: N poses (3,) x, y [m], heading [rad].
-    """
-
-    line: list[int] = field(default_factory=list)
-    times: list[Times] = field(default_factory=list)
-    angle: Array = field(default_factory=lambda: np.zeros(0))
-    ranges: list[Array] = field(default_factory=list)
-    remissions: list[Array] = field(default_factory=list)
-    laser: list[Array] = field(default_factory=list)
-    robot: list[Array] = field(default_factory=list)
 
 
 class LineReader:
@@ -72,7 +55,7 @@ class LineReader:
     def __init__(self, path: Path) -> None:
         """path: for errors only."""
         self.path = path
-        self.sweeps = {"FLASER": Sweeps(), "ROBOTLASER1": Sweeps()}
+        self.sweeps: dict[str, list[Sweep]] = {"FLASER": [], "ROBOTLASER1": []}
         self.odometry: list[list[float]] = []
         self.skipped: Counter[str] = Counter()
         self.maximum_m = _MAXIMUM_M
@@ -162,25 +145,21 @@ class LineReader:
     def _add(self, kind: str, sweep: Sweep) -> None:
         sweeps, number = self.sweeps[kind], sweep.line
         angle, ranges = sweep.angle_rad, sweep.range_m
+        first = sweeps[0] if sweeps else sweep
+        expected = first.angle_rad  # one array for all of them: logs are long
         if (ranges < 0).any():
             raise InputError(
                 f"{self.path}:{number}: range is {ranges[ranges < 0][0]:g}, expected 0 or more"
             )
-        if not sweeps.line:
-            sweeps.angle = angle
-        elif len(angle) != len(sweeps.angle) or not np.allclose(angle, sweeps.angle, atol=1e-3):
+        if len(angle) != len(expected) or not np.allclose(angle, expected, atol=1e-3):
             raise InputError(
                 f"{self.path}:{number}: {len(angle)} beams from {angle[0]:.4g} to {angle[-1]:.4g} "
-                f"rad, expected {len(sweeps.angle)} from {sweeps.angle[0]:.4g} to "
-                f"{sweeps.angle[-1]:.4g} as in line {sweeps.line[0]}"
+                f"rad, expected {len(expected)} from {expected[0]:.4g} to "
+                f"{expected[-1]:.4g} as in line {first.line}"
             )
-        sweeps.line.append(number)
-        sweeps.times.append(sweep.times_s)
         measured = (ranges > 0) & (ranges < sweep.maximum_m)
-        sweeps.ranges.append(np.where(measured, ranges, np.nan))
-        sweeps.remissions.append(sweep.remission)
-        sweeps.laser.append(sweep.poses[:3])
-        sweeps.robot.append(sweep.poses[3:])
+        found = np.where(measured, ranges, np.nan)
+        sweeps.append(sweep._replace(angle_rad=expected, range_m=found))
 
     def _count(self, number: int, words: list[str], at: int, name: str, least: int) -> int:
         word = words[at] if at < len(words) else ""

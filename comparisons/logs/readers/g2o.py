@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.errors import InputError, check_regular
+from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Log, LoopClosures, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
-from comparisons.logs.table import first_words
+from comparisons.logs.table import first_words, reading
 from comparisons.logs.validation import LARGEST
 from graphslam.g2o import read_g2o
 from graphslam.g2o import recognises as knows
@@ -27,13 +27,11 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path) -> Log:
     """Read the file. Raises InputError naming the line at fault."""
-    check_regular(path)
-    try:
-        problem, _, _, notes, ids = read_g2o(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except (ValueError, ArithmeticError) as error:
-        raise InputError(str(error)) from None
+    with reading(path):
+        try:
+            problem, _, _, notes, ids = read_g2o(path)
+        except (ValueError, ArithmeticError) as error:
+            raise InputError(str(error)) from None
     closed = problem.loop_closures
     if not len(problem.increment):
         raise InputError(f"{path}: expected EDGE_SE2 lines")
@@ -56,7 +54,6 @@ def read(path: Path) -> Log:
             sigma_range_m=problem.sigma[order, 0],
             sigma_bearing_rad=problem.sigma[order, 1],
             landmark=ids[problem.measurement_landmark[order]],
-            diameter_m=np.full(len(order), np.nan),
         ),
         positions=Positions(
             problem.position_pose[fixes].astype(float),

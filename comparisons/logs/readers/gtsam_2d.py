@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, symmetric
 from comparisons.errors import InputError
 from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import RelativePoses
@@ -89,7 +89,8 @@ def read(path: Path) -> Log:
             raise InputError(f"{path}:{number}: landmark {int(seen[row][1])} is a pose's number")
     order = sorted(range(len(seen)), key=lambda row: seen[row][0])
     with locate_rows(path, move_line.__getitem__):
-        odometry = _odometry(np.array(moves))
+        moved, covariance = np.split(np.array(moves), [3], axis=1)
+        odometry = RelativePoses(np.arange(1.0, len(moves) + 1), moved, symmetric(covariance))
     with locate_rows(path, lambda row: seen_line[order[row]]):
         measurements = _measurements(np.array(seen)[order])
     return Log(
@@ -128,12 +129,6 @@ def _records(path: Path) -> Iterator[tuple[int, str, tuple[Any, ...]]]:
         yield number, words[0], (int(words[1]), int(words[2]), *values)
 
 
-def _odometry(moves: Array) -> RelativePoses:
-    upper = moves[:, 3:]
-    covariance = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    return RelativePoses(np.arange(1.0, len(moves) + 1), moves[:, :3], covariance)
-
-
 def _measurements(seen: Array) -> LandmarkMeasurements:
     pose, landmark, x, y, variance = seen.T
     distance, sigma = np.hypot(x, y), np.sqrt(variance)
@@ -145,5 +140,4 @@ def _measurements(seen: Array) -> LandmarkMeasurements:
         sigma_range_m=sigma,
         sigma_bearing_rad=np.where(distance > 0, sigma / safe, 1.0),
         landmark=landmark.astype(np.int64),
-        diameter_m=np.full(len(seen), np.nan),
     )

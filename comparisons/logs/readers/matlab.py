@@ -13,7 +13,8 @@ import numpy as np
 
 from comparisons.archive import most_unpacked
 from comparisons.arrays import Array
-from comparisons.errors import InputError, check_regular
+from comparisons.errors import InputError
+from comparisons.logs.table import reading
 
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8",
@@ -29,13 +30,8 @@ def load_matlab(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
     Raises InputError for a missing or damaged file, and for a variable that is missing, not a full
     array of real numbers, or not finite throughout.
     """
-    check_regular(path)
-    try:
+    with reading(path):
         content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     try:
         found = _variables(content, names)
     except ValueError as error:

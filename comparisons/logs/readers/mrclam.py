@@ -63,25 +63,18 @@ def read(path: Path, robot: int) -> Log:
         )
     motion = replace(motion, time_s=motion.time_s + _ODOMETRY_LEAD_S)
     with captured.locating():
-        truth = Poses(since(captured["time"], start), _unwrapped(captured.data[:, 1:]))
+        pose = np.column_stack((captured.data[:, 1:3], np.unwrap(captured["heading"])))
+        truth = Poses(since(captured["time"], start), pose)
     subject_of = dict(zip(barcodes["barcode"].tolist(), barcodes["subject"].tolist(), strict=True))
     subject = np.array([subject_of.get(code, 0.0) for code in measured["barcode"].tolist()])
     early = measured["time"] < start
     with measured.locating():
         everything = _measurements(measured, start, subject)
     kept = (subject > _ROBOTS) & ~early
-    bearing = everything.bearing_rad[kept]
-    slant = everything.range_m[kept] / (_DEPTH_GAIN * np.cos(bearing))
-    measurements = LandmarkMeasurements(
-        time_s=everything.time_s[kept],
-        range_m=slant,
-        bearing_rad=bearing,
-        sigma_range_m=np.hypot(_SIGMA_RANGE_M, _SIGMA_RANGE_SHARE * slant),
-        sigma_bearing_rad=everything.sigma_bearing_rad[kept],
-        landmark=everything.landmark[kept],
-        diameter_m=everything.diameter_m[kept],
-        label_gate=_LABEL_GATE,
-    )
+    seen = everything.chosen(kept)
+    slant = seen.range_m / (_DEPTH_GAIN * np.cos(seen.bearing_rad))
+    sigma_m = np.hypot(_SIGMA_RANGE_M, _SIGMA_RANGE_SHARE * slant)
+    measurements = replace(seen, range_m=slant, sigma_range_m=sigma_m, label_gate=_LABEL_GATE)
     variance = surveyed.data[:, 3:5] ** 2
     with surveyed.locating():
         landmarks = Landmarks(
@@ -123,9 +116,4 @@ def _measurements(measured: Table, start: float, landmark: Array) -> LandmarkMea
         sigma_range_m=np.ones(count),
         sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
         landmark=whole_numbers("measurements", "subject", landmark),
-        diameter_m=np.full(count, np.nan),
     )
-
-
-def _unwrapped(pose: Array) -> Array:
-    return np.column_stack((pose[:, :2], np.unwrap(pose[:, 2])))

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, naming
 from comparisons.logs.log import (
     NO_LANDMARK,
     LandmarkMeasurements,
@@ -248,7 +248,6 @@ def _measurements(path: Path, drive: _Drive) -> LandmarkMeasurements:
             sigma_range_m=np.repeat(sigma[:, 0], counts),
             sigma_bearing_rad=np.repeat(sigma[:, 1], counts),
             landmark=np.maximum(np.concatenate([item.landmark for item in items]), NO_LANDMARK),
-            diameter_m=np.full(len(polar), np.nan),
         )
 
 
@@ -324,19 +323,15 @@ def _truth(path: Path, drive: _Drive) -> Truth:
         world = path.with_name(f"{base}_ground_truth.txt")
         if world.is_file():
             table = _table(world, _TRUTH_LANDMARK)
-            try:
+            with naming(world):
                 ids = whole_numbers("landmarks", "id", table[:, 6])
                 landmarks = Landmarks(ids, table[:, :2], np.zeros((len(ids), 2, 2)))
-            except RecordError as error:
-                raise InputError(f"{world}: {error}") from None
     timed = path.with_name(f"{path.name}.GT.txt")
     if poses is None and drive.first_ticks is not None and timed.is_file():
         table = _table(timed, _TIMED_TRUTH)
         since = table[:, 0] - (drive.first_ticks - _UNIX_TICKS) / _TICKS_PER_S
-        try:
+        with naming(timed):
             poses = Poses(since, table[:, 1:])
-        except RecordError as error:
-            raise InputError(f"{timed}: {error}") from None
     return Truth(poses, landmarks)
 
 

@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from comparisons.archive import most_unpacked
 from comparisons.arrays import Array
-from comparisons.errors import InputError, check_regular
-from comparisons.logs.table import shorten
+from comparisons.errors import InputError
+from comparisons.logs.readers.ros_messages import of_quaternion
+from comparisons.logs.table import reading, shorten
 from comparisons.logs.validation import LARGEST
 
 MOST_BYTES = 2**28
@@ -121,13 +122,13 @@ def is_rawlog(path: Path) -> bool:
 
 def records(path: Path) -> Iterator[Movement | Frame]:
     """What the file holds, in its order. Raises InputError naming the (unpacked) byte at fault."""
-    stream = _Stream(path, _unpacked(path))
+    with reading(path):
+        stream = _Stream(path, _unpacked(path))
     while stream.at < len(stream.data):
         yield from stream.top()
 
 
 def _unpacked(path: Path) -> bytes:
-    check_regular(path)
     try:
         with path.open("rb") as file:
             packed = file.read(2) == _GZIP
@@ -144,10 +145,6 @@ def _unpacked(path: Path) -> bytes:
                     )
     except (EOFError, zlib.error, gzip.BadGzipFile):
         raise InputError(f"{path}: damaged gzip file, expected a whole one") from None
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     return b"".join(chunks)
 
 
@@ -268,12 +265,8 @@ def _pose_3d(stream: _Stream, start: int, version: int) -> Array:
     pose = np.eye(4)
     pose[:3, 3] = stream.numbers("3d")
     if version == 2:
-        w, x, y, z = _bounded(stream, start, np.array(stream.numbers("4d")))
-        pose[:3, :3] = (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        )
+        w_first = _bounded(stream, start, np.array(stream.numbers("4d")))
+        pose[:3, :3] = of_quaternion(np.roll(w_first, -1))
     else:
         pose[:3, :3] = np.reshape(stream.numbers("9d"), (3, 3))
     return _bounded(stream, start, pose)
@@ -313,8 +306,8 @@ def _movement(stream: _Stream, start: int, version: int) -> Movement:
             f"expected model {_GAUSSIAN} or {_THRUN} and numbers below 1e+06",
         )
     spread = _gaussian(moved, gaussian) if model == _GAUSSIAN else _thrun(moved, thrun)
-    turn = np.eye(3)
-    turn[:2, :2] = _rotation(-moved[2])
+    cos, sin = np.cos(-moved[2]), np.sin(-moved[2])
+    turn = np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
     return Movement(at=start, ticks=ticks, displacement=moved, covariance=turn @ spread @ turn.T)
 
 
@@ -347,10 +340,6 @@ def _thrun(moved: Array, model: tuple[float, ...]) -> Array:
     )
     least = np.diag((least_m**2, least_m**2, least_rad**2))
     return np.asarray(jacobian @ np.diag(np.square(sigmas)) @ jacobian.T + least)
-
-
-def _rotation(angle: float) -> Array:
-    return np.array(((np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))))
 
 
 def _actions(stream: _Stream, start: int, version: int) -> tuple[Movement, ...]:

@@ -190,13 +190,18 @@ def _vector(value: Any, place: str) -> Array:
 
 def _rotation(q: Any, place: str) -> Array:
     """(3, 3) of a unit quaternion."""
-    x, y, z, w = quaternion = np.array([q.x, q.y, q.z, q.w], dtype=float)
+    quaternion = np.array([q.x, q.y, q.z, q.w], dtype=float)
     length = float(np.sqrt((quaternion**2).sum())) if (np.abs(quaternion) < 2).all() else np.nan
     if not abs(length - 1) <= _UNIT_TOLERANCE:
         raise InputError(
             f"{place}: a quaternion is {quaternion.tolist()}, expected one of unit length"
         )
-    x, y, z, w = quaternion / length
+    return of_quaternion(quaternion / length)
+
+
+def of_quaternion(quaternion: Array) -> Array:
+    """(3, 3) of x, y, z, w (4,), of unit length."""
+    x, y, z, w = quaternion
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.odometry_noise import LARGEST_VARIANCE
-from comparisons.logs.readers.ros_messages import frame, planar_pose, stamp_ns
+from comparisons.logs.readers.ros_messages import frame, planar_pose
 from comparisons.logs.validation import LARGEST
 
 SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.1, float(np.deg2rad(1.0))
@@ -99,15 +99,9 @@ def _kind(result: Any) -> str:
     return str(getattr(hypothesis, "class_id", getattr(hypothesis, "id", "")))
 
 
-def points_stamp_ns(message: Any) -> int:
-    """The header's time, a MarkerArray's first marker's."""
-    return stamp_ns(message.markers[0] if hasattr(message, "markers") else message)
-
-
-def points_frame(message: Any) -> str:
-    """The header's frame, a MarkerArray's first marker's."""
-    one = message.markers[0] if hasattr(message, "markers") else message
-    return str(one.header.frame_id)
+def headed(message: Any) -> Any:
+    """What has the header: of a MarkerArray the first marker."""
+    return message.markers[0] if hasattr(message, "markers") else message
 
 
 def range_bearing(points: Points, place: Array) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.errors import InputError
+from comparisons.errors import InputError, naming
 from comparisons.logs.from_arrays import LandmarkNumbers
 from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses, instants_of, poses_at
@@ -99,9 +99,9 @@ def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
             "scans": _scan_stream(bag, provenance),
             "clouds": _cloud_stream(bag, provenance),
             "measurements": _point_stream(bag, provenance),
-            "positions": _stream(bag, FIX, ros_points.fix, lambda m: m.header.frame_id, provenance),
+            "positions": _stream(bag, FIX, ros_points.fix, provenance),
         }
-        moved = _stream(bag, ODOMETRY, ros_points.moved, lambda m: m.child_frame_id, provenance)
+        moved = _stream(bag, ODOMETRY, ros_points.moved, provenance, lambda m: m.child_frame_id)
         transforms = _static_transforms(bag)
     found = {name: stream for name, stream in read.items() if stream is not None}
     if moved is None:  # nothing says where the vehicle was
@@ -115,12 +115,10 @@ def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
         )
     kept, start, time_s = _instants(path, found, moved, provenance)
     base = _base(moved, transforms)
-    try:
+    with naming(path):
         where = _Frame(start, base, transforms, provenance)
         _check_placed(kept, where, topics)
         return _log(path, kept, where, _Drive(moved, time_s))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _instants(
@@ -222,11 +220,9 @@ def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> 
     scans = clouds = positions = None
     measurements = no_measurements()
     if "scans" in kept:
-        place = where.place(kept["scans"], "scans_mount")
-        scans = _scans(kept["scans"], where.start, place)
+        scans = _scans(kept["scans"], where)
     if "clouds" in kept:
-        place = where.place(kept["clouds"], "clouds_mount")
-        clouds = _clouds(kept["clouds"], where.start, place)
+        clouds = _clouds(kept["clouds"], where)
     if "measurements" in kept:
         measurements = _measurements(kept["measurements"], where)
     if "positions" in kept:
@@ -248,10 +244,8 @@ def _measurements(stream: _Stream, where: _Frame) -> LandmarkMeasurements:
     """Points as ranges and bearings from the pose, with labels as whole numbers."""
     place = where.place(stream, "measurements_mount")
     messages: list[ros_points.Points] = stream.items
-    try:
+    with naming(stream.topic.name):
         found, sigma = zip(*(ros_points.range_bearing(one, place) for one in messages), strict=True)
-    except InputError as error:
-        raise InputError(f"{stream.topic.name}: {error}") from None
     z, sigmas = np.concatenate(found), np.concatenate(sigma)
     stated = np.isnan(sigmas[:, 0])
     sigmas[stated] = (ros_points.SIGMA_RANGE_M, ros_points.SIGMA_BEARING_RAD)
@@ -271,7 +265,6 @@ def _measurements(stream: _Stream, where: _Frame) -> LandmarkMeasurements:
         sigma_range_m=sigmas[:, 0],
         sigma_bearing_rad=sigmas[:, 1],
         landmark=numbers.of(labels),
-        diameter_m=np.full(len(z), np.nan),
     )
 
 
@@ -317,9 +310,8 @@ def _stream(
     bag: Bag,
     kind: str,
     convert: Callable[[Any, str], _T | None],
-    frame_of: Callable[[Any], str],
     provenance: dict[str, str],
-    time_of: Callable[[Any], int] = stamp_ns,
+    frame_of: Callable[[Any], str] = lambda message: str(message.header.frame_id),
 ) -> _Stream | None:
     """The messages of the topic to read, repeated times left out.
 
@@ -338,9 +330,10 @@ def _stream(
             empty += 1
             continue
         items.append(item)
-        stamps.append(time_of(message))
+        one = ros_points.headed(message)
+        stamps.append(stamp_ns(one))
         recorded.append(recorded_ns)
-        frames.append(frame(frame_of(message)))
+        frames.append(frame(frame_of(one)))
         if frames[-1] != frames[0]:
             raise InputError(
                 f"{place}: frame is {frames[-1]}, expected {frames[0]} as in the first"
@@ -391,7 +384,7 @@ def _scan_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
             )
         return replace(found, angle_rad=expected)  # one array for all of them: bags are long
 
-    return _stream(bag, LASER, convert, lambda m: m.header.frame_id, provenance)
+    return _stream(bag, LASER, convert, provenance)
 
 
 def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
@@ -408,14 +401,8 @@ def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
                 raise InputError(f"{bag.path}: {fault}, expected one, as .mcap files have it")
             provenance["measurements"] = f"left out: {fault}"
             return None
-        found = _stream(
-            bag,
-            kind,
-            ros_points.markers if kind == MARKERS else ros_points.detections,
-            ros_points.points_frame,
-            provenance,
-            ros_points.points_stamp_ns,
-        )
+        convert = ros_points.markers if kind == MARKERS else ros_points.detections
+        found = _stream(bag, kind, convert, provenance)
         if found is not None:
             return found
         if kind in chosen:
@@ -439,11 +426,12 @@ def _cloud_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
             )
         return found
 
-    return _stream(bag, CLOUD, convert, lambda m: m.header.frame_id, provenance)
+    return _stream(bag, CLOUD, convert, provenance)
 
 
-def _scans(stream: _Stream, start: int, place: Array) -> Scans:
-    """With the scanner's place (4, 4) seen from the pose; upside down turns the beams' order."""
+def _scans(stream: _Stream, where: _Frame) -> Scans:
+    """With the scanner's place seen from the pose; upside down turns the beams' order."""
+    place = where.place(stream, "scans_mount")
     level = place[2, 2]
     if abs(level) < _LEVEL:
         tilt = np.degrees(np.arccos(abs(level)))
@@ -452,7 +440,7 @@ def _scans(stream: _Stream, start: int, place: Array) -> Scans:
         )
     sweeps: list[Sweep] = stream.items
     return Scans(
-        time_s=(stream.time_ns - start) / 1e9,
+        time_s=where.seconds(stream),
         angle_rad=np.sign(level) * sweeps[0].angle_rad,
         range_m=np.array([s.range_m for s in sweeps]),
         intensity=np.array([s.intensity for s in sweeps]),
@@ -463,12 +451,13 @@ def _scans(stream: _Stream, start: int, place: Array) -> Scans:
     )
 
 
-def _clouds(stream: _Stream, start: int, place: Array) -> Clouds:
+def _clouds(stream: _Stream, where: _Frame) -> Clouds:
     """All points in the pose's frame."""
+    place = where.place(stream, "clouds_mount")
     parts: list[tuple[Array, Array]] = stream.items
     points = np.concatenate([points for points, _ in parts])
     return Clouds(
-        (stream.time_ns - start) / 1e9,
+        where.seconds(stream),
         np.concatenate(([0], np.cumsum([len(points) for points, _ in parts], dtype=np.int64))),
         points @ place[:3, :3].T + place[:3, 3],
         np.concatenate([seconds for _, seconds in parts]),

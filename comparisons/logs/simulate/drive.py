@@ -153,7 +153,6 @@ def point_measurements(
         sigma_range_m=np.full(count, scale * drive.sigma_range_m),
         sigma_bearing_rad=np.full(count, scale * drive.sigma_bearing_rad),
         landmark=which,
-        diameter_m=np.full(count, np.nan),
     )
 
 

@@ -33,7 +33,6 @@ CHANGE_S = 40.0
 CARS_LEAVE_S = 31.5
 """When the three cars of `parked_world` leave: as its first lap ends."""
 
-_POLE_M = 0.3
 _LANE_M = 66.0
 
 
@@ -97,16 +96,15 @@ def lanes_world(*, carried: bool = False) -> ScanWorld:
         for part in range(_DISCS)
     )
     outline, height_m = placed_shapes(objects)
-    return ScanWorld(
+    world = ScanWorld(
         path=path,
         landmark=place,
         outline=outline,
         outline_height_m=height_m,
-        pole=np.column_stack((place, np.full(len(place), _POLE_M))),
-        pole_height_m=np.full(len(place), 4.0),
         movers=movers,
         carrier=(2 * _DISCS + _DISCS // 2,) if carried else (),
     )
+    return with_poles(world, place)
 
 
 _VEHICLES, _DISCS = 4, 19

@@ -18,10 +18,6 @@ _PAIRS = 2**18
 """So many pairs of beam and thing are tried at once: their arrays stay in the cache."""
 
 
-def _none(*shape: int) -> Array:
-    return np.zeros(shape)
-
-
 @dataclass(frozen=True)
 class Solids:
     """What beams meet: O closed outlines of S segments, and L discs, all standing on the ground.
@@ -31,11 +27,11 @@ class Solids:
     them. disc_height_m: (L,). Heights matter in space only.
     """
 
-    segment: Array = field(default_factory=lambda: _none(0, 4))
+    segment: Array = field(default_factory=lambda: np.zeros((0, 4)))
     outline: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    outline_height_m: Array = field(default_factory=lambda: _none(0))
-    disc: Array = field(default_factory=lambda: _none(0, 3))
-    disc_height_m: Array = field(default_factory=lambda: _none(0))
+    outline_height_m: Array = field(default_factory=lambda: np.zeros(0))
+    disc: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    disc_height_m: Array = field(default_factory=lambda: np.zeros(0))
 
     def within(self, centre: Array, reach_m: float) -> Solids:
         """Those of the segments and of the discs (L, 3) that come as near to a point (2,)."""

@@ -187,8 +187,7 @@ def dense_scan_slam_world() -> ScanWorld:
 
     The path and most objects are those of Fig. 4.2.
     """
-    world = occupancy_world()
-    return replace(world, landmark=np.zeros((0, 2)), pole=np.zeros((0, 3)), pole_height_m=_NO_POLES)
+    return with_poles(occupancy_world(), np.zeros((0, 2)))
 
 
 def scan_slam_world() -> ScanWorld:
@@ -223,7 +222,6 @@ _PATH_OF_100_BY_80 = (
 )  # fmt: skip
 """Through these the loop is driven, in order."""
 
-_NO_POLES = np.zeros(0)
 _ARM = 1.0 / 6.0
 _SHAPES = {
     "box": ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -198,10 +198,8 @@ def _standing(still: Solids, world: ScanWorld, time: Array) -> Solids:
     )
     disc = np.broadcast_to(still.disc, (len(time), *still.disc.shape))
     height = [mover.height_m for mover in world.movers]
-    return Solids(
-        still.segment,
-        still.outline,
-        still.outline_height_m,
-        np.concatenate((disc, moving), axis=1),
-        np.append(still.disc_height_m, height),
+    return replace(
+        still,
+        disc=np.concatenate((disc, moving), axis=1),
+        disc_height_m=np.append(still.disc_height_m, height),
     )

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.logs.log import (
     LandmarkMeasurements,
-    Landmarks,
     Log,
     Poses,
     Positions,
@@ -27,6 +26,7 @@ from comparisons.logs.log import (
 )
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Scans
+from comparisons.logs.simulate.drive import exact_landmarks
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scanners import half_degrees
 
@@ -175,7 +175,6 @@ def simulate(
             sigma_range_m=sigma[:, 0],
             sigma_bearing_rad=sigma[:, 1],
             landmark=landmark,
-            diameter_m=np.full(len(z), np.nan),
         ),
         positions=Positions(
             np.array([t for t, _ in fixes]),
@@ -190,7 +189,7 @@ def simulate(
         ),
         truth=Truth(
             Poses(time_s, np.array(poses)),
-            Landmarks(np.arange(len(place)), place, np.zeros((len(place), 2, 2))),
+            exact_landmarks(place),
         ),
         provenance={
             "source": "Misono 2007, section 4.1; the course is ours",

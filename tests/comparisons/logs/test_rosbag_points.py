@@ -203,10 +203,11 @@ def test_the_start_that_fixes_show_is_as_certain_as_it_says() -> None:
         antenna = pose[:, :2] @ np.array([1.0, 1j]) + np.exp(1j * pose[:, 2])
         for scale in (0, 1):
             covariance = scale * np.tile(np.diag(sigma**2), (steps, 1, 1))
-            start = lay_reckoned(Reckoned(time_s, pose, antenna, covariance), plane, 20.0)
-            error = start.pose - (30, drive, heading)
+            moved = Reckoned(time_s, pose, antenna, covariance)
+            start, spread = lay_reckoned(moved, plane, 20.0)
+            error = start - (30, drive, heading)
             error[2] = np.angle(np.exp(1j * error[2]))
-            row[scale] = error @ np.linalg.solve(start.covariance, error)
+            row[scale] = error @ np.linalg.solve(spread, error)
     low, high = chi2.ppf((0.001, 0.999), 3 * count) / count
     exact, honest = nees.mean(axis=0)
     assert low < honest < high
