@@ -7,6 +7,7 @@ smoother's poses.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,7 +23,7 @@ from comparisons.extensions.dense_maps.accuracy import (
     surface_error_rows,
 )
 from comparisons.extensions.dense_maps.source import DenseRun, classic_grid
-from comparisons.figures import Aside, Less, More
+from comparisons.figures import METRES, Aside, Less, More, Named, percent, rows_of
 from comparisons.logs.log import Log
 from comparisons.words import Cause, Row
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
@@ -33,6 +34,7 @@ AGREE_M = 0.3
 """Two maps agree when half of what the one holds is no farther than this from the other, in all
 and in every region that holds enough."""
 _ENOUGH = _LISTED = 20
+_MET = "regions that met the first condition by"
 _DECIDED = (0.35, 0.65)
 """A cell below is free, one above occupied."""
 
@@ -51,10 +53,10 @@ class LayerAgreement:
         distance_m: (N,) theirs.
     """
 
-    samples: int
-    median_m: Less[float]
-    p95_m: Less[float]
-    missed_m: Less[float]
+    samples: Annotated[int, Named("occupied samples")]
+    median_m: Annotated[Less[float], Named("map to returns, median", METRES)]
+    p95_m: Annotated[Less[float], Named("map to returns, 95 %", METRES)]
+    missed_m: Annotated[Less[float], Named("returns to map, median", METRES)]
     point: Aside[Array]
     distance_m: Aside[Array]
 
@@ -88,10 +90,10 @@ class FirstCondition:
         by_relative_sigma: the others, which the thesis' rule refuses.
     """
 
-    rule: str
-    regions: int
-    by_correlation: int
-    by_relative_sigma: int
+    rule: Annotated[str, Named("first condition", "{}")]
+    regions: Annotated[int, Named("regions")]
+    by_correlation: Annotated[int, Named(f"{_MET} correlation")]
+    by_relative_sigma: Annotated[int, Named(f"{_MET} relative sigma alone")]
 
     @classmethod
     def of(cls, dense: DenseRun) -> FirstCondition:
@@ -102,13 +104,7 @@ class FirstCondition:
 
     def rows(self) -> list[Row]:
         """Return the regions, and how many met the first condition in which way."""
-        group, met = "Regions of the dense map", "regions that met the first condition by"
-        return [
-            Row(group, "first condition", self.rule),
-            Row(group, "regions", f"{self.regions:,}"),
-            Row(group, f"{met} correlation", f"{self.by_correlation:,}"),
-            Row(group, f"{met} relative sigma alone", f"{self.by_relative_sigma:,}"),
-        ]
+        return rows_of("Regions of the dense map", self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +127,9 @@ class DenseAgreement:
     agrees: bool
     first_condition: FirstCondition
     layers: dict[str, LayerAgreement]
-    occupancy_share: More[float | None]
+    occupancy_share: Annotated[
+        More[float | None], Named("occupancy: cells decided in both maps that are alike", percent)
+    ]
     regions: tuple[RegionAgreement, ...]
     surface_errors: dict[str, SurfaceError]
     median_m: Aside[float]
@@ -142,16 +140,8 @@ class DenseAgreement:
         """Return how far the filter's map is from the returns as the smoother places them."""
         rows, group = self.first_condition.rows(), "Dense map, EKF and smoother"
         for name, layer in self.layers.items():
-            rows += [
-                Row(group, f"{name}: occupied samples", f"{layer.samples:,}"),
-                Row(group, f"{name}: map to returns, median", f"{layer.median_m:.3f} m"),
-                Row(group, f"{name}: map to returns, 95 %", f"{layer.p95_m:.3f} m"),
-                Row(group, f"{name}: returns to map, median", f"{layer.missed_m:.3f} m"),
-            ]
-        if self.occupancy_share is not None:
-            alike = "occupancy: cells decided in both maps that are alike"
-            rows.append(Row(group, alike, f"{100.0 * self.occupancy_share:.1f} %"))
-        return rows + surface_error_rows(self.surface_errors)
+            rows += rows_of(group, layer, before=f"{name}: ")
+        return [*rows, *rows_of(group, self), *surface_error_rows(self.surface_errors)]
 
 
 def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreement | None:

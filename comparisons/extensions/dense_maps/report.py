@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,7 +27,7 @@ from comparisons.extensions.dense_maps.figure import (
 )
 from comparisons.extensions.dense_maps.job import DenseMapping
 from comparisons.extensions.dense_maps.source import BeforeClosing
-from comparisons.figures import Model
+from comparisons.figures import Model, Named, rows_of
 from comparisons.pipeline.clock import Clock
 from comparisons.pipeline.known import Known
 from comparisons.report.folder import JobFolder
@@ -58,8 +59,8 @@ class LayerResult(Model):
         occupied: those with a probability above 0.8.
     """
 
-    samples: int
-    occupied: int
+    samples: Annotated[int, Named("samples")]
+    occupied: Annotated[int, Named("occupied samples")]
 
 
 @dataclass(kw_only=True)
@@ -241,8 +242,7 @@ def _map_rows(result: MapResult, known: Known) -> list[Row]:
     rows += result.first_condition.rows()
     rows += [Row("Scanner", name, f"{count:,}") for name, count in counts.items()]
     for name, layer in result.layers.items():
-        rows.append(Row("Layers", f"{name}: samples", f"{layer.samples:,}"))
-        rows.append(Row("Layers", f"{name}: occupied samples", f"{layer.occupied:,}"))
+        rows += rows_of("Layers", layer, before=f"{name}: ")
     rows += surface_error_rows(result.surface_errors)
     if (moving := result.dynamic) is not None:
         rows += [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from comparisons.config import Configured
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.own_association.config import OwnAssociationConfig
-from comparisons.figures import Aside, Less, More, in_sigma
+from comparisons.figures import METRES, Aside, Less, More, Named, in_sigma, percent, rows_of
 from comparisons.logs.log import LandmarkMeasurements
 from comparisons.pipeline.beside import ASSOCIATION_PAYS_FROM, Beside
 from comparisons.pipeline.extension import Extension
@@ -71,15 +71,17 @@ class OwnAssociationCheck:
         estimate: of S'.
     """
 
-    landmarks: int
-    agreement: More[float]
+    landmarks: Annotated[int, Named("landmarks")]
+    agreement: Annotated[More[float], Named("pairs of measurements as the filter's", percent)]
     pairs_both: int
     pairs_filter: int
     pairs_smoother: int
-    splits: Less[int]
-    merges: Less[int]
-    pose_difference_m: Less[float]
-    pose_distance_sigma: Less[float]
+    splits: Annotated[Less[int], Named("landmarks of the filter that it splits", "{}")]
+    merges: Annotated[Less[int], Named("landmarks of the filter that it merges", "{}")]
+    pose_difference_m: Annotated[Less[float], Named("last pose: difference of positions", METRES)]
+    pose_distance_sigma: Annotated[
+        Less[float], Named("last pose: difference of the means", in_sigma)
+    ]
     landmark_rms_m: Less[float | None]
     verified: bool
     accuracy: Accuracy | None = None
@@ -246,12 +248,7 @@ class OwnAssociationFinding(Finding):
         """Return how the associations compare, and how good the smoother is with its own."""
         own, group = self.own, "Smoother with its own association"
         return [
-            Row(group, "landmarks", f"{own.landmarks:,}"),
-            Row(group, "pairs of measurements as the filter's", f"{100.0 * own.agreement:.1f} %"),
-            Row(group, "landmarks of the filter that it splits", f"{own.splits}"),
-            Row(group, "landmarks of the filter that it merges", f"{own.merges}"),
-            Row(group, "last pose: difference of positions", f"{own.pose_difference_m:.3f} m"),
-            Row(group, "last pose: difference of the means", in_sigma(own.pose_distance_sigma)),
+            *rows_of(group, own),
             *accuracy_rows("the smoother with its own association", own.accuracy),
             *(own.association.rows("the smoother") if own.association else ()),
         ]

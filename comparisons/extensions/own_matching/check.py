@@ -8,6 +8,7 @@ against that sum. A shift that all have in common is held against how much they 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import chi2, f
@@ -17,7 +18,7 @@ from comparisons.checks.accuracy import Accuracy, aligned
 from comparisons.checks.agreement import Gaussian, block_agreement
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
-from comparisons.figures import Aside, Figure, LeftOut, Less, Same
+from comparisons.figures import Aside, Figure, LeftOut, Less, Named, Same
 from comparisons.words import Cause
 from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
@@ -103,10 +104,10 @@ class OwnMatchingCheck:
         alignments: the own ones, as the matcher made them.
     """
 
-    matcher: str = MATCHER
-    filter: int
-    own: int
-    common: int
+    matcher: Annotated[str, Named("matcher", "{}")] = MATCHER
+    filter: Annotated[int, Named("alignments by the filter's matcher")]
+    own: Annotated[int, Named("alignments by its own matcher")]
+    common: Annotated[int, Named("alignments by both")]
     distance_sigma: Less[Figure | None]
     shift_m: tuple[float, float]
     shift_rad: LeftOut[float]

@@ -22,7 +22,7 @@ from comparisons.extensions.own_matching.check import (
     matching_cause,
 )
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
-from comparisons.figures import in_sigma
+from comparisons.figures import in_sigma, rows_of
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.stamps import resolved
@@ -96,10 +96,7 @@ class OwnMatchingFinding(Finding):
         shift = float(np.hypot(*own.shift_m))
         turn = f"{np.degrees(own.shift_rad):.2f} deg"
         rows = [
-            Row(group, "matcher", own.matcher),
-            Row(group, "alignments by its own matcher", f"{own.own:,}"),
-            Row(group, "alignments by the filter's matcher", f"{own.filter:,}"),
-            Row(group, "alignments by both", f"{own.common:,}"),
+            *rows_of(group, own, ["matcher", "own", "filter", "common"]),
             Row(group, "difference of the alignments (rms)", in_sigma(own.distance_sigma)),
             Row(group, "common shift of the alignments", f"{shift:.3f} m"),
             Row(group, "common turn of the alignments", turn),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,7 +24,7 @@ from comparisons.extensions.scan_motion.result import (
     scan_odometry_result,
     scan_odometry_rows,
 )
-from comparisons.figures import Model
+from comparisons.figures import Model, Named, rows_of
 from comparisons.pipeline.clock import Clock
 from comparisons.report.figures.style import (
     draw_aside,
@@ -44,7 +44,6 @@ from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
 from comparisons.report.sections import about_job, job_page, optimum_findings, smoother_result
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import STYLES, Summary
-from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.scan.clouds import write_cloud
 
@@ -58,8 +57,8 @@ class LoopResult(Model):
         reasons: number of the other pairs, by reason.
     """
 
-    tried: int
-    closed: int
+    tried: Annotated[int, Named("pairs of poses tried")]
+    closed: Annotated[int, Named("pairs of poses closed")]
     reasons: dict[str, int]
 
 
@@ -137,8 +136,7 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
                 *log_rows(result.log),
                 *settings_rows(result.settings),
                 *scan_odometry_rows(o, result.increments),
-                Row("Loop closure", "pairs of poses tried", f"{result.loops.tried:,}"),
-                Row("Loop closure", "pairs of poses closed", f"{result.loops.closed:,}"),
+                *rows_of("Loop closure", result.loops),
                 *smoother_rows(result.graph),
                 *self.found.known.rows,
                 *seconds_rows(result.seconds, result.cpu_s),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable
+from typing import Annotated
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from comparisons.adapters.scan_odometry import ScanMotion
 from comparisons.checks.accuracy import accuracy_rows
 from comparisons.extensions.scan_motion.increments import IncrementCheck
 from comparisons.extensions.scan_motion.three_way import ThreeWay
-from comparisons.figures import LeftOut, Less, Model, More, band
+from comparisons.figures import METRES, LeftOut, Less, Model, More, Named, band, rows_of
 from comparisons.words import Row
 
 _SURE = 2.0
@@ -48,20 +49,9 @@ def increment_remarks(check: IncrementCheck | None) -> list[str]:
 def scan_odometry_rows(o: ScanOdometryResult, increments: IncrementCheck | None) -> list[Row]:
     """Return scans used and failed, matches, and how honest the increments are."""
     group = "Scan odometry"
-    rows = [
-        Row(group, "scans used", f"{o.used:,} of {o.scans:,}"),
-        Row(group, "restarts after scans without a match", f"{o.breaks:,}"),
-        Row(group, "increments with an unobservable direction", f"{o.weak:,}"),
-        Row(group, "first guess of an alignment", o.guess),
-        Row(group, "scans per second", f"{o.scans_per_second:.0f}"),
-    ]
+    rows = rows_of(group, o, ["used", "breaks", "weak", "guess", "scans_per_second"])
     rows += [Row(group, f"scans failed: {why}", f"{count}") for why, count in o.failures.items()]
-    if o.overlap is not None and o.residual_m is not None:
-        rows += [
-            Row(group, "overlap of matched scans (median)", f"{o.overlap:.2f}"),
-            Row(group, "residual of matched scans (median)", f"{o.residual_m:.3f} m"),
-        ]
-    return rows + _increments(increments)
+    return [*rows, *rows_of(group, o, ["overlap", "residual_m"]), *_increments(increments)]
 
 
 def three_way_rows(three: ThreeWay) -> list[Row]:
@@ -120,12 +110,12 @@ class ScanOdometryResult(Model):
         scans_per_second: speed.
     """
 
-    guess: str
+    guess: Annotated[str, Named("first guess of an alignment", "{}")]
     scans: int
-    used: int
+    used: Annotated[int, Named("scans used", "{:,} of {.scans:,}")]
     failures: dict[str, int]
-    breaks: int
-    weak: int
-    overlap: More[float | None]
-    residual_m: Less[float | None]
-    scans_per_second: LeftOut[float]
+    breaks: Annotated[int, Named("restarts after scans without a match")]
+    weak: Annotated[int, Named("increments with an unobservable direction")]
+    overlap: Annotated[More[float | None], Named("overlap of matched scans (median)", "{:.2f}")]
+    residual_m: Annotated[Less[float | None], Named("residual of matched scans (median)", METRES)]
+    scans_per_second: Annotated[LeftOut[float], Named("scans per second", "{:.0f}")]
