@@ -1,9 +1,10 @@
-"""High level landmarks in a whole run: found, kept, told to the smoother, and worth having."""
+"""High level landmarks in a whole run: found, kept, and told to filter and smoother."""
 
 import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,6 +66,25 @@ def test_at_least_three_are_found_and_kept_and_the_estimates_agree(seed: int) ->
     assert_followed(found, 1e-6)
     assert (RunReport.build(found).model_extra or {})["high_level"] == stored(made)
     assert made.kept <= made.found == len(made.landmark_index)
+
+
+@pytest.mark.slow
+def test_the_filter_is_told_what_the_alignments_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every z of them, and R in the landmark's frame; no gate tells an R that is too small."""
+    source, kept = HighLevelSource(log(1)), list[Any]()
+    look = source.landmarks.look
+
+    def looking(*given: Any) -> list[Any]:
+        seen = look(*given)
+        kept.extend(seen)
+        return seen
+
+    monkeypatch.setattr(source.landmarks, "look", looking)
+    told = driven(1, source).pose_landmarks
+    assert len(kept) > 5
+    assert np.array_equal(told.measured, [one.z for one in kept])
+    known = np.linalg.det([one.covariance for one in kept])  # the same in any frame
+    assert np.allclose(np.linalg.det(told.covariance), known, rtol=1e-6, atol=0.0)
 
 
 @pytest.mark.slow
