@@ -46,10 +46,12 @@ class Check:
         raise NotImplementedError
 
     def ask(self, known: Known) -> None:
-        """Keep what is found among what the job knows, or why there is nothing.
+        """Keep what is found among what the job knows, or why there is nothing; once.
 
         Raises InputError.
         """
+        if self.name in {*known.findings, *known.absent}:
+            return
         try:
             found = self.find(known)
         except LackingError as reason:
@@ -77,12 +79,14 @@ class Answers(Brief):
         found = replace(before, findings=dict(before.findings), absent=dict(before.absent))
         with found.prepared.clock.stage("checks"):
             for check in self.checks:
-                if check.name not in {*found.findings, *found.absent}:
-                    check.ask(found)
+                check.ask(found)
         order = [*(one.name for one in self.checks), *before.findings, *before.absent]
-        findings, absent = _by(order, found.findings), _by(order, found.absent)
-        return replace(found, findings=findings, absent=absent)
+        _sort(found.findings, order)
+        _sort(found.absent, order)
+        return found
 
 
-def _by(order: Iterable[str], found: Mapping[str, T]) -> dict[str, T]:
-    return {name: found[name] for name in order if name in found}
+def _sort(found: dict[str, T], order: Iterable[str]) -> None:
+    for name in dict.fromkeys(order):
+        if name in found:
+            found[name] = found.pop(name)

@@ -9,7 +9,7 @@ from comparisons.checks.check import Check
 from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.consistency.finding import ConsistencyFinding
 from comparisons.checks.finding import Finding
-from comparisons.checks.verdict import counting, faulty
+from comparisons.checks.verdict import to_explain
 from comparisons.figures import degrees
 from comparisons.words import Cause
 from graphslam.optimum import ChiSquareTest
@@ -41,7 +41,7 @@ class CheckMisfit(Check):
     def find(self, known: Known) -> Explaining | None:
         """Return what is wrong with the log, or else which sensor's innovations are too large."""
         test = known.result.optimality.chi_square
-        if faulty(known) or not counting(known) or test.reading != "too high":
+        if not to_explain(known) or test.reading != "too high":
             return None
         wrong = _wrong_log(known, test)
         return Explaining(wrong or noise(test, known.value(ConsistencyFinding)))
@@ -58,7 +58,7 @@ class CheckDropouts(Check):
         """Return the worst stretch."""
         from comparisons.checks.diagnosis.dropouts import find_dropouts
 
-        if faulty(known) or not counting(known):
+        if not to_explain(known):
             return None
         return Explaining(dropout(find_dropouts(known.ekf, known.smoothed)))
 

@@ -12,7 +12,7 @@ from comparisons.audit.spurious import HEADING, Learnt
 from comparisons.checks.agreement import LEAST_VARIANCE_RATIO, Agreement, LinearisationFigures
 from comparisons.checks.check import EVENTS, Check
 from comparisons.checks.finding import OfFilter
-from comparisons.checks.spurious import SpuriousFinding
+from comparisons.checks.spurious import CheckSpurious, SpuriousFinding
 from comparisons.checks.verdict import faulty
 from comparisons.figures import degrees
 from comparisons.words import Cause
@@ -38,6 +38,7 @@ class CheckLinearisation(Check):
         gaps, agreement = known.gaps, known.gaps.agreement
         causes = []
         if not agreement.agrees and known.result.optimality.verified and not faulty(known):
+            CheckSpurious().ask(known)
             growth, spurious = gaps.linearisation_growth(), known.value(SpuriousFinding)
             causes.append(linearisation_cause(agreement, gaps.run, growth, spurious))
         return OfFilter(agreement, causes)

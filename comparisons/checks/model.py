@@ -50,7 +50,7 @@ def model_cause(
     known_model_errors: Sequence[str],
     allowed: Allowed = EXACT,
 ) -> Cause:
-    """F1 against F2. explanations: known mistakes that reproduce what was recorded.
+    """F1 against F2. known_model_errors: mistakes that reproduce what was recorded.
 
     Of each kind of relation the largest difference is named, of its Jacobians and of the rest.
     """

@@ -86,6 +86,11 @@ def faulty(known: Known) -> bool:
     return known.records.untold or any(one.gap in cause.FILTER_FAULTS for one in known.causes)
 
 
+def to_explain(known: Known) -> bool:
+    """Whether the optimum shows something that others may explain."""
+    return not faulty(known) and bool(counting(known))
+
+
 def counting(known: Known) -> list[Cause]:
     """Return those of the causes that count, in the order of the catalogue.
 

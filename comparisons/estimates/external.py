@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -299,7 +299,9 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
         pose=pose,
         landmark_id=ids,
         landmark=places,
-        **covariances,
+        pose_covariance=covariances.pose,
+        landmark_covariance=covariances.landmark,
+        joint_covariance=covariances.joint,
         information=information,
         estimator=estimator,
         trace=None if trace is None or ids is None else read_trace(trace, ids),
@@ -307,8 +309,16 @@ def _read_folder(path: Path, trace: Path | None) -> ExternalEstimate:
     )
 
 
-def _read_covariances(path: Path, poses: int, landmarks: int) -> dict[str, Any]:
-    """Whichever a folder's `covariances.npz` has, by field; the landmarks' own from the joint."""
+class _Covariances(NamedTuple):
+    """Of poses (K, 3, 3), landmarks (L, 2, 2), and the last pose and them (3 + 2 L, 3 + 2 L)."""
+
+    pose: Array | None
+    landmark: Array | None
+    joint: Array | None
+
+
+def _read_covariances(path: Path, poses: int, landmarks: int) -> _Covariances:
+    """Whichever a folder's `covariances.npz` has; the landmarks' own from the joint one."""
     points = Layout.packed(3, landmarks).size
     size = Layout.packed(3, landmarks, len(read_scan_landmarks(path / SCAN_LANDMARKS)[0])).size
     shapes: dict[str, Shape] = {
@@ -328,8 +338,7 @@ def _read_covariances(path: Path, poses: int, landmarks: int) -> dict[str, Any]:
     own = found.get("landmarks")
     if own is None and joint is not None and landmarks:
         own = landmark_blocks(joint)
-    named = ("pose_covariance", "landmark_covariance", "joint_covariance")
-    return dict(zip(named, (found.get("pose"), own, joint), strict=True))
+    return _Covariances(found.get("pose"), own, joint)
 
 
 def _check_covariance(name: str, array: Array) -> None:

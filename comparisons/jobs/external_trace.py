@@ -42,7 +42,6 @@ from comparisons.checks.diagnosis.single_precision import (
     restored_traces,
 )
 from comparisons.checks.registry import OF_FILTER
-from comparisons.checks.spurious import CheckSpurious
 from comparisons.checks.verdict import Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
@@ -172,7 +171,7 @@ def check_trace(
         run=run,
         kept=records,
     )
-    found = Answers(before, (CheckSpurious(), *OF_FILTER)).known
+    found = Answers(before, OF_FILTER).known
     verdict, agreement, trace = judge(found), gaps.agreement, run.trace
     algebra = agreement.algebra if known else None
     causes = {one.gap for one in verdict.causes}

@@ -273,9 +273,8 @@ def compute_gaps(
 
     optimum: gives S. timeline: of the log's own steps, where the run's are others.
     covariance_known: without E's joint covariance F1 takes E's place, and the algebra gap is no
-    evidence. Raises
-    numpy.linalg.LinAlgError where a recorded covariance is singular, and SingularProblemError
-    where there is no solution.
+    evidence. Raises numpy.linalg.LinAlgError where a recorded covariance is singular, and
+    SingularProblemError where there is no solution.
     """
     own = run.timeline if timeline is None else timeline
     problem = build_problem(log, replace(run, timeline=own))

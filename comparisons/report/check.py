@@ -214,7 +214,7 @@ def _estimate_rows(result: CheckResult) -> list[Row]:
     grade_in = None if result.verdict == "unverified" else result.verdict == "agree"
     rows = [
         Row("Estimate", "grade", _grade_words(result), f">= {result.required}", grade_in),
-        *rows_of("Estimate", result, ("poses", "information", "coverage")),
+        *rows_of("Estimate", result, ["poses", "information", "coverage"]),
     ]
     if (nearest := result.nearest) is not None:
         far = "largest difference of a mean from the nearest reference"
@@ -230,7 +230,7 @@ def _estimate_rows(result: CheckResult) -> list[Row]:
 
 
 def _agreement_rows(result: CheckResult) -> list[Row]:
-    path = ("rms_m", "rms_heading_rad", "outside")
+    path = ["rms_m", "rms_heading_rad", "outside"]
     rows = rows_of("Path, estimate and smoother", result, path)
     if result.last_pose is not None:
         rows += block_rows("Last pose", "estimate", result.last_pose)

@@ -56,7 +56,7 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
     optimum = "verified" if smoother.verified else f"NOT verified: {smoother.lacks}"
     found = [
         Row("Smoother", "optimum", optimum, "verified", smoother.verified),
-        *rows_of("Smoother", smoother, ("poses", "error")),
+        *rows_of("Smoother", smoother, ["poses", "error"]),
         _chi_square(smoother),
         *(
             Row("Smoother", f"error reached from the start {one.name}", shown(one.error, ".2f"))
@@ -65,7 +65,7 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
         ),
     ]
     if smoother.random_starts:
-        found += rows_of("Smoother", smoother, ("random_starts", "chance_missed"))
+        found += rows_of("Smoother", smoother, ["random_starts", "chance_missed"])
     if smoother.hops:
         found += rows_of("Smoother", smoother, ["hops"])
     found += _second_minimum(smoother)
@@ -73,7 +73,7 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
         far = f"largest distance of the {smoother.method} estimate from the optimum"
         found.append(Row("Smoother", far, in_sigma(smoother.distance_sigma)))
     if smoother.robust != "none":
-        left_out = ("robust", "rejected_measurements", "rejected_positions")
+        left_out = ["robust", "rejected_measurements", "rejected_positions"]
         found += rows_of("Smoother", smoother, left_out)
     return found
 

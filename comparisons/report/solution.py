@@ -39,11 +39,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
     def build(solution: Solution, read: Clock | None = None) -> SolutionResult:
         """Return the findings, read being the time that reading the log took."""
         s = solution
-        remarks = [
-            *([FRAME] if s.log.prior.open else []),
-            *s.notes,
-            *s.open_loops,
-        ]
+        remarks = [*([FRAME] if s.log.prior.open else []), *s.notes, *s.open_loops]
         if s.misread is None:  # else no sigma means what it says
             remarks += [one for one in s.known.remarks if one not in s.lacks]
         return SolutionResult(

@@ -235,6 +235,26 @@ def test_what_explains_is_asked_where_there_is_something_to_explain() -> None:
     assert CheckDropouts().find(wrong) is None
 
 
+def test_a_check_is_asked_once_and_what_it_reads_is_kept() -> None:
+    """A check may ask another that it reads; poses that one has reckoned serve the report."""
+    asked = []
+
+    class Once(Check):
+        name = "once"
+
+        def find(self, known: Known) -> Finding:
+            asked.append(known)
+            return Finding()
+
+    known = jobs()["run"][0]
+    again = replace(known, findings={}, absent={})
+    Once().ask(again)
+    Once().ask(again)
+    assert asked == [again]
+    assert "dead_reckoned" in vars(known)
+    assert "dead_reckoned" not in vars(again)
+
+
 def test_a_finding_of_nothing_adds_nothing() -> None:
     found = Finding()
     assert not (*found.entries, *found.causes, *found.remarks, *found.rows(), *found.sections())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,19 @@ VIEW = View(range_m=30.0, half_angle_rad=1.2)
 
 
 @dataclass(frozen=True, kw_only=True)
+class Depletion:
+    """How small a cloud is.
+
+    effective: mean effective sample size over the epochs. first, middle: particles of the first and
+    of the middle epoch that have descendants in the last cloud.
+    """
+
+    effective: float
+    first: int
+    middle: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Cloud:
     """What a FastSLAM estimates of a log.
 
@@ -42,15 +55,15 @@ class Cloud:
     covariance: Array
     sampled: Index
 
-    def depletion(self) -> dict[str, Any]:
-        """Return how small it is: entries of FastSlamResult."""
+    def depletion(self) -> Depletion:
+        """Return how depleted it is."""
         history = self.slam.history
         distinct = history.distinct()
-        return {
-            "effective": float(np.mean(history.effective)),
-            "first": int(distinct[0]),
-            "middle": int(distinct[len(distinct) // 2]),
-        }
+        return Depletion(
+            effective=float(np.mean(history.effective)),
+            first=int(distinct[0]),
+            middle=int(distinct[len(distinct) // 2]),
+        )
 
 
 class Sampling(NamedTuple):

@@ -147,7 +147,7 @@ class FastSlamFinding(Finding):
             path_m=float(np.sqrt(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))),
             difference_m=float(np.hypot(*apart[-1, :2])),
             difference_rad=float(abs(apart[-1, 2])),
-            **cloud.depletion(),
+            **vars(cloud.depletion()),
             accuracy=self.accuracy,
         )
         self.entries = {"fastslam": self.result}

@@ -47,8 +47,11 @@ def start_from_gps(
     return lay_path(odometry.time_s, path, positions, until_s)
 
 
-Start = tuple[Array, Array]
-"""Pose (3,) x, y [m], heading [rad], and the covariance (3, 3) of its additive errors."""
+class Start(NamedTuple):
+    """pose: (3,) x, y [m], heading [rad]. covariance: (3, 3) of its additive errors."""
+
+    pose: Array
+    covariance: Array
 
 
 class Reckoned(NamedTuple):
@@ -95,7 +98,7 @@ def lay_reckoned(moved: Reckoned, positions: Positions, until_s: float) -> Start
     for _ in range(_STEPS):
         information, vector = _shown(moved, fixes, pose)
         pose = pose + np.linalg.solve(information, vector)
-    return pose, np.asarray(np.linalg.inv(information), dtype=np.float64)
+    return Start(pose, np.asarray(np.linalg.inv(information), dtype=np.float64))
 
 
 class Laid(NamedTuple):
@@ -124,7 +127,7 @@ def lay_fixes(moved: Reckoned, plane: Positions) -> Laid | None:
     spent, start = _spent(moved, plane)
     if start is None:
         return None
-    (x, y, heading), own = start
+    x, y, heading = start.pose
     laid = (plane.position_m - (x, y)) @ np.array([1.0, 1j]) * np.exp(-1j * heading)
     turn = np.eye(3)
     turn[:2, :2] = (np.cos(heading), np.sin(heading)), (-np.sin(heading), np.cos(heading))
@@ -133,7 +136,7 @@ def lay_fixes(moved: Reckoned, plane: Positions) -> Laid | None:
     placed = np.column_stack((laid.real, laid.imag))
     positions = Positions(plane.time_s, placed, symmetric, plane.antenna_m)
     behind = positions.chosen(np.arange(spent + 1, len(plane.time_s)))
-    return Laid(behind, turn @ own @ turn.T, spent)
+    return Laid(behind, turn @ start.covariance @ turn.T, spent)
 
 
 def _spent(moved: Reckoned, plane: Positions) -> tuple[int, Start | None]:
@@ -145,7 +148,7 @@ def _spent(moved: Reckoned, plane: Positions) -> tuple[int, Start | None]:
             found[last] = start = lay_reckoned(moved, plane, float(plane.time_s[last]))
         except InputError:
             return np.inf
-        return float(start[1][2, 2])
+        return float(start.covariance[2, 2])
 
     whole = len(plane.time_s) - 1
     enough = max(ALIGNED_RAD**2, _ALL * variance(whole))
