@@ -114,6 +114,7 @@ class Audit:
         spurious: what was learnt of directions that sensors cannot tell, if recorded.
         versions: of packages.
         files: in the folder.
+        not_checked: checks without an answer, and what the trace lacks for it.
         learnt: what `spurious` is of, with curves; no part of a result file.
         unsolved: the event from which on nothing is compared with least squares, for its noise is
             no covariance; likewise.
@@ -141,6 +142,7 @@ class Audit:
     spurious: tuple[LearntDirection, ...] | None
     versions: dict[str, str] = field(default_factory=package_versions)
     files: tuple[str, ...] = ()
+    not_checked: dict[str, str] = field(default_factory=dict)
     learnt: Aside[Learnt | None]
     unsolved: Aside[int | None]
     timed: Aside[bool]

@@ -105,7 +105,7 @@ class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
     def __init__(self, each: Mapping[str, Accuracy | None], entries: Mapping[str, Any]) -> None:
         """each: by the name of the estimate. entries: as the job's result has them."""
         self.value, self.entries = each, entries
-        self.line = accuracy_line(each)
+        self.lines = accuracy_lines(each)
 
     def rows(self) -> Sequence[Row]:
         """Return the rows of each."""
@@ -151,8 +151,8 @@ class CheckAccuracy(Check):
         return AccuracyFinding(each | beside, entries)
 
 
-def accuracy_line(each: Mapping[str, Accuracy | None]) -> tuple[str, str] | None:
-    """Return one line with an error of each estimate, by the best reference that all have."""
+def accuracy_lines(each: Mapping[str, Accuracy | None]) -> list[tuple[str, str]]:
+    """Return a line with an error of each estimate, by the best reference that all have."""
     for name, field in (
         ("ATE", "ate_m"),
         ("to GPS (median)", "gps_median_m"),
@@ -161,8 +161,8 @@ def accuracy_line(each: Mapping[str, Accuracy | None]) -> tuple[str, str] | None
         found = {whose: getattr(a, field) for whose, a in each.items() if a is not None}
         known = [f"{whose} {value:.3g} m" for whose, value in found.items() if value is not None]
         if known:
-            return "accuracy", f"{name}: {', '.join(known)}"
-    return None
+            return [("accuracy", f"{name}: {', '.join(known)}")]
+    return []
 
 
 def accuracy_rows(of: str, found: Accuracy | None) -> list[Row]:

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
-from comparisons.checks.finding import Absent, Finding, LackingError
+from comparisons.checks.finding import Absent, Finding, Findings, LackingError
 from comparisons.shown import Brief
 from comparisons.words import Explanation
 
@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 
 
 T = TypeVar("T")
+K = TypeVar("K", bound=Findings)
 EVENTS = "a filter with the events that it went through"
 """What checks of a filter need."""
 
 
-class Check:
+class Question(Generic[K]):
     """One question about a job, which is the first line of a check's docstring."""
 
     name = ""
@@ -32,20 +33,22 @@ class Check:
     """What a job must have for an answer."""
     errs = ""
     """How often it says something wrong of what is sound, as far as that is measured."""
+    of = "a check"
+    """What `slamcheck explain` calls its kind."""
     explains: ClassVar[Mapping[str, Explanation]] = {}
     """The kinds of cause that it alone finds, by the name that each has in a result."""
     figures: tuple[tuple[str, type], ...] = ()
     """What it adds to the result: keys, and the class, of a list that of its rows, that describes
     every field."""
 
-    def find(self, known: Known) -> Finding | Absent | None:
+    def find(self, known: K) -> Finding | Absent | None:
         """Return the answer, or why there is none; None where nothing was asked.
 
         Raises LackingError for what the job does not know.
         """
         raise NotImplementedError
 
-    def ask(self, known: Known) -> None:
+    def ask(self, known: K) -> None:
         """Keep what is found among what the job knows, or why there is nothing; once.
 
         Raises InputError.
@@ -60,6 +63,10 @@ class Check:
             known.absent[self.name] = found.why
         elif found is not None:
             known.findings[self.name] = found
+
+
+class Check(Question["Known"]):
+    """One question about a job on a log."""
 
 
 @dataclass(frozen=True, repr=False)

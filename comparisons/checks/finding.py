@@ -1,6 +1,6 @@
 """What a check finds, which every report renders.
 
-A report asks a finding for entries of the result file, rows, a line, pictures and sections, and
+A report asks a finding for entries of the result file, rows, lines, pictures and sections, and
 knows no check by name.
 """
 
@@ -33,8 +33,8 @@ class Finding:
     optimum was verified."""
     remarks: Sequence[str] = ()
     """Sentences that change no verdict."""
-    line: tuple[str, str] | None = None
-    """Its line of what the command prints: a name of at most 12 letters, and words."""
+    lines: Sequence[tuple[str, str]] = ()
+    """Its lines of what the command prints: a name of at most 12 letters, and words."""
     estimates: Mapping[str, Estimate] = {}
     """Further estimates, by the folder that they are written to; the page draws each."""
     titles: Mapping[str, str] = {}
@@ -87,6 +87,46 @@ class LackingError(Exception):
     """What a check asks for is not known in a job, for a reason in words."""
 
 
-def value_of(findings: Mapping[str, Finding], kind: type[Of[V]]) -> V | None:
-    """Return the value of the first finding of a kind, None where there is none."""
-    return next((one.value for one in findings.values() if isinstance(one, kind)), None)
+class Findings:
+    """What the checks of a job have found, as reports read it.
+
+    findings: of each, by its name. absent: why others have none, by name.
+    """
+
+    findings: dict[str, Finding]
+    absent: dict[str, str]
+
+    @property
+    def causes(self) -> list[Cause]:
+        """The causes of the findings."""
+        return [cause for one in self.findings.values() for cause in one.causes]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What the findings remark, those of the filter itself first."""
+        found = sorted(self.findings.values(), key=lambda one: not isinstance(one, OfFilter))
+        return [remark for one in found for remark in one.remarks]
+
+    @property
+    def rows(self) -> list[Row]:
+        """Return the rows of all findings, and which other checks have none, by the reason."""
+        found = [row for one in self.findings.values() for row in one.rows()]
+        missing: dict[str, list[str]] = {}
+        for key, why in self.absent.items():
+            missing.setdefault(why, []).append(key.replace("_", " "))
+        return [*found, *(Row("Not checked", ", ".join(n), why) for why, n in missing.items())]
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Return the lines of a summary that findings have, a name and words each."""
+        return [line for one in self.findings.values() for line in one.lines]
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """Return the entries of a result file."""
+        return {key: entry for one in self.findings.values() for key, entry in one.entries.items()}
+
+    def value(self, kind: type[Of[V]]) -> V | None:
+        """Return the value of a finding of a kind, None where no check has it."""
+        found = self.findings.values()
+        return next((one.value for one in found if isinstance(one, kind)), None)

@@ -15,7 +15,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
-from comparisons.checks.finding import Finding, LackingError, Of, OfFilter, V, value_of
+from comparisons.checks.finding import Finding, Findings, LackingError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate, Information
 from comparisons.estimates.reference import Reference
@@ -26,7 +26,6 @@ from comparisons.pipeline.gaps import Gaps, Optimum
 from comparisons.pipeline.prepared import Prepared
 from comparisons.pipeline.records import Records
 from comparisons.shown import Brief
-from comparisons.words import Cause, Row
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherResult
 
@@ -50,7 +49,7 @@ class Given(Brief):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Known(Brief):
+class Known(Findings, Brief):
     """What a job knows, for its checks. What it has not raises LackingError with the reason.
 
     Attributes:
@@ -136,37 +135,3 @@ class Known(Brief):
         """(K, 3) poses where the odometry alone leads."""
         problem = self.result.problem
         return dead_reckoned(problem.prior_pose, problem.increment)
-
-    @property
-    def causes(self) -> list[Cause]:
-        """The causes of the findings."""
-        return [cause for one in self.findings.values() for cause in one.causes]
-
-    @property
-    def remarks(self) -> list[str]:
-        """What the findings remark, those of the filter itself first."""
-        found = sorted(self.findings.values(), key=lambda one: not isinstance(one, OfFilter))
-        return [remark for one in found for remark in one.remarks]
-
-    @property
-    def rows(self) -> list[Row]:
-        """Return the rows of all findings, and which other checks have none, by the reason."""
-        found = [row for one in self.findings.values() for row in one.rows()]
-        missing: dict[str, list[str]] = {}
-        for key, why in self.absent.items():
-            missing.setdefault(why, []).append(key.replace("_", " "))
-        return [*found, *(Row("Not checked", ", ".join(n), why) for why, n in missing.items())]
-
-    @property
-    def lines(self) -> list[tuple[str, str]]:
-        """Return the lines of a summary that findings have, a name and words each."""
-        return [one.line for one in self.findings.values() if one.line is not None]
-
-    @property
-    def entries(self) -> dict[str, Any]:
-        """Return the entries of a result file."""
-        return {key: entry for one in self.findings.values() for key, entry in one.entries.items()}
-
-    def value(self, kind: type[Of[V]]) -> V | None:
-        """Return the value of a finding of a kind, None where no check has it."""
-        return value_of(self.findings, kind)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import replace
+from functools import cached_property, partial
 from itertools import cycle
 from typing import TYPE_CHECKING
 
@@ -13,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import Audit, Verdict
-from comparisons.audit.spurious import Learnt, LearntDirection
-from comparisons.innovations import SensorInnovations
+from comparisons.audit.spurious import Learnt
+from comparisons.checks.of_events import KnownEvents, ask_events
 from comparisons.report.folder import JobFolder
 from comparisons.report.html.page import PageContent, facts_of, write_page
 from comparisons.report.job import Report
@@ -54,8 +55,13 @@ class AuditReport(Report[Audit, Audit]):
 
     @staticmethod
     def build(audit: Audit, read: Clock | None = None) -> Audit:
-        """Return the findings, which are stored as they are."""
-        return audit
+        """Return the findings, which are stored as they are, with what the trace lacks."""
+        return replace(audit, not_checked=ask_events(audit).absent)
+
+    @cached_property
+    def known(self) -> KnownEvents:
+        """What the checks find."""
+        return ask_events(self.found)
 
     def summary(self) -> Summary:
         """Return what the command prints."""
@@ -73,24 +79,17 @@ class AuditReport(Report[Audit, Audit]):
                 f"{audit.events:,} events, {audit.updates:,} updates, {audit.snapshots:,} "
                 f"snapshot{'s' if audit.snapshots != 1 else ''}",
             ),
-            ("algebra", _algebra_line(audit)),
-            ("gains", _gains_line(audit)),
-            *(("sensor", _sensor_line(one)) for one in audit.sensors[:3]),
+            *self.known.lines,
         ]
-        for name, found in (("smoother", audit.smoother), ("NEES", audit.nees)):
-            if found is not None:
-                low, high = found.band
-                text = f"{found.mean:.3g} per degree of freedom ({low:.3g} to {high:.3g} expected)"
-                lines.append((name, text))
-        if audit.spurious is not None:
-            lines.append(("spurious", _spurious_line(audit.spurious)))
+        if lacking := self.known.absent:
+            lines.append(("not checked", "; ".join(f"{n}: {why}" for n, why in lacking.items())))
         return Summary(
             headline=headline,
             style=STYLES[_STYLES[audit.verdict]],
             reasons=[_LACKING] if audit.verdict == "nothing checked" else [*first, *wrong],
             remarks=[*audit.remarks, *named],
             lines=lines,
-            rows=audit_rows(audit),
+            rows=audit_rows(self.known),
         )
 
     def page(self) -> PageContent:
@@ -126,103 +125,16 @@ class AuditReport(Report[Audit, Audit]):
         return _STYLES[self.found.verdict]
 
 
-def _spurious_line(found: Sequence[LearntDirection]) -> str:
-    some = [
-        f"{one.name} to {one.sigma:.3g} {one.unit}".rstrip()
-        for one in found
-        if one.largest is not None
-    ]
-    if not some:
-        return f"nothing learnt of {', '.join(one.name for one in found)}"
-    return f"learnt from measurements that cannot tell it: {', '.join(some)}"
-
-
-def _algebra_line(audit: Audit) -> str:
-    until = "" if audit.unsolved is None else f" before event {audit.unsolved:,}"
-    if audit.largest_gap is None:
-        return f"not checked: the trace has no snapshot{until}"
-    gap = audit.first_open
-    if gap is None or audit.sound:  # what only least squares sees is small, and no finding
-        worst = audit.largest_gap.worst
-        return f"equal to least squares at every snapshot{until}, to {worst:.1g}"
-    at = f" ({gap.time_s:.6g} s)" if audit.timed and gap.time_s is not None else ""
-    return (
-        f"gap opens at event {gap.event:,}{at}: {gap.sigma:.2g} sigma, {gap.covariance:.2g} in "
-        "covariance"
-    )
-
-
-def _gains_line(audit: Audit) -> str:
-    if not audit.gains_compared:
-        return "not recorded"
-    unlike = sum(one.check == "gain" for one in audit.findings)
-    whose = "some are not Kalman's" if unlike else "all Kalman's"
-    return f"{audit.gains_compared:,} compared, {whose}"
-
-
-def _sensor_line(one: SensorInnovations) -> str:
-    if not one.nis:
-        return f"{one.sensor}: no innovation"
-    nis = one.nis[0]
-    text = f"{one.sensor}: NIS {nis.mean:.3g} ({nis.band.low:.3g} to {nis.band.high:.3g} expected)"
-    if one.rejected or one.gating.passes is not None:
-        text += f", {one.rejected:,} of {one.measured:,} rejected"
-    return text
-
-
-def audit_rows(audit: Audit) -> list[Row]:
+def audit_rows(known: KnownEvents) -> list[Row]:
     """Return all figures."""
-    rows = [
+    audit = known.audit
+    return [
         Row("Trace", "events", f"{audit.events:,}"),
         Row("Trace", "updates", f"{audit.updates:,}"),
         Row("Trace", "snapshots", f"{audit.snapshots:,}"),
         Row("Trace", "blocks, ever", f"{len(audit.blocks):,}"),
+        *known.rows,
     ]
-    most = f"at most {audit.tolerance:.0e}"
-    if audit.largest_gap is not None:
-        gap = audit.largest_gap
-        for what, value in (("estimate [sigma]", gap.sigma), ("covariance", gap.covariance)):
-            inside = value <= audit.tolerance
-            rows.append(Row("Algebra", f"largest gap of the {what}", f"{value:.2g}", most, inside))
-        text = f"{audit.oracle_agreement:.1g} sigma^2"
-        rows.append(Row("Algebra", "recursion against least squares, until a fault", text))
-    for one in audit.sensors:
-        rows += _sensor_rows(one)
-    blocks = audit.nees_by_block.items()
-    for name, found in (
-        ("filter minus smoother, per dof (1)", audit.smoother),
-        ("NEES per dof (1)", audit.nees),
-        *((f"NEES per dof of block {block} (1)", one) for block, one in blocks),
-    ):
-        if found is not None:
-            (low, high), inside = found.band, found.band.holds(found.mean)
-            band = f"{low:.3g} to {high:.3g}"
-            rows.append(Row("Consistency", name, f"{found.mean:.3g}", band, inside))
-    for way in audit.spurious or ():
-        sigma = "none" if way.largest is None else f"{way.sigma:.3g} {way.unit}".rstrip()
-        rows.append(Row("Spurious information", f"{way.name}, seems known to", sigma))
-    if audit.verdict == "faulty":
-        return rows
-    # One in twenty figures of a sound filter leaves its band: none is marked.
-    return [one._replace(inside=one.inside or None) for one in rows]
-
-
-def _sensor_rows(one: SensorInnovations) -> list[Row]:
-    group, gating = f"Sensor {one.sensor}", one.gating
-    rows = one.nis_rows(group)
-    rows += [
-        Row(group, f"{w.component}: p of whiteness by {w.order}", f"{w.p_value:.2g}",
-            "at least 0.001", w.p_value >= 0.001)
-        for w in one.whiteness
-    ]  # fmt: skip
-    rejected, limits, inside = f"{one.rejected:,} of {one.measured:,}", "", None
-    if gating.band is not None:
-        low, high = gating.band
-        limits, inside = (
-            f"{100.0 * low:.2g} to {100.0 * high:.2g} %",
-            low <= one.rejected / one.measured <= high,
-        )
-    return [*rows, Row(group, "rejected by the gate", rejected, limits, inside)]
 
 
 def audit_panels(audit: Audit) -> list[Panel]:

@@ -6,9 +6,11 @@ import inspect
 import textwrap
 from collections.abc import Iterable, Iterator
 from pkgutil import resolve_name
+from typing import Any
 
 from comparisons.checks.causes import EXPLANATIONS
-from comparisons.checks.check import Check
+from comparisons.checks.check import Check, Question
+from comparisons.checks.of_events import EVENT_CHECKS
 from comparisons.checks.registry import CHECKS, EXPLAINING
 from comparisons.config import config_class
 from comparisons.errors import InputError
@@ -44,12 +46,14 @@ def overview() -> str:
     asked = [(one.name, _question(one)) for one in every_check()]
     own = len(asked) - len(EXTENSIONS)
     checks, more = asked[:own], asked[own:]
+    events = [(one.name, _question(type(one))) for one in EVENT_CHECKS]
     causes = [(name, one.title) for name, one in every_explanation().items()]
-    longest = max(len(name) for name, _ in (*asked, *causes)) + 2
+    longest = max(len(name) for name, _ in (*asked, *events, *causes)) + 2
     lines = []
     for title, rows in (
         ("Checks of a run:", checks),
         ("Checks on request, and sources of landmarks and motion:", more),
+        ("Checks of an audit:", events),
         ("Causes of a verdict:", causes),
     ):
         named = [_wrapped(f"  {name:<{longest}}{words}", longest + 2) for name, words in rows]
@@ -60,7 +64,8 @@ def overview() -> str:
 def explanation(name: str) -> str:
     """Return what a check asks, needs and finds, and what a cause means. Raises InputError."""
     asked = _spoken(name)
-    checks, kinds = list(every_check()), every_explanation()
+    checks: list[type[Question[Any]]] = [*every_check(), *map(type, EVENT_CHECKS)]
+    kinds = every_explanation()
     parts = ["\n".join(_of_check(one)) for one in checks if _spoken(one.name) == asked]
     asked = asked.removesuffix(" gap")
     parts += ["\n".join(_of_cause(*one)) for one in kinds.items() if one[0] == asked]
@@ -70,8 +75,8 @@ def explanation(name: str) -> str:
     return "\n\n".join(parts)
 
 
-def _of_check(one: type[Check]) -> Iterator[str]:
-    yield f"{_spoken(one.name)} (a check)"
+def _of_check(one: type[Question[Any]]) -> Iterator[str]:
+    yield f"{_spoken(one.name)} ({one.of})"
     yield _wrapped(f"  asks:   {_question(one)}", 10)
     yield _wrapped(f"  needs:  {one.needs}", 10)
     yield _wrapped(f"  errs:   {one.errs}", 10)
@@ -93,7 +98,7 @@ def _spoken(key: str) -> str:
     return key.replace("_", " ").replace("-", " ")
 
 
-def _question(one: type[Check]) -> str:
+def _question(one: type[Question[Any]]) -> str:
     return inspect.cleandoc(one.__doc__ or "").splitlines()[0]
 
 

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from comparisons.checks.agreement import Allowed
-from comparisons.checks.check import Check
+from comparisons.checks.check import Check, Question
 from comparisons.checks.explaining import CheckDropouts, Explaining
 from comparisons.checks.finding import Absent, Finding
+from comparisons.checks.of_events import EVENT_CHECKS
 from comparisons.checks.qualifiers import TRUTH_GAP
 from comparisons.checks.registry import CHECKS, EXPLAINING
 from comparisons.checks.verdict import counting, decided, faulty
@@ -45,8 +46,14 @@ def as_it_is(log: Log) -> Log:
     return log
 
 
-@pytest.mark.parametrize("check", list(every_check()), ids=lambda one: one.name)
-def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(check: type[Check]) -> None:
+@pytest.mark.parametrize(
+    "check",
+    [*every_check(), *map(type, EVENT_CHECKS)],
+    ids=lambda one: f"{one.name} ({one.of})",
+)
+def test_a_check_says_what_it_asks_and_needs_and_what_its_figures_mean(
+    check: type[Question[Any]],
+) -> None:
     question = inspect.cleandoc(check.__doc__ or "").splitlines()[0]
     assert question.endswith("?")
     assert check.needs

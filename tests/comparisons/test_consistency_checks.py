@@ -18,7 +18,7 @@ from comparisons.checks.consistency.filter_smoother import (
 )
 from comparisons.checks.consistency.finding import (
     ConsistencyResult,
-    consistency_line,
+    consistency_lines,
     innovation_rows,
     smoothed_rows,
 )
@@ -337,7 +337,7 @@ def test_a_line_has_what_there_is() -> None:
         found = ConsistencyResult(
             ekf=None, smoother=None, innovations=[sensor], filter_against_smoother=one
         )
-        assert present(consistency_line((), found))[1] == f"per dof, expect 1: {words}"
+        assert consistency_lines((), found)[0][1] == f"per dof, expect 1: {words}"
     assert smoothed_rows("EKF", smoothed)
     assert smoothed_rows("EKF", unclear) == smoothed_rows("EKF", None) == []
 

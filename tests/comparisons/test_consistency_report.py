@@ -14,7 +14,7 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.consistency.consistency import Consistency, check_innovations
 from comparisons.checks.consistency.finding import (
     TruthConsistencyResult,
-    consistency_line,
+    consistency_lines,
     consistency_result,
     nees_rows,
 )
@@ -149,7 +149,7 @@ def test_what_is_outside_stands_before_its_band_and_in_short() -> None:
         "filter more certain than the smoother at 6185 of 6969 epochs",
     )
     nothing = consistency_result(Consistency(None, None, (), None, gated=False))
-    label, text = present(consistency_line(found, nothing))
+    ((label, text),) = consistency_lines(found, nothing)
     assert label == "consistency"
     assert text == (
         "outside, per dof: NEES poses 12 (<= 5.4); vs smoother 26 (0.24 to 2.3); "

@@ -59,7 +59,7 @@ def test_a_short_run_has_an_entry_and_rows() -> None:
 def test_on_a_nearly_linear_run_both_gaussians_hold() -> None:
     check = finding().check
     assert not finding().remarks
-    name, words = finding().line or ("", "")
+    ((name, words),) = finding().lines
     assert name == "posterior"
     assert re.fullmatch(r"95 % ellipsoids hold 9\d % \(EKF\) and 9\d % \(smoother\) .*", words)
     for one in (present(check.smoother), present(check.ekf)):

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import pytest
 from rich.console import Console
 
-from comparisons.checks.accuracy import accuracy_line
+from comparisons.checks.accuracy import accuracy_lines
 from comparisons.config import CheckConfig, SolveConfig
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.figures import METRES, Less, More, Named, percent, rows_of
@@ -160,7 +160,7 @@ def test_a_gap_is_marked_where_it_exceeds_its_limit() -> None:
 
 
 def test_accuracy_takes_the_reference_that_there_is() -> None:
-    assert accuracy_line({"EKF": None}) is None
+    assert accuracy_lines({"EKF": None}) == []
 
 
 def test_colour_is_for_terminals() -> None:

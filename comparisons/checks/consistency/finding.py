@@ -99,7 +99,7 @@ class ConsistencyFinding(Of[Consistency]):
         self.entries = {"consistency": self.result}
         if isinstance(found, ExternalConsistency):
             self.entries = {"consistency": external_consistency_result(found)}
-        self.line = consistency_line(inconsistencies(found), self.result)
+        self.lines = consistency_lines(inconsistencies(found), self.result)
 
     def rows(self) -> Sequence[Row]:
         """Return NEES of both estimators, NIS by sensor, and the filter by the smoother."""
@@ -270,12 +270,12 @@ def smoothed_rows(name: str, f: FilterAgainstSmoother | None) -> list[Row]:
     ]
 
 
-def consistency_line(
+def consistency_lines(
     inconsistent: Sequence[str] | None, c: ConsistencyResult
-) -> tuple[str, str] | None:
-    """Return one line: what is outside its band, or else the figures per degree of freedom."""
+) -> list[tuple[str, str]]:
+    """Return a line: what is outside its band, or else the figures, if any, per dof."""
     if inconsistent:
-        return "consistency", f"outside, per dof: {'; '.join(map(_brief, inconsistent))}"
+        return [("consistency", f"outside, per dof: {'; '.join(map(_brief, inconsistent))}")]
     truth, smoothed = c.ekf, c.filter_against_smoother
     found, nees = [], []
     if truth is not None:
@@ -290,7 +290,7 @@ def consistency_line(
     if smoothed is not None and smoothed.squared_per_dof is not None:
         value = f"{smoothed.squared_per_dof:.2g}{_brackets(smoothed.departure)}"
         found.append(f"vs smoother {value}")
-    return ("consistency", f"per dof, expect 1: {'; '.join(found)}") if found else None
+    return [("consistency", f"per dof, expect 1: {'; '.join(found)}")] if found else []
 
 
 def _brackets(departure: BlockDeparture | None) -> str:

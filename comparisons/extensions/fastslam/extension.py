@@ -152,7 +152,7 @@ class FastSlamFinding(Finding):
         )
         self.entries = {"fastslam": self.result}
         self.remarks = _remarks(check, self.result)
-        self.line = ("FastSLAM", _line(self.result))
+        self.lines = [("FastSLAM", _line(self.result))]
 
     def rows(self) -> Sequence[Row]:
         """Return how the clouds compare with the smoother, and how depleted the whole log's is."""

@@ -249,7 +249,7 @@ class PosteriorFinding(Finding):
             self.remarks = [f"the draws of the posterior did not converge: {check.lacks}"]
             return
         if check.ekf is not None:
-            self.line = ("posterior", _line(check.ekf, check.smoother))
+            self.lines = [("posterior", _line(check.ekf, check.smoother))]
         failed = failures(check.smoother, landmark_id)
         if failed:
             self.remarks = [

@@ -9,7 +9,8 @@ import pytest
 
 from comparisons.arrays import Array
 from comparisons.audit.audit import FALSE_ALARMS, Audit, audit
-from comparisons.report.audit import AuditReport, audit_rows
+from comparisons.checks.of_events import ask_events
+from comparisons.report.audit import AuditReport
 from comparisons.trace.recorder import Recorder
 from tests.comparisons.audit.toy_filter import GATE, SENSORS, Alter, F, Q, Toy
 from tests.helpers import present
@@ -601,10 +602,10 @@ def test_under_sound_nothing_is_said_to_be_out(tmp_path: Path) -> None:
     for seed in range(4):
         found = audited(tmp_path, Toy(seed=seed, steps=60))
         assert found.sound
-        assert all(row.inside is not False for row in audit_rows(found))
+        assert all(row.inside is not False for row in ask_events(found).rows)
         assert "gap opens" not in str(AuditReport.of(found).summary())
         faulty = replace(found, verdict="faulty")
-        marked += sum(row.inside is False for row in audit_rows(faulty))
+        marked += sum(row.inside is False for row in ask_events(faulty).rows)
     assert marked
 
 

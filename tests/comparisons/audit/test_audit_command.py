@@ -153,6 +153,14 @@ def test_where_nothing_can_be_checked_nothing_is_sound(recorded: str, tmp_path: 
         if recorded == "a snapshot":
             recorder.snapshot(np.diag((0.5, 1.0)))
     done = command("audit", "run.trace", cwd=tmp_path)
+    found = json.loads((tmp_path / "slamcheck-audit-run" / "audit.json").read_text())
+    lacks = {"algebra": recorded not in ("its snapshot", "a snapshot"),
+             "gains": recorded != "gains",
+             "innovations": recorded in ("a prior", "its snapshot"),
+             "smoother": True, "NEES": True, "spurious": True}  # fmt: skip
+    assert found["not_checked"].keys() == {name for name, it_lacks in lacks.items() if it_lacks}
+    words = " ".join(done.stdout.split())
+    assert all(f"{name}: {why}" in words for name, why in found["not_checked"].items())
     if recorded in ("a snapshot", "gains"):
         assert (done.returncode, done.stdout.splitlines()[0]) == (0, "verdict: sound")
         return

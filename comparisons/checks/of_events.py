@@ -1,0 +1,256 @@
+"""The checks of an audit: what the recorded events of any Kalman filter say of it.
+
+All of them read the figures of one pass through the events; see comparisons.audit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from comparisons.audit.audit import LARGEST_ANCHORED, AlgebraGap, Audit
+from comparisons.audit.spurious import LearntDirection
+from comparisons.checks.check import Question
+from comparisons.checks.finding import Absent, Finding, Findings
+from comparisons.innovations import InnovationFigures, SensorInnovations
+from comparisons.shown import Brief
+from comparisons.statistics import Averaged
+from comparisons.words import Row
+
+_STATISTICAL = "on 1 of 1,000 sound linear traces, together with the other statistical checks"
+
+_MOST_LINES = 3
+"""Sensors that are named below the verdict."""
+
+
+@dataclass(frozen=True, repr=False)
+class KnownEvents(Findings, Brief):
+    """What an audit knows, and what its checks find. audit: the figures of its pass."""
+
+    audit: Audit
+    findings: dict[str, Finding] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
+
+
+def ask_events(audit: Audit) -> KnownEvents:
+    """Return what all checks find in an audit."""
+    known = KnownEvents(audit)
+    for check in EVENT_CHECKS:
+        check.ask(known)
+    return known
+
+
+class EventFinding(Finding):
+    """Rows of the table, of which none is marked in a sound trace, and lines.
+
+    One in twenty figures of a sound filter leaves its band.
+    """
+
+    def __init__(self, audit: Audit, rows: Sequence[Row], *lines: tuple[str, str]) -> None:
+        """audit: what they are of."""
+        faulty = audit.verdict == "faulty"
+        self._rows = [one if faulty else one._replace(inside=one.inside or None) for one in rows]
+        self.lines = lines
+
+    def rows(self) -> Sequence[Row]:
+        """Return rows of the table."""
+        return self._rows
+
+
+class EventCheck(Question[KnownEvents]):
+    """A check of an audit."""
+
+    of = "a check of an audit"
+
+    def find(self, known: KnownEvents) -> EventFinding | Absent:
+        """Return rows and lines."""
+        return self.found(known.audit)
+
+    def found(self, audit: Audit) -> EventFinding | Absent:
+        """Return the same of the figures."""
+        raise NotImplementedError
+
+
+class CheckSnapshots(EventCheck):
+    """Is the covariance at every snapshot that of least squares over all events before it?"""
+
+    name = "algebra"
+    needs = "snapshots of the covariance"
+    errs = "not at all but by rounding, for which --tolerance allows"
+    figures = (("gaps", AlgebraGap),)
+
+    def found(self, audit: Audit) -> EventFinding | Absent:
+        """Return the largest gap, and where the first one opens."""
+        until = "" if audit.unsolved is None else f" before event {audit.unsolved:,}"
+        if audit.largest_gap is None:
+            return Absent(f"the trace has no snapshot{until}")
+        largest, most = audit.largest_gap, f"at most {audit.tolerance:.0e}"
+        rows = [
+            Row("Algebra", f"largest gap of the {what}", f"{value:.2g}", most,
+                value <= audit.tolerance)
+            for what, value in (
+                ("estimate [sigma]", largest.sigma),
+                ("covariance", largest.covariance),
+            )
+        ]  # fmt: skip
+        text = f"{audit.oracle_agreement:.1g} sigma^2"
+        rows.append(Row("Algebra", "recursion against least squares, until a fault", text))
+        gap = audit.first_open
+        if gap is None or audit.sound:  # what only least squares sees is small, and no finding
+            said = f"equal to least squares at every snapshot{until}, to {largest.worst:.1g}"
+        else:
+            at = f" ({gap.time_s:.6g} s)" if audit.timed and gap.time_s is not None else ""
+            said = f"gap opens at event {gap.event:,}{at}: {gap.sigma:.2g} sigma, "
+            said += f"{gap.covariance:.2g} in covariance"
+        return EventFinding(audit, rows, ("algebra", said))
+
+
+class CheckGains(EventCheck):
+    """Are the gains and corrections Kalman's?"""
+
+    name = "gains"
+    needs = "gains of updates, or corrections of the estimate"
+    errs = "not at all but by rounding, for which --tolerance allows"
+
+    def found(self, audit: Audit) -> EventFinding | Absent:
+        """Return how many were compared."""
+        if not audit.gains_compared:
+            return Absent("no gain or correction is recorded")
+        unlike = any(one.check == "gain" for one in audit.findings)
+        whose = "some are not Kalman's" if unlike else "all Kalman's"
+        return EventFinding(audit, (), ("gains", f"{audit.gains_compared:,} compared, {whose}"))
+
+
+class CheckInnovations(EventCheck):
+    """Are the innovations of each sensor white, of their covariance, and gated as declared?"""
+
+    name = "innovations"
+    needs = "updates"
+    errs = _STATISTICAL
+    figures = (("sensors", InnovationFigures),)
+
+    def found(self, audit: Audit) -> EventFinding | Absent:
+        """Return the figures of every sensor."""
+        if not audit.sensors:
+            return Absent("no update is recorded")
+        rows = [row for one in audit.sensors for row in _sensor_rows(one)]
+        lines = (("sensor", _sensor_line(one)) for one in audit.sensors[:_MOST_LINES])
+        return EventFinding(audit, rows, *lines)
+
+
+class CheckAgainstSmoother(EventCheck):
+    """Does the filter differ from the smoother of its events by what P_f - P_s says?"""
+
+    name = "smoother"
+    needs = f"snapshots on the way, and at most {LARGEST_ANCHORED} entries of the state"
+    errs = _STATISTICAL
+    figures = (("smoother", Averaged),)
+
+    def found(self, audit: Audit) -> EventFinding | Absent:
+        """Return the average over the snapshots."""
+        if audit.smoother is None:
+            return Absent(f"too few snapshots of at most {LARGEST_ANCHORED} entries")
+        row = _averaged_row("filter minus smoother, per dof (1)", audit.smoother)
+        return EventFinding(audit, [row], ("smoother", _averaged_words(audit.smoother)))
+
+
+class CheckErrors(EventCheck):
+    """Do the covariances explain the errors by the truth (NEES)?"""
+
+    name = "NEES"
+    needs = "errors by the truth, recorded with snapshots"
+    errs = _STATISTICAL
+    figures = (("nees", Averaged),)
+
+    def found(self, audit: Audit) -> EventFinding | Absent:
+        """Return the averages of the state and of its blocks."""
+        rows = [
+            _averaged_row(f"NEES per dof of block {block} (1)", one)
+            for block, one in audit.nees_by_block.items()
+        ]
+        if audit.nees is None:
+            return EventFinding(audit, rows) if rows else Absent("no error is recorded")
+        rows = [_averaged_row("NEES per dof (1)", audit.nees), *rows]
+        return EventFinding(audit, rows, ("NEES", _averaged_words(audit.nees)))
+
+
+class CheckDirections(EventCheck):
+    """What has the filter learnt of directions that its sensors cannot tell?"""
+
+    name = "spurious"
+    needs = "directions, with the sensors that are blind to them"
+    errs = "it names what it finds, and condemns nothing"
+    figures = (("spurious", LearntDirection),)
+
+    def found(self, audit: Audit) -> EventFinding | Absent:
+        """Return how well each direction seems to be known."""
+        if audit.spurious is None:
+            return Absent("no directions are recorded")
+        known = {
+            one.name: f"{one.sigma:.3g} {one.unit}".rstrip()
+            for one in audit.spurious
+            if one.largest is not None
+        }
+        rows = [
+            Row("Spurious information", f"{one.name}, seems known to", known.get(one.name, "none"))
+            for one in audit.spurious
+        ]
+        said = f"nothing learnt of {', '.join(one.name for one in audit.spurious)}"
+        if known:
+            learnt = ", ".join(f"{name} to {sigma}" for name, sigma in known.items())
+            said = f"learnt from measurements that cannot tell it: {learnt}"
+        return EventFinding(audit, rows, ("spurious", said))
+
+
+def _averaged_row(name: str, found: Averaged) -> Row:
+    return Row(
+        "Consistency", name, f"{found.mean:.3g}", _limits(found), found.band.holds(found.mean)
+    )
+
+
+def _averaged_words(found: Averaged) -> str:
+    return f"{found.mean:.3g} per degree of freedom ({_limits(found)} expected)"
+
+
+def _limits(found: Averaged) -> str:
+    low, high = found.band
+    return f"{low:.3g} to {high:.3g}"
+
+
+def _sensor_line(one: SensorInnovations) -> str:
+    if not one.nis:
+        return f"{one.sensor}: no innovation"
+    nis = one.nis[0]
+    text = f"{one.sensor}: NIS {nis.mean:.3g} ({nis.band.low:.3g} to {nis.band.high:.3g} expected)"
+    if one.rejected or one.gating.passes is not None:
+        text += f", {one.rejected:,} of {one.measured:,} rejected"
+    return text
+
+
+def _sensor_rows(one: SensorInnovations) -> list[Row]:
+    group, gating = f"Sensor {one.sensor}", one.gating
+    rows = one.nis_rows(group)
+    rows += [
+        Row(group, f"{w.component}: p of whiteness by {w.order}", f"{w.p_value:.2g}",
+            "at least 0.001", w.p_value >= 0.001)
+        for w in one.whiteness
+    ]  # fmt: skip
+    rejected, limits, inside = f"{one.rejected:,} of {one.measured:,}", "", None
+    if gating.band is not None:
+        low, high = gating.band
+        limits, inside = (
+            f"{100.0 * low:.2g} to {100.0 * high:.2g} %",
+            low <= one.rejected / one.measured <= high,
+        )
+    return [*rows, Row(group, "rejected by the gate", rejected, limits, inside)]
+
+
+EVENT_CHECKS: tuple[EventCheck, ...] = (
+    CheckSnapshots(),
+    CheckGains(),
+    CheckInnovations(),
+    CheckAgainstSmoother(),
+    CheckErrors(),
+    CheckDirections(),
+)
+"""In the order of what is printed."""
