@@ -19,6 +19,7 @@ from comparisons.checks.agreement import (
     Together,
     largest_distance,
 )
+from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.consistency.finding import ExternalConsistencyResult
 from comparisons.checks.diagnosis.departure import Departure
 from comparisons.checks.grade import LIKE_SIGMA, Likeness, match_map
@@ -262,7 +263,7 @@ def _verdict_words(result: CheckResult) -> str:
         "like": f"The estimate is like {nearest}: means and covariances differ by at most 5 %.",
         "plausible": "The estimate is as close to the smoother's optimum as that is certain.",
         "wrong": "The estimate is wrong: its trace shows a fault."
-        if any(one.gap in ("data", "algebra", "model") for one in result.causes)
+        if any(one.gap in FILTER_FAULTS for one in result.causes)
         else "The estimate is wrong: it is like no reference and far from the optimum.",
         None: "There is no grade: too little of the log is covered."
         if _short(result)

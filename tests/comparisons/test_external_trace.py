@@ -34,6 +34,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.solve import solve
+from comparisons.report.check import CheckReport
 from comparisons.report.panels import external_panels
 from comparisons.trace.recorder import Recorder
 from ekf_reference.core.ekf import Ekf
@@ -428,6 +429,7 @@ def test_a_noise_that_is_no_covariance_is_the_first_cause(
     assert first.gap == "invalid"
     said = "update_noise, row 5, is not symmetric" if former else "noise (R) is not symmetric at"
     assert said in first.evidence
+    assert "its trace shows a fault" in CheckReport.of(found).page().words
     assert checked(tmp_path / "right", log, choices).outcome == "agree"
 
 
