@@ -17,7 +17,7 @@ from comparisons.audit.audit import Audit, Verdict
 from comparisons.audit.spurious import Learnt
 from comparisons.checks.of_events import KnownEvents, ask_events
 from comparisons.report.folder import JobFolder
-from comparisons.report.html.page import PageContent, facts_of, write_page
+from comparisons.report.html.page import PageContent, page_of, write_page
 from comparisons.report.job import Report
 from comparisons.report.marks import (
     EKF_COLOUR,
@@ -30,13 +30,13 @@ from comparisons.report.marks import (
     nis_panel,
 )
 from comparisons.report.picture import blank, draw_panel
-from comparisons.report.terminal import STYLES, Summary
+from comparisons.report.terminal import Summary
 from comparisons.words import Row
 
 if TYPE_CHECKING:
     from comparisons.pipeline.clock import Clock
 
-_STYLES: dict[Verdict, str] = {
+_LOOKS: dict[Verdict, str] = {
     "sound": "agree",
     "faulty": "disagree",
     "nothing checked": "unverified",
@@ -85,7 +85,7 @@ class AuditReport(Report[Audit, Audit]):
             lines.append(("not checked", "; ".join(f"{n}: {why}" for n, why in lacking.items())))
         return Summary(
             headline=headline,
-            style=STYLES[_STYLES[audit.verdict]],
+            look=_LOOKS[audit.verdict],
             reasons=[_LACKING] if audit.verdict == "nothing checked" else [*first, *wrong],
             remarks=[*audit.remarks, *named],
             lines=lines,
@@ -96,17 +96,11 @@ class AuditReport(Report[Audit, Audit]):
         """Return what stands on the page."""
         audit = self.found
         summary, panels = self.summary(), [one for one in audit_panels(audit) if one.curves]
-        return PageContent(
-            name=audit.trace.name,
-            headline=summary.headline.removeprefix("verdict: "),
-            colour=_STYLES[audit.verdict],
-            reasons=summary.reasons,
-            facts=facts_of(summary.lines),
-            remarks=summary.remarks,
+        return replace(
+            page_of(summary, audit.trace.name),
             reported=_BY_EVENT if panels and not audit.timed else "",
             panels=panels,
             curves_file="curves.png",
-            rows=summary.rows,
         )
 
     def folder(self) -> JobFolder:
@@ -122,7 +116,7 @@ class AuditReport(Report[Audit, Audit]):
     @property
     def outcome(self) -> str:
         """Return the word that decides the command's exit code."""
-        return _STYLES[self.found.verdict]
+        return _LOOKS[self.found.verdict]
 
 
 def audit_rows(known: KnownEvents) -> list[Row]:

@@ -70,12 +70,18 @@ from comparisons.report.rows import (
     seconds_rows,
     smoother_rows,
 )
-from comparisons.report.sections import about_job, about_log, found_entries, smoother_result
+from comparisons.report.sections import (
+    about_job,
+    about_log,
+    found_entries,
+    job_page,
+    smoother_result,
+)
 from comparisons.report.settings import (
     setting_lines,
     settings_rows,
 )
-from comparisons.report.terminal import STYLES, Summary
+from comparisons.report.terminal import Summary
 from comparisons.words import Row
 from ekf_reference.core.landmark_types import POINT
 
@@ -486,7 +492,7 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         required = f" (required: {result.required})"
         return Summary(
             headline=f"verdict: {result.headline}; grade: {_grade_words(result)}{required}",
-            style=STYLES[result.look],
+            look=result.look,
             causes=result.causes,
             remarks=result.remarks,
             steps=check_ladder(result),
@@ -511,11 +517,10 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
         off = "; ".join(result.inconsistent or ())
         grade = "no grade" if result.grade is None else _grade_words(result)
         source = Path(str(result.config.get("estimate") or "arrays")).name
-        return PageContent(
-            job="check",
-            name=result.log.name,
+        settings = setting_lines(solution.prepared.config, result.settings)
+        return replace(
+            job_page(result, self.summary(), "check", map_content, (reported, panels), settings),
             headline=f"{result.headline}, {grade}",
-            colour=result.look,
             words=_verdict_words(result),
             facts=[
                 *_facts(result),
@@ -523,19 +528,8 @@ class CheckReport(Report[ExternalCheck, CheckResult]):
             ],
             about=f"estimate: {source}; log: {about_log(result.log)}",
             notes=[f"The estimate is inconsistent: {off}."] if off else (),
-            causes=result.causes,
-            remarks=result.remarks,
-            steps=check_ladder(result),
-            map=map_content,
-            reported=reported,
-            panels=panels,
-            rows=_check_rows(check.known, result),
             landmarks=rows,
             landmarks_note=note,
-            settings=setting_lines(solution.prepared.config, result.settings),
-            seconds=result.seconds,
-            cpu_s=result.cpu_s or {},
-            versions=result.versions,
         )
 
     def folder(self) -> JobFolder:

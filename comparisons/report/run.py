@@ -45,13 +45,13 @@ from comparisons.report.rows import (
 )
 from comparisons.report.sections import (
     about_job,
-    about_log,
     ekf_result,
     found_entries,
+    job_page,
     smoother_result,
 )
 from comparisons.report.settings import setting_lines, settings_rows
-from comparisons.report.terminal import STYLES, Summary
+from comparisons.report.terminal import Summary
 from comparisons.words import Row
 from ekf_reference.core.state import correlation_coefficients
 
@@ -113,7 +113,7 @@ class RunReport(Report[Comparison, Result]):
         failed = f" (fails on {', '.join(result.failed_on)})" if result.failed_on else ""
         return Summary(
             headline=f"verdict: {result.summary.partition(' (')[0] or result.headline}{failed}",
-            style=STYLES[result.look],
+            look=result.look,
             causes=result.causes,
             remarks=result.remarks,
             steps=ladder(result),
@@ -141,26 +141,18 @@ class RunReport(Report[Comparison, Result]):
         scan = [row for one in found for row in one.landmarks()]
         rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
         inconsistent = "; ".join(result.inconsistent or ())
-        return PageContent(
-            job="run",
-            name=result.log.name,
+        curves = panels.reported, panels.every
+        settings = setting_lines(c.prepared.config, result.settings, c.prepared.ekf)
+        return replace(
+            job_page(result, self.summary(), "run", run_map(c, marked), curves, settings),
             headline=result.headline,
-            colour=result.look,
             words=_WORDS[result.verdict],
             facts=[
                 *_facts(result, [*a, *scan]),
                 *facts_of(c.known.lines, leave="consistency" if inconsistent else ""),
             ],
-            about=about_log(result.log),
             notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
-            causes=result.causes,
-            remarks=result.remarks,
-            steps=ladder(result),
-            map=run_map(c, marked),
-            reported=panels.reported,
-            panels=panels.every,
             curves_file="consistency.png" if c.prepared.config.report.figures else "",
-            rows=run_rows(c, result),
             pictures=pictures,
             sections=[
                 heat_maps(
@@ -174,10 +166,6 @@ class RunReport(Report[Comparison, Result]):
             ],
             landmarks=rows,
             landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
-            settings=setting_lines(c.prepared.config, result.settings, c.prepared.ekf),
-            seconds=result.seconds,
-            cpu_s=result.cpu_s or {},
-            versions=result.versions,
         )
 
     def folder(self) -> JobFolder:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from comparisons.adapters.ekf_run import EkfRun
@@ -13,7 +14,8 @@ from comparisons.figures import finite, package_versions, stored
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
 from comparisons.report.html.map import MapContent
-from comparisons.report.html.page import PageContent, facts_of
+from comparisons.report.html.page import PageContent, page_of
+from comparisons.report.marks import Panel
 from comparisons.report.models import (
     CheckedResult,
     EkfResult,
@@ -24,8 +26,8 @@ from comparisons.report.models import (
     StartResult,
 )
 from comparisons.report.panels import known_panels
-from comparisons.report.settings import setting_lines, settings_result
-from comparisons.report.terminal import STYLES, Summary
+from comparisons.report.settings import SettingLine, setting_lines, settings_result
+from comparisons.report.terminal import Summary
 from graphslam import smoother
 
 if TYPE_CHECKING:
@@ -175,27 +177,36 @@ def job_page(
     summary: Summary,
     job: str,
     drawn: MapContent,
-    config: JobConfig,
-    known: Known,
+    curves: tuple[str, Sequence[Panel]],
+    settings: Sequence[SettingLine],
 ) -> PageContent:
-    """Return the page of a job that has to show what it prints, a map, and what checks found."""
-    reported, panels = known_panels(known)
-    colour = next((name for name, look in STYLES.items() if look == summary.style), "")
-    return PageContent(
+    """Return the page of a job on a log: what it prints, a map, curves, settings and times.
+
+    curves: what they show, in words, and their panels.
+    """
+    reported, panels = curves
+    return replace(
+        page_of(summary, result.log.name),
         job=job,
-        name=result.log.name,
-        headline=summary.headline.removeprefix("verdict: "),
-        colour="agree" if colour == "verified" else colour,
         about=about_log(result.log),
-        reasons=summary.reasons,
-        facts=facts_of(summary.lines),
-        remarks=summary.remarks,
         map=drawn,
         reported=reported,
         panels=panels,
-        rows=summary.rows,
-        settings=setting_lines(config, result.settings),
+        settings=settings,
         seconds=result.seconds,
         cpu_s=result.cpu_s or {},
         versions=result.versions,
     )
+
+
+def known_page(
+    result: JobResult,
+    summary: Summary,
+    job: str,
+    drawn: MapContent,
+    config: JobConfig,
+    known: Known,
+) -> PageContent:
+    """Return the page of a job with the curves of what it knows."""
+    settings = setting_lines(config, result.settings)
+    return job_page(result, summary, job, drawn, known_panels(known), settings)

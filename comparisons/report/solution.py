@@ -20,9 +20,9 @@ from comparisons.report.job import Report
 from comparisons.report.marks import SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, job_page, optimum_findings, smoother_result
+from comparisons.report.sections import about_job, known_page, optimum_findings, smoother_result
 from comparisons.report.settings import settings_rows
-from comparisons.report.terminal import STYLES, Summary
+from comparisons.report.terminal import Summary
 from comparisons.words import Row
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.optimum import ChiSquareTest
@@ -69,7 +69,7 @@ class SolutionReport(Report[Solution, SolutionResult]):
         too_large = ", sigmas too large" if overstated(test) else ""
         return Summary(
             headline=f"verdict: {result.headline}{too_large}",
-            style=STYLES[result.look],
+            look=result.look,
             reasons=result.reasons,
             remarks=result.remarks,
             lines=[
@@ -106,7 +106,8 @@ class SolutionReport(Report[Solution, SolutionResult]):
             pose=s.dead_reckoned,
         )
         drawn = estimate_map(s.log, "smoother", SMOOTHER_COLOUR, s.estimate, reckoned)
-        return job_page(self.result, self.summary(), "solve", drawn, s.prepared.config, s.known)
+        config = s.prepared.config
+        return known_page(self.result, self.summary(), "solve", drawn, config, s.known)
 
     def folder(self) -> JobFolder:
         """Return what is to be written."""

@@ -36,13 +36,13 @@ _LABEL = 13
 class Summary:
     """What a job has to print.
 
-    headline: the outcome in words, printed first. style: of the headline, as rich names it.
+    headline: the outcome in words, printed first. look: the outcome whose style it is printed in.
     reasons: why the outcome is what it is, where that is no cause, as an optimum that is not
     verified. lines: label and text. rows: all figures.
     """
 
     headline: str
-    style: str = ""
+    look: str = ""
     causes: Sequence[Cause] = ()
     reasons: Sequence[str] = ()
     remarks: Sequence[str] = ()
@@ -74,7 +74,8 @@ def brief(summary: Summary, report: str = "") -> list[Line]:
 
     In lines of WIDTH columns; only a long path makes the last one longer.
     """
-    lines = [Line(text, summary.style) for text in fit(summary.headline, after="  ")]
+    style = STYLES.get(summary.look, "bold")
+    lines = [Line(text, style) for text in fit(summary.headline, after="  ")]
     for cause in summary.causes[:MOST]:
         lines += _indented(f"{cause_name(cause.gap)}: {cause.evidence}")
         hint = fit(cause.hint, first="    hint: ", after="      ")

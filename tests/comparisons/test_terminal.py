@@ -30,7 +30,7 @@ CAUSE = Cause(gap="linearisation", evidence=LONG, hint="look there")
 FULL = Summary(
     headline="verdict: disagree, truth gap, association unchecked; filter inconsistent "
     "(fails on disagreement, consistency, truth, association)",
-    style="bold red",
+    look="disagree",
     causes=[CAUSE] * 7,
     remarks=[LONG] * 9,
     steps=[
@@ -121,7 +121,7 @@ def test_real_outcomes_keep_their_width() -> None:
     far = result.model_copy(update={"verdict": "disagree", "causes": FULL.causes})
     assert faults(brief(RunReport(c, far).summary(), "out")) == []
     unverified = RunReport(c, result.model_copy(update={"verdict": "unverified"})).summary()
-    assert unverified.style == "bold yellow"
+    assert unverified.look == "unverified"
     given = ExternalEstimate.of(c.ekf.estimate)
     for shift, outcome in (
         (0.0, "agree; grade: equal"),

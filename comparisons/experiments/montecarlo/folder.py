@@ -95,7 +95,6 @@ def montecarlo_summary(outcome: Outcome) -> Summary:
         lines.append(("more", f"{more} filters in the report"))
     return Summary(
         headline=f"NEES: {'; '.join(found)}",
-        style="bold",
         remarks=[*remarks(outcome), *repeated],
         lines=[
             (

@@ -39,7 +39,7 @@ from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import EkfResult, JobResult
 from comparisons.report.picture import blank
 from comparisons.report.rows import ekf_rows, log_rows, seconds_rows
-from comparisons.report.sections import about_job, ekf_result, found_entries, job_page
+from comparisons.report.sections import about_job, ekf_result, found_entries, known_page
 from comparisons.report.settings import settings_rows
 from comparisons.report.terminal import Summary
 from comparisons.words import Row
@@ -173,7 +173,6 @@ class MapReport(Report[DenseMapping, MapResult]):
         return Summary(
             headline=f"map: {fused:,} of {returns.returns:,} scan returns in "
             f"{result.regions:,} regions",
-            style="bold",
             remarks=result.remarks,
             lines=[
                 ("occupied", f"{', '.join(layers)} samples"),
@@ -192,7 +191,8 @@ class MapReport(Report[DenseMapping, MapResult]):
         name, samples = next(iter(m.layers.items()))
         cloud = (f"{name}: occupied", samples.point[samples.occupancy > OCCUPIED])
         drawn = estimate_map(m.log, "EKF", EKF_COLOUR, m.ekf.estimate, cloud=cloud)
-        return job_page(self.result, self.summary(), "map", drawn, m.prepared.config, m.known)
+        config = m.prepared.config
+        return known_page(self.result, self.summary(), "map", drawn, config, m.known)
 
     def folder(self) -> JobFolder:
         """Return what is to be written: the map, and each layer in several formats.

@@ -41,9 +41,9 @@ from comparisons.report.job import Report
 from comparisons.report.marks import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from comparisons.report.models import CheckedResult, SmootherResult
 from comparisons.report.rows import log_rows, seconds_rows, smoother_rows
-from comparisons.report.sections import about_job, job_page, optimum_findings, smoother_result
+from comparisons.report.sections import about_job, known_page, optimum_findings, smoother_result
 from comparisons.report.settings import settings_rows
-from comparisons.report.terminal import STYLES, Summary
+from comparisons.report.terminal import Summary
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.scan.clouds import write_cloud
 
@@ -124,7 +124,7 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
         o = result.odometry
         return Summary(
             headline=f"verdict: {result.headline}",
-            style=STYLES[result.look],
+            look=result.look,
             reasons=result.reasons,
             remarks=result.remarks,
             lines=[
@@ -151,7 +151,8 @@ class FrontEndReport(Report[FrontEnd, FrontEndResult]):
             others.append(path(name="wheels", colour=TRUTH_COLOUR, dashes="2 2", pose=f.wheels))
         cloud = ("scans", f.map_points()[:, :2])
         drawn = estimate_map(f.log, "scan graph", SMOOTHER_COLOUR, f.estimate, *others, cloud=cloud)
-        return job_page(self.result, self.summary(), "odometry", drawn, f.prepared.config, f.known)
+        config = f.prepared.config
+        return known_page(self.result, self.summary(), "odometry", drawn, config, f.known)
 
     def folder(self) -> JobFolder:
         """Return what is to be written. Raises MissingLibraryError: a cloud needs Open3D."""

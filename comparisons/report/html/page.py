@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from comparisons.report.html.tables import LandmarkRow
     from comparisons.report.ladder import Step
     from comparisons.report.settings import SettingLine
+    from comparisons.report.terminal import Summary
     from comparisons.words import Cause
 
 _ROW = "; click a landmark to find its row"
@@ -74,6 +75,21 @@ class PageContent:
 def facts_of(lines: Iterable[tuple[str, str]], leave: str = "") -> list[tuple[str, str]]:
     """Return lines of what is printed as facts of the page, but the one that a note says."""
     return [(name[:1].upper() + name[1:], text) for name, text in lines if name != leave]
+
+
+def page_of(summary: Summary, name: str) -> PageContent:
+    """Return a page that has what a job prints. name: of the log, or of the trace."""
+    return PageContent(
+        name=name,
+        headline=summary.headline.removeprefix("verdict: "),
+        colour="agree" if summary.look == "verified" else summary.look,
+        causes=summary.causes,
+        reasons=summary.reasons,
+        steps=summary.steps,
+        facts=facts_of(summary.lines),
+        remarks=summary.remarks,
+        rows=summary.rows,
+    )
 
 
 def write_page(content: PageContent, path: Path) -> None:
