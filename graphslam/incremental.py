@@ -10,13 +10,7 @@ import gtsam
 import numpy as np
 
 from graphslam.arrays import Array, Marginal
-from graphslam.graph_builder import (
-    LANDMARK_KEY,
-    POSE_KEY,
-    last_poses,
-    to_tangent,
-    unwrap,
-)
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, graph_of, pieces, to_tangent, unwrap
 from graphslam.initialisation import extension
 from graphslam.layout import Layout
 from graphslam.marginals import joint_marginal, to_global
@@ -88,9 +82,7 @@ def _pieces(
     stops: Sequence[int] = (),
 ) -> Iterator[_Piece]:
     """One piece for every pose with observations, at `stops` (poses) and at the end."""
-    last = last_poses(problem)
-    order = np.argsort(last, kind="stable")
-    last = last[order]
+    piece_of = pieces(problem, graph)
     ends = np.unique(
         np.concatenate(
             (
@@ -104,12 +96,8 @@ def _pieces(
     ).astype(np.intp)
     done = 0
     for end in (ends + 1).tolist():
-        rows = order[np.searchsorted(last, done) : np.searchsorted(last, end)]
-        piece = gtsam.NonlinearFactorGraph()
-        for row in rows.tolist():
-            piece.push_back(graph.at(row))
         new = extension(problem, known, done, end)
-        yield _Piece(end, piece, new)
+        yield _Piece(end, piece_of(done, end), new)
         known.add(new)
         done = end
 
@@ -195,11 +183,9 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
     leave(count)
     unwrap(poses, problem)
     turn = to_tangent(poses[:, 2]).transpose(0, 2, 1)
-    factors = gtsam.NonlinearFactorGraph()
     remaining = smoother.getFactors()
-    for i in range(remaining.size()):
-        if remaining.exists(i):
-            factors.push_back(remaining.at(i))
+    held = filter(remaining.exists, range(remaining.size()))
+    factors = graph_of(map(remaining.at, held))
     seen = sorted(key for key in landmarks if gtsam.symbolChr(key) == _POINT)
     turned = sorted(set(landmarks) - set(seen))
     places = np.full((problem.landmark_count, 2), np.nan)

@@ -198,19 +198,6 @@ def _mean_turn(turn: Array) -> tuple[Array, Array]:
     return np.where(small, series, mean), np.where(small, by_turn, slope)
 
 
-def relative_pose_samples(displacement: Array, covariance: Array) -> Samples:
-    """Return measured displacements as samples.
-
-    Args:
-        displacement: (N, 3) dx, dy [m], dheading [rad] in the departing frame.
-        covariance: (N, 3, 3) of the right perturbation, in the arriving frame.
-
-    Returns:
-        The same arrays; nothing is copied.
-    """
-    return Samples(displacement, covariance)
-
-
 def compose(samples: Samples, interval: Index, count: int) -> Samples:
     """Compose the samples of each interval into one increment.
 

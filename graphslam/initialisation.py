@@ -13,7 +13,7 @@ from typing import Protocol
 import gtsam
 import numpy as np
 
-from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, last_poses
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, pieces
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
 
@@ -33,24 +33,19 @@ def track(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> tuple[gtsa
 
     graph: build_graph(problem), whose factors are used again for every piece.
     """
-    last = last_poses(problem)
-    order = np.argsort(last, kind="stable")
-    last = last[order]
+    piece_of = pieces(problem, graph)
     values, prefix = gtsam.Values(), gtsam.NonlinearFactorGraph()
     known, solved, iterations, usual = 0, 0, 0, 1.0
     while known < problem.pose_count:
         end = min(known + PIECE, problem.pose_count)
-        rows = order[np.searchsorted(last, known) : np.searchsorted(last, end)]
-        piece = gtsam.NonlinearFactorGraph()
-        for row in rows.tolist():
-            piece.push_back(graph.at(row))
+        piece = piece_of(known, end)
         prefix.push_back(piece)
         new = extension(problem, values, known, end)
         new, misfit, spent = _fit(piece, values, new)
         iterations += spent
         values.insert(new)
         known = end
-        observations = max(1, len(rows) - PIECE)
+        observations = max(1, piece.size() - PIECE)
         if misfit > MISFIT * usual * observations or known > GROWTH * solved:
             try:
                 values, spent, _ = levenberg_marquardt(prefix, values, 1e-3, limit=15)
