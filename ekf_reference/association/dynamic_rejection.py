@@ -8,29 +8,14 @@ marginalised out. They stay in the state, so that the compressed filter still eq
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
 from ekf_reference.association.distances import landmarks_around
-from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import MeasurementModel
-from ekf_reference.core.measurements import DYNAMIC, Association, Measurements
+from ekf_reference.core.measurements import DYNAMIC, Association, DynamicGuard, Measurements
 from ekf_reference.core.state import KalmanState
-
-
-class DynamicGuard(Protocol):
-    """Tells where things move."""
-
-    def is_dynamic(self, point: Array) -> Mask:
-        """Return which points lie in a dynamic region.
-
-        Args:
-            point: (N, 2) east, north [m].
-
-        Returns:
-            (N,).
-        """
 
 
 @dataclass

@@ -35,3 +35,15 @@ def rotation(heading_rad: float) -> Array:
     """
     cos, sin = math.cos(heading_rad), math.sin(heading_rad)
     return np.array([[cos, -sin], [sin, cos]])
+
+
+def to_frame(pose: Array, point: Array) -> Array:
+    """Return points (N, 2) of the world in the frame of a pose (3,)."""
+    local: Array = (point - pose[:2]) @ rotation(float(pose[2]))
+    return local
+
+
+def to_world(pose: Array, point: Array) -> Array:
+    """Return points (N, 2) of the frame of a pose (3,) in the world."""
+    place: Array = point @ rotation(float(pose[2])).T + pose[:2]
+    return place

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.core.landmark_types import POINT, LandmarkKind, MeasurementModel
 from ekf_reference.core.state import KalmanState
 
@@ -100,3 +100,10 @@ class Association(Protocol):
             (m,) landmark indices of the state, or negative codes of what is not used. Indices from
             the present landmark count upward name new landmarks, in order.
         """
+
+
+class DynamicGuard(Protocol):
+    """Tells where things move."""
+
+    def is_dynamic(self, point: Array) -> Mask:
+        """Return which points (N, 2) east, north [m] lie in a dynamic region (N,)."""

@@ -221,7 +221,7 @@ class KalmanState:
             ValueError: A landmark was removed.
         """
         columns = self._layout.columns(landmark_index, kind)
-        landmark = self.mean_at(columns[self._layout.pose_size :]).reshape(-1, kind.width)
+        landmark = self._mean[columns[self._layout.pose_size :]].reshape(-1, kind.width)
         return LocalMap(
             pose=self.pose,
             kind=kind,
@@ -241,18 +241,6 @@ class KalmanState:
             Places, and the indices of current ones: here all that are in the state.
         """
         return MapSnapshot(self.places(kind), self._layout.present(kind))
-
-    def mean_at(self, columns: Index) -> Array:
-        """Return some entries of the mean.
-
-        Args:
-            columns: (c,) state entries.
-
-        Returns:
-            (c,), a copy.
-        """
-        part: Array = self._mean[columns]
-        return part
 
     def covariance_of(self, columns: Index) -> Array:
         """Return the covariance of some entries.

@@ -91,24 +91,16 @@ class Scan:
     """The returns of one scan. pose: (3,) of the scanner in the world.
 
     bearing_rad: (B,) ascending, in [-pi, pi), from the scanner's ahead. range_m: (B,) finite,
-    above zero. number: of the scan, not decreasing.
+    above zero.
     """
 
     pose: Array
     bearing_rad: Array
     range_m: Array
     sensor: Sensor
-    number: int = 0
 
     @classmethod
-    def of_ranges(
-        cls,
-        pose: Array,
-        bearing_rad: Array,
-        range_m: Array,
-        sensor: Sensor,
-        number: int = 0,
-    ) -> Scan:
+    def of_ranges(cls, pose: Array, bearing_rad: Array, range_m: Array, sensor: Sensor) -> Scan:
         """From beams in any order (B,). What is not finite or not above zero is no return.
 
         A beam without a return says nothing: it may have met no surface, or one that absorbs.
@@ -123,7 +115,6 @@ class Scan:
             bearing_rad=bearing[order],
             range_m=range_m[returned][order],
             sensor=sensor,
-            number=number,
         )
 
     @property

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from ekf_reference.core.geometry import Array, Index, Mask, rotation
+from ekf_reference.core.geometry import Array, Index, Mask, to_frame
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.regions_at_map import RegionsAtMap
@@ -163,18 +163,6 @@ def overlapping(first: Array, second: Array) -> bool:
         if (inwards <= 0.0).all(axis=0).any():
             return False
     return True
-
-
-def to_frame(pose: Array, point: Array) -> Array:
-    """Points (N, 2) of the world in the frame of a pose (3,)."""
-    local: Array = (point - pose[:2]) @ rotation(float(pose[2]))
-    return local
-
-
-def to_world(pose: Array, point: Array) -> Array:
-    """The inverse."""
-    place: Array = point @ rotation(float(pose[2])).T + pose[:2]
-    return place
 
 
 def _corners(around: Around, o: SearchOptions) -> Array:

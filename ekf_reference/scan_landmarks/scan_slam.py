@@ -20,6 +20,7 @@ import numpy as np
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index, rotation, wrap_angle
 from ekf_reference.core.landmark_types import POSE
+from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.segmentation import quality
 from ekf_reference.scan_landmarks.template_extraction import (
@@ -30,7 +31,6 @@ from ekf_reference.scan_landmarks.template_extraction import (
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
-    DynamicPlaces,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -173,7 +173,7 @@ class ScanSlam:
             self.options.belief,
         )
         self.found = ScanLandmarks()
-        self.guard: DynamicPlaces | None = None
+        self.guard: DynamicGuard | None = None
         self._seed = seed
         self._last_seen: dict[int, int] = {}
         self._last_tried: Counter[int] = Counter()

@@ -31,9 +31,10 @@ from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
 from graphslam.running_estimate import RunningEstimate
 from graphslam.scan import planar
 from graphslam.scan.loop_closure import starts
+from graphslam.scan.matchers import COARSE_M
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.registration import Registration, ScanError, squared_distance
-from graphslam.scan.template_matchers import COARSE_M, Template, TemplateMatchers, lever_m
+from graphslam.scan.template_matchers import Template, TemplateMatchers, lever_m
 
 USED, INITIALISED = "used", "initialised"
 APART = "does not meet the scan"
