@@ -31,14 +31,7 @@ class Merges:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     def before(self, pose_count: int) -> Merges:
-        """Return the merges that were known by an early pose.
-
-        Args:
-            pose_count: How many of the first poses.
-
-        Returns:
-            The same columns, fewer rows.
-        """
+        """Return the merges that were known by the first pose_count poses."""
         rows = self.pose < pose_count
         return Merges(**_of(self, rows))
 
@@ -64,14 +57,7 @@ class PoseLandmarkMeasurements:
         return int(self.landmark.max(initial=-1)) + 1
 
     def before(self, pose_count: int) -> PoseLandmarkMeasurements:
-        """Return what was measured from the first poses.
-
-        Args:
-            pose_count: How many of the first poses.
-
-        Returns:
-            The same columns, fewer rows; landmarks keep their numbers.
-        """
+        """Return what the first pose_count poses measured; landmarks keep their numbers."""
         rows = self.pose < pose_count
         return PoseLandmarkMeasurements(**_of(self, rows), merges=self.merges.before(pose_count))
 
@@ -97,14 +83,7 @@ class LoopClosures:
         return np.maximum(self.first, self.second)
 
     def before(self, pose_count: int) -> LoopClosures:
-        """Return the closures between the first poses.
-
-        Args:
-            pose_count: How many of the first poses; both ends of a closure must be among them.
-
-        Returns:
-            The same columns, fewer rows.
-        """
+        """Return the closures with both ends among the first pose_count poses."""
         rows = self.last < pose_count
         return LoopClosures(**_of(self, rows), kernel=self.kernel)
 
@@ -150,14 +129,7 @@ class SlamProblem:
         return len(self.increment) + 1
 
     def same_as(self, other: SlamProblem) -> bool:
-        """Compare with another problem, number for number; NaN equals itself.
-
-        Args:
-            other: The other problem.
-
-        Returns:
-            Whether both are equal.
-        """
+        """Return whether another problem, other, is equal, number for number; NaN equals itself."""
         return _same(self, other)
 
     @property
@@ -190,14 +162,7 @@ class SlamProblem:
         return Layout(self.pose_count, self.landmark_count, self.pose_landmarks.count).size
 
     def prefix(self, pose_count: int) -> SlamProblem:
-        """Return the problem up to an early pose.
-
-        Args:
-            pose_count: How many of the first poses stay.
-
-        Returns:
-            A smaller problem; landmarks keep their numbers, also those that are no longer measured.
-        """
+        """Return the problem of the first pose_count poses; landmarks keep their numbers."""
         return replace(
             self.keep(self.measurement_pose < pose_count, self.position_pose < pose_count),
             increment=self.increment[: pose_count - 1],
@@ -207,15 +172,7 @@ class SlamProblem:
         )
 
     def keep(self, measurements: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:
-        """Return the problem with some of its measurements.
-
-        Args:
-            measurements: (M,) which measurements of point landmarks stay.
-            positions: (G,) which absolute positions stay.
-
-        Returns:
-            The same poses and landmarks, fewer measurements.
-        """
+        """Return the problem with some of its measurements (M,) and positions (G,), by masks."""
         return replace(
             self,
             measurement_pose=self.measurement_pose[measurements],

@@ -109,16 +109,10 @@ def recorded_system(
 ) -> LinearProblem:
     """Return F1: what the filter's own recorded matrices say.
 
-    Args:
-        prior: where the filter began.
-        steps: its predictions.
-        until: (K,) steps made when each pose is reached, ascending from 0.
-        measurements: of landmarks from poses, by the landmarks' kind.
-        merges: of two landmarks that are one, by their kind.
-        positions: absolute fixes.
-
-    Raises:
-        numpy.linalg.LinAlgError: a recorded covariance is singular.
+    prior: where the filter began. steps: its predictions. until: (K,) steps made when each pose is
+    reached, ascending from 0. measurements: of landmarks from poses, by the landmarks' kind.
+    merges: of two landmarks that are one, by their kind. positions: absolute fixes. Raises
+    numpy.linalg.LinAlgError where a recorded covariance is singular.
     """
     known, (start,) = _whitened(prior.covariance[None], np.eye(len(prior.pose))[None])
     return LinearProblem(
@@ -136,14 +130,10 @@ def recorded_system(
 
 
 def recorded_motion(every: RecordedSteps, until: Index) -> LinearRelations:
-    """Return predictions as relations of each pose and the next.
+    """Return the filter's predictions, every one, as relations of each pose and the next.
 
-    Args:
-        every: the filter's predictions.
-        until: (K,) steps made when each pose is reached, ascending from 0.
-
-    Raises:
-        numpy.linalg.LinAlgError: a recorded covariance is singular.
+    until: (K,) steps made when each pose is reached, ascending from 0. Raises
+    numpy.linalg.LinAlgError where a recorded covariance is singular.
     """
     steps, pose = _compose(every, until), np.arange(len(until))
     return RecordedRelations(

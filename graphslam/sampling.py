@@ -121,16 +121,10 @@ def sample_chains(
 ) -> Chains:
     """Draw from a density that is about a standard normal one.
 
-    Args:
-        potential: Its negative logarithm.
-        dimension: Numbers n of a state.
-        rng: Equal generators give equal draws, to the bit.
-        options: How many.
-        progress: Called with the iterations done, and all.
-
-    Returns:
-        The draws after the warm-up, in which the step is set so that TARGET_ACCEPTANCE of the
-        proposals are accepted; a step of at least the rotation's angle is a single one.
+    potential: its negative logarithm. dimension: numbers n of a state. rng: equal generators give
+    equal draws, to the bit. progress: called with the iterations done, and all. Returns the draws
+    after the warm-up, in which the step is set so that TARGET_ACCEPTANCE of the proposals are
+    accepted; a step of at least the rotation's angle is a single one. options: how many.
     """
     options = options or SamplingOptions()
     state = _START_SPREAD * rng.standard_normal((dimension, options.chains))
@@ -183,17 +177,10 @@ def trajectory(
 ) -> tuple[_Point, Array]:
     """Follow Hamilton's equations: kicks by the non-Gaussian force, rotations by the Gaussian one.
 
-    Args:
-        potential: The negative log density.
-        at: Where the chains are.
-        velocity: (n, C) at the start.
-        angle: Of each rotation [rad].
-        count: Number of rotations.
-
-    Returns:
-        Where it ends, and the velocity there. Every part preserves volume and is undone by running
-        it from the end with the velocity turned around, so that a Metropolis step on the sum of
-        both energies keeps the density.
+    potential: the negative log density. at: where the chains are. velocity: (n, C) at the start.
+    angle: of each rotation [rad], of count. Returns where it ends, and the velocity there. Every
+    part preserves volume and is undone by running it from the end with the velocity turned around,
+    so that a Metropolis step on the sum of both energies keeps the density.
     """
     cos, sin = np.cos(angle), np.sin(angle)
     point = at
@@ -213,14 +200,10 @@ class SlamPotential:
     """
 
     def __init__(self, problem: SlamProblem) -> None:
-        """Precompute the information matrices of the factors.
+        """Precompute the information matrices of the factors of a problem, its landmarks points.
 
-        Args:
-            problem: Its landmarks are points.
-
-        Raises:
-            ValueError: It has pose landmarks, loop closures under a robust kernel, or a landmark
-                that nothing is known of.
+        Raises ValueError for pose landmarks, loop closures under a robust kernel, or a landmark
+        that nothing is known of.
         """
         if problem.pose_landmarks.count:
             raise ValueError("pose landmarks cannot be sampled, only points")
@@ -255,14 +238,7 @@ class SlamPotential:
         return 3 * self._poses + 2 * self._points
 
     def split(self, state: Array) -> tuple[Array, Array]:
-        """Return the poses and points of states.
-
-        Args:
-            state: (n, C), or gradients by states.
-
-        Returns:
-            Poses (K, 3, C) and points (L, 2, C), views of the state.
-        """
+        """Return views of poses (K, 3, C) and points (L, 2, C) in a state (n, C), or gradient."""
         columns, end = state.shape[1], 3 * self._poses
         return state[:end].reshape(-1, 3, columns), state[end:].reshape(-1, 2, columns)
 
@@ -372,11 +348,7 @@ class ChainPotential:
     """
 
     def __init__(self, potential: SlamPotential) -> None:
-        """Find the pose that measured each point first; the first pose where none did.
-
-        Args:
-            potential: Of states in the world.
-        """
+        """Find the pose that measured each point of a potential first; the first where none did."""
         self._world = potential
         problem = potential.problem
         count = problem.pose_count
@@ -386,14 +358,7 @@ class ChainPotential:
         self._to_anchor = _sums(self._anchor, count)
 
     def to_world(self, q: Array) -> Array:
-        """Return the states in the world.
-
-        Args:
-            q: (n, C) coordinates along the path.
-
-        Returns:
-            (n, C), headings as sums of the turns, without wrapping.
-        """
+        """Return the states (n, C) in the world at q (n, C); headings are sums of the turns."""
         state = np.empty_like(q)
         (steps, local), (poses, points) = self._world.split(q), self._world.split(state)
         poses[:, 2] = np.cumsum(steps[:, 2], axis=0)
@@ -403,14 +368,7 @@ class ChainPotential:
         return state
 
     def to_chain(self, state: Array) -> Array:
-        """Return the coordinates along the path.
-
-        Args:
-            state: (n, C) in the world.
-
-        Returns:
-            (n, C), turns as differences of headings, without wrapping.
-        """
+        """Return q (n, C) of a state (n, C) in the world; turns are differences of headings."""
         q = np.empty_like(state)
         (steps, local), (poses, points) = self._world.split(q), self._world.split(state)
         steps[:] = np.diff(poses, axis=0, prepend=0.0)
@@ -426,17 +384,10 @@ class ChainPotential:
         return energy, self.pulled_back(state, gradient)
 
     def pulled_back(self, state: Array, gradient: Array) -> Array:
-        """Return the gradients in the coordinates along the path, by the chain rule.
+        """Return the gradients (n, C) in the coordinates along the path, by the chain rule.
 
-        As of forces on a chain of rigid bodies: a step moves, and its turn swings, all that comes
-        after it.
-
-        Args:
-            state: (n, C) in the world, where the gradients are taken.
-            gradient: (n, C) in the world.
-
-        Returns:
-            (n, C) in the coordinates.
+        state: (n, C) in the world, where the gradient (n, C) is taken. As of forces on a chain of
+        rigid bodies: a step moves, and its turn swings, all that comes after it.
         """
         found, columns = np.empty_like(gradient), gradient.shape[1]
         (poses, points), (by_pose, by_point) = self._world.split(state), self._world.split(gradient)
@@ -478,16 +429,9 @@ def _turned(places: Array, heading_rad: Array) -> Array:
 def laplace_root(potential: ChainPotential, problem: SlamProblem, state: Array) -> Array:
     """Return a root of gtsam's covariance at an optimum, in coordinates along the path.
 
-    Args:
-        potential: Of the problem.
-        problem: What was solved.
-        state: (n,) the optimum.
-
-    Returns:
-        (n, n) upper triangular; root @ root.T is the covariance of all unknowns.
-
-    Raises:
-        SingularProblemError: Some direction is left without information.
+    potential: of the problem. problem: what was solved. state: (n,) the optimum. (n, n) upper
+    triangular; root @ root.T is the covariance of all unknowns. Raises SingularProblemError where
+    some direction is left without information.
     """
     count, poses = problem.pose_count, state[: 3 * problem.pose_count].reshape(-1, 3)
     points = state[3 * count :].reshape(-1, 2)
@@ -511,17 +455,11 @@ class WhitenedPotential:
     """A problem's density around its optimum, so that gtsam's Gaussian is the standard normal."""
 
     def __init__(self, problem: SlamProblem, poses: Array, landmarks: Array) -> None:
-        """Find a root of gtsam's covariance at the optimum.
+        """Find a root of gtsam's covariance at the optimum of a problem.
 
-        Args:
-            problem: What was solved.
-            poses: (K, 3) of the optimum.
-            landmarks: (L, 2) of the optimum.
-
-        Raises:
-            ValueError: There are more than LARGEST_DIMENSION unknowns, or there is what cannot be
-                sampled (see SlamPotential).
-            SingularProblemError: Some direction is left without information.
+        poses: (K, 3) and landmarks: (L, 2) of the optimum. Raises ValueError for more than
+        LARGEST_DIMENSION unknowns, or what cannot be sampled (see SlamPotential), and
+        SingularProblemError where some direction is left without information.
         """
         if problem.state_dimension > LARGEST_DIMENSION:
             raise ValueError(
@@ -545,13 +483,9 @@ class WhitenedPotential:
         return energy, self._root.T @ gradient
 
     def to_world(self, whitened: Array) -> Array:
-        """Return the states in the world.
+        """Return the states (n, C) in the world, headings within pi of the optimum's.
 
-        Args:
-            whitened: (n, C), standard normal where the posterior is gtsam's Gaussian.
-
-        Returns:
-            (n, C), headings within pi of the optimum's.
+        whitened: (n, C), standard normal where the posterior is gtsam's Gaussian.
         """
         optimum = self._optimum[:, None]
         apart = self._chain.to_world(self._centre + self._root @ whitened) - optimum
@@ -597,8 +531,7 @@ class PosteriorDraws:
     def mean(self) -> tuple[Array, Array]:
         """Return the posterior's mean (m,) and its Monte Carlo standard errors (m,).
 
-        Raises:
-            NotConvergedError: The draws are not the posterior's.
+        Raises NotConvergedError where the draws are not the posterior's.
         """
         self._check()
         return self.draws.mean(axis=(0, 1)), monte_carlo_error(self.draws)
@@ -606,8 +539,7 @@ class PosteriorDraws:
     def covariance(self) -> tuple[Array, Array]:
         """Return the posterior's covariance (m, m) and its Monte Carlo standard errors (m, m).
 
-        Raises:
-            NotConvergedError: The draws are not the posterior's.
+        Raises NotConvergedError where the draws are not the posterior's.
         """
         self._check()
         apart = self.draws - self.draws.mean(axis=(0, 1))
@@ -621,8 +553,7 @@ class PosteriorDraws:
     def skewness(self) -> tuple[Array, Array]:
         """Return the skewness of every number (m,) and its Monte Carlo standard errors (m,).
 
-        Raises:
-            NotConvergedError: The draws are not the posterior's.
+        Raises NotConvergedError where the draws are not the posterior's.
         """
         self._check()
         scaled = (self.draws - self.draws.mean(axis=(0, 1))) / self.draws.std(axis=(0, 1))
@@ -631,23 +562,14 @@ class PosteriorDraws:
     def judge(
         self, mean: Array, covariance: Array, numbers: Index, level: float = 0.95
     ) -> Judgement:
-        """Compare a Gaussian with the posterior.
+        """Return a Gaussian's coverage and extreme variance ratios, with their Monte Carlo errors.
 
-        The extreme directions are sought in one half of the chains and measured in the other, so
-        that an exact covariance of many numbers is not called wrong for want of draws; a single
-        direction that is found this way is not more extreme than the true one but by chance.
-
-        Args:
-            mean: (m,) of the Gaussian over the same numbers.
-            covariance: (m, m) of the Gaussian.
-            numbers: (b,) which of them are judged together: a block, or all.
-            level: Probability of the Gaussian's ellipsoid.
-
-        Returns:
-            Coverage and generalised eigenvalues with their Monte Carlo errors.
-
-        Raises:
-            NotConvergedError: The draws are not the posterior's.
+        mean, covariance: (m,) and (m, m) of the Gaussian over the same numbers. numbers: (b,) which
+        of them are judged together: a block, or all. level: probability of the Gaussian's
+        ellipsoid. The extreme directions are sought in one half of the chains and measured in the
+        other, so that an exact covariance of many numbers is not called wrong for want of draws; a
+        single direction that is found this way is not more extreme than the true one but by chance.
+        Raises NotConvergedError where the draws are not the posterior's.
         """
         self._check()
         apart = self.draws - mean
@@ -694,22 +616,12 @@ def sample_posterior(
     options: SamplingOptions | None = None,
     progress: Progress = lambda done, total: None,
 ) -> PosteriorDraws:
-    """Draw from the smoother's posterior.
+    """Draw from the smoother's posterior; returns the draws with their evidence.
 
-    Args:
-        problem: What is known.
-        poses: (K, 3) of the optimum.
-        landmarks: (L, 2) of the optimum.
-        rng: Equal generators give equal draws, to the bit.
-        options: How many draws.
-        progress: Called with the iterations done, and all.
-
-    Returns:
-        The draws with their evidence.
-
-    Raises:
-        ValueError: The log is too long, or has what cannot be sampled.
-        SingularProblemError: Some direction is left without information.
+    problem: what is known. poses: (K, 3) and landmarks: (L, 2) of the optimum. rng: equal
+    generators give equal draws, to the bit. options: how many. progress: called with the iterations
+    done, and all. Raises ValueError for a log that is too long, or has what cannot be sampled, and
+    SingularProblemError where some direction is left without information.
     """
     density = WhitenedPotential(problem, poses, landmarks)
     chains = sample_chains(density, density.dimension, rng, options, progress)

@@ -47,12 +47,7 @@ class NewLandmarks(NamedTuple):
     def independent(cls, landmark: Array, p: int) -> NewLandmarks:
         """Return landmarks that have nothing to do with the pose; their noise is their own.
 
-        Args:
-            landmark: (m, w).
-            p: Entries of the pose.
-
-        Returns:
-            The same, with Jacobians zero and one.
+        landmark: (m, w). p: entries of the pose.
         """
         count, width = landmark.shape
         own = np.broadcast_to(np.eye(width), (count, width, width))
@@ -127,16 +122,7 @@ class MeasurementModel(Protocol):
 
 
 def diagonal_noise(sigma: Array) -> Array:
-    """Return the covariance of independent errors.
-
-    Args:
-        sigma: (m, w) standard deviations.
-
-    Returns:
-        (m, w, w), R.
-
-    Source: Nieto 2005, eq. 2.41.
-    """
+    """Return R (m, w, w) of independent errors, sigma (m, w) each (Nieto 2005, eq. 2.41)."""
     covariance = np.zeros((*sigma.shape, sigma.shape[1]))
     covariance[:, range(sigma.shape[1]), range(sigma.shape[1])] = sigma**2
     return covariance

@@ -33,14 +33,7 @@ class MeasuredAttributes:
     variance: Array
 
     def take(self, rows: Index) -> MeasuredAttributes:
-        """Return some rows.
-
-        Args:
-            rows: (k,) of the measurements.
-
-        Returns:
-            Attributes of these.
-        """
+        """Return some rows (k,)."""
         if not self.value.size:
             return self
         return MeasuredAttributes(self.value[rows], self.variance[rows])
@@ -73,14 +66,7 @@ class Measurements:
         return len(self.z)
 
     def take(self, rows: Index) -> Measurements:
-        """Return some rows.
-
-        Args:
-            rows: (k,) of the measurements.
-
-        Returns:
-            These, of the same instant.
-        """
+        """Return some rows (k,), of the same instant."""
         own = {name: getattr(self, name)[rows] for name in ("z", "noise", "identity")}
         return replace(self, **own, attributes=self.attributes.take(rows))
 
@@ -106,4 +92,4 @@ class DynamicGuard(Protocol):
     """Tells where things move."""
 
     def is_dynamic(self, point: Array) -> Mask:
-        """Return which points (N, 2) east, north [m] lie in a dynamic region (N,)."""
+        """Return whether each point (N, 2) east, north [m] lies in a dynamic region (N,)."""

@@ -32,16 +32,11 @@ class AccumulatedMotion:
         duration_s: float,
         stabilisation: StepNoise,
     ) -> None:
-        """Append a step.
+        """Append a step (Nieto 2005, eqs. 2.32 to 2.36).
 
-        Args:
-            model: The vehicle model, SE(2)-equivariant.
-            control: (m,) in the model's units, constant during the step.
-            control_covariance: (m, m) of the control's error.
-            duration_s: The step's [s].
-            stabilisation: Noise that every step adds, the same in all frames.
-
-        Source: Nieto 2005, eqs. 2.32 to 2.36.
+        model: SE(2)-equivariant. control: (m,) in its units, constant for duration_s [s].
+        control_covariance: (m, m) of its error. stabilisation: noise that every step adds, the same
+        in all frames.
         """
         pose, f, b = model.step(self.mean, control, duration_s)
         noise = b @ control_covariance @ b.T + stabilisation.covariance(duration_s, pose)
@@ -60,14 +55,9 @@ class AccumulatedMotion:
 
 
 def moved(pose: Array, step: Array) -> Array:
-    """Return poses moved by steps that are seen in their own frames.
+    """Return poses (N, 3) moved by steps that are seen in their own frames, headings unwrapped.
 
-    Args:
-        pose: (N, 3) x, y [m], heading [rad].
-        step: (3,) the same for all, or (N, 3): forward, left [m], turn [rad].
-
-    Returns:
-        (N, 3). Headings are added without wrapping.
+    pose: (N, 3). step: (3,) the same for all, or (N, 3): forward, left [m], turn [rad].
     """
     cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     forward, left, turn = step.T

@@ -65,24 +65,16 @@ class ParticleAssociation(Protocol):
         """Normalised innovation squared beyond which a measurement is not used."""
 
     def rounds(self, seen: Measurements) -> Sequence[Index]:
-        """Return the measurements in parts, each of which holds a landmark at most once.
+        """Return m measurements, `seen`, in parts, in the order in which they are fused.
 
-        Args:
-            seen: m measurements of points of one instant.
-
-        Returns:
-            Rows of each part, in the order in which the parts are fused; every row in one part.
+        Rows of each part; it holds a landmark at most once, and every row is in one.
         """
 
     def numbers(self, seen: Measurements, serial: int) -> NDArray[np.int64]:
-        """Return the numbers that columns of new landmarks get.
+        """Return the numbers (m,) that columns of new landmarks get: labels, or serial numbers.
 
-        Args:
-            seen: m measurements, each of a landmark that is new to some particle.
-            serial: The next free serial number.
-
-        Returns:
-            (m,) labels or serial numbers.
+        seen: m measurements, each of a landmark that is new to some particle. serial: the next free
+        one.
         """
 
     def assign(
@@ -92,25 +84,17 @@ class ParticleAssociation(Protocol):
         seen: Measurements,
         generator: np.random.Generator,
     ) -> Assignment:
-        """Assign the measurements to landmarks, in every particle.
+        """Return what m measurements are of in every particle.
 
-        Args:
-            maps: Of all particles.
-            sight: Poses, motion not sampled yet, and sensor.
-            seen: m measurements of points, one part of `rounds`.
-            generator: Gives all random numbers.
-
-        Returns:
-            Columns (N, m), and corrections (N,) of the log weights.
+        maps: of all particles. sight: poses, motion not sampled yet, and sensor. seen: one part of
+        `rounds`. generator: gives all random numbers.
         """
 
     def review(self, maps: ParticleMaps, pose: Array, columns: Index) -> None:
         """Change the evidence for landmarks.
 
-        Args:
-            maps: Of all particles.
-            pose: (N, 3) as sampled.
-            columns: (N, m) of the landmarks that were measured, negative for none.
+        maps: of all particles. pose: (N, 3) as sampled. columns: (N, m) of the landmarks that were
+        measured, negative for none.
         """
 
 
@@ -255,13 +239,9 @@ class PerParticleLikelihood:
 
 
 def best_pairs(score: Array) -> Index:
-    """Give every measurement a landmark, in every particle the best pair first, none twice.
+    """Return a landmark (N, m) for every measurement, -1 for none: the best pair first, none twice.
 
-    Args:
-        score: (N, m, K), -inf where a pair is not possible.
-
-    Returns:
-        (N, m) the landmark, -1 for none.
+    score: (N, m, K), -inf where a pair is not possible.
     """
     n, m, k = score.shape
     score, choice = score.copy(), np.full((n, m), -1, dtype=np.intp)
@@ -283,21 +263,15 @@ def sampled_pairs(
 ) -> tuple[Index, Array]:
     """Draw a landmark for every measurement, in every particle, none twice.
 
-    Measurement after measurement takes one of the K landmarks that are possible for it and not
-    taken yet, or none. Prior: equal odds of the landmarks, 1 / K each, against 1 for none.
-    Proposal: prior times density of this measurement alone, normalised. The scan's densities are
-    not independent where the pose is uncertain, and what is taken excludes others later: the ratio
-    returned makes the weight right for that too.
+    Source: Montemerlo and Thrun 2003. Measurement after measurement takes one of the K landmarks
+    that are possible for it and not taken yet, or none. Prior: equal odds of the landmarks, 1 / K
+    each, against 1 for none. Proposal: prior times density of this measurement alone, normalised.
+    The scan's densities are not independent where the pose is uncertain, and what is taken excludes
+    others later: the ratio returned makes the weight right for that too.
 
-    Args:
-        score: (N, m, K) log densities, -inf where a pair is not possible.
-        log_unmatched: Log density of a measurement of no landmark.
-        generator: Gives N m uniform numbers.
-
-    Returns:
-        (N, m) the landmark, -1 for none; (N,) ln of prior over proposal of what was drawn.
-
-    Source: Montemerlo and Thrun 2003.
+    score: (N, m, K) log densities, -inf where a pair is not possible. log_unmatched: log density of
+    a measurement of no landmark. generator: gives N m uniform numbers. Returns the landmark (N, m),
+    -1 for none, and ln of prior over proposal of what was drawn (N,).
     """
     n, m, k = score.shape
     row, uniform = np.arange(n), generator.random((m, n, 1))
