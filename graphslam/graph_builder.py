@@ -240,8 +240,7 @@ def right_perturbation(measured: Array, covariance: Array) -> Array:
     error added to these. To first order: from the frame that something is seen from into its own.
     """
     turn = to_tangent(measured[:, 2])
-    turned: Array = turn @ covariance @ turn.transpose(0, 2, 1)
-    return turned
+    return turn @ covariance @ turn.transpose(0, 2, 1)
 
 
 def to_values(

@@ -161,5 +161,4 @@ def _absolute(equations: _Equations, problem: SlamProblem, turned: Complex | Non
 
 def _isotropic(covariance: Array) -> Array:
     """(N,) weights from covariances (N, 2, 2)."""
-    weight: Array = (0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])) ** -0.5
-    return weight
+    return (0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])) ** -0.5

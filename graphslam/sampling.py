@@ -409,14 +409,12 @@ def _before(heading: Array) -> Array:
 
 def _after(terms: Array) -> Array:
     """Sums of terms (K, ...) from each row to the last."""
-    sums: Array = np.cumsum(terms[::-1], axis=0)[::-1]
-    return sums
+    return np.cumsum(terms[::-1], axis=0)[::-1]
 
 
 def _cross(places: Array, forces: Array) -> Array:
     """Moments (N, C) about the origin of forces at places, (N, w, C) each."""
-    moments: Array = places[:, 0] * forces[:, 1] - places[:, 1] * forces[:, 0]
-    return moments
+    return places[:, 0] * forces[:, 1] - places[:, 1] * forces[:, 0]
 
 
 def _turned(places: Array, heading_rad: Array) -> Array:

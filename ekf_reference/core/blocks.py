@@ -21,8 +21,7 @@ def stack(jacobian_pose: Array, jacobian_landmark: Array) -> Array:
 def diagonal_blocks(matrix: Array, m: int) -> Array:
     """Return the m blocks (m, r, w) on the diagonal of a matrix (r m, w m)."""
     which = np.arange(m)
-    blocks: Array = matrix.reshape(m, len(matrix) // m, m, -1)[which, :, which]
-    return blocks
+    return matrix.reshape(m, len(matrix) // m, m, -1)[which, :, which]
 
 
 def block_diagonal(blocks: Array) -> Array:

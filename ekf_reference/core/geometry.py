@@ -28,11 +28,9 @@ def rotation(heading_rad: float) -> Array:
 
 def to_frame(pose: Array, point: Array) -> Array:
     """Return each point (N, 2) of the world in the frame of a pose (3,)."""
-    local: Array = (point - pose[:2]) @ rotation(float(pose[2]))
-    return local
+    return (point - pose[:2]) @ rotation(float(pose[2]))
 
 
 def to_world(pose: Array, point: Array) -> Array:
     """Return each point (N, 2) of the frame of a pose (3,) in the world."""
-    place: Array = point @ rotation(float(pose[2])).T + pose[:2]
-    return place
+    return point @ rotation(float(pose[2])).T + pose[:2]

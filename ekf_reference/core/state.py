@@ -63,8 +63,7 @@ class LocalMap:
         """(L, w, w) P_ll of each landmark, of the upper triangle: symmetric to the bit."""
         entry = len(self.pose) + np.arange(self.landmark.size).reshape(self.landmark.shape)
         i, j = entry[:, :, None], entry[:, None]
-        own: Array = self.covariance[np.minimum(i, j), np.maximum(i, j)]
-        return own
+        return self.covariance[np.minimum(i, j), np.maximum(i, j)]
 
     def take(self, rows: Index) -> LocalMap:
         """Return the pose and some of the landmarks; rows: (k,) here, no landmark indices."""
@@ -191,8 +190,7 @@ class KalmanState:
 
     def covariance_of(self, columns: Index) -> Array:
         """Return the covariance (c, c) of some entries, columns (c,); a copy."""
-        part: Array = self._covariance[columns[:, None], columns]
-        return part
+        return self._covariance[columns[:, None], columns]
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle; the map stays, so the Jacobian of the whole is diag(F, I).

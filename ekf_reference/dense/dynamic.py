@@ -321,5 +321,4 @@ class LowPass:
         """The average around every cell, of values over the region's cells (along a, along b)."""
         rows, columns = value.shape
         smooth = np.fft.irfft2(np.fft.rfft2(value, self.size) * self.spectrum, self.size)
-        average: Array = smooth[:rows, :columns] / self.inside
-        return average
+        return smooth[:rows, :columns] / self.inside

@@ -63,8 +63,7 @@ class Sensor:
         along = self.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
         side = turned(ray)
         across = (range_m * self.sigma_bearing_rad) ** 2
-        spread: Array = along + across[:, None, None] * side[:, :, None] * side[:, None, :]
-        return spread
+        return along + across[:, None, None] * side[:, :, None] * side[:, None, :]
 
     @property
     def reach_rad(self) -> float:

@@ -62,8 +62,7 @@ class FilterView:
     def joint(self, landmark_index: Index) -> Array:
         """(3 + 2 k, 3 + 2 k) covariance of the pose and landmarks (k,) among `landmark_index`."""
         columns = self.layout.columns(np.searchsorted(self.landmark_index, landmark_index))
-        part: Array = self.covariance[columns[:, None], columns]
-        return part
+        return self.covariance[columns[:, None], columns]
 
 
 def numbered(

@@ -235,8 +235,7 @@ def harris(occupied: Array, cell_m: float, trace: float = 0.06, least: float = 0
     row = np.argwhere(peak)
     row = row[np.argsort(-height[peak], kind="stable")]
     point = cell_m * (row + _offset(height, row))
-    corner: Array = point[_apart(point, _APART_M)]
-    return corner
+    return point[_apart(point, _APART_M)]
 
 
 def _response(value: Array, cell_m: float, trace: float) -> Array:

@@ -318,5 +318,4 @@ class KeyframeEstimate:
             place, spread = self.relative(base, k)
             own = planar.rotation(place[2]).T
             total += planar.carried(own @ spread @ own.T, planar.between(place, motion))
-        mean: Array = total / len(around)
-        return mean
+        return total / len(around)

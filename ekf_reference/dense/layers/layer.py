@@ -79,5 +79,4 @@ def in_world(placed: RegionsAtMap, region: Index, local: Array) -> Array:
     """Points (N, 2) [m] of local coordinates (N, 2) in regions (N,) (Nieto 2005, eq. 3.7)."""
     origin, a, b = placed.frames
     first, along_a, along_b = (f.take(region, axis=0) for f in (origin, a, b))  # faster than [ ]
-    point: Array = first + local[:, :1] * along_a + local[:, 1:] * along_b
-    return point
+    return first + local[:, :1] * along_a + local[:, 1:] * along_b
