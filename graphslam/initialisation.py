@@ -62,11 +62,9 @@ class Placed(Protocol):
 
     def exists(self, key: int) -> bool:
         """Whether it has."""
-        ...
 
     def atPose2(self, key: int) -> gtsam.Pose2:  # noqa: N802, gtsam's name
         """A pose."""
-        ...
 
 
 def extension(problem: SlamProblem, values: Placed, known: int, count: int) -> gtsam.Values:

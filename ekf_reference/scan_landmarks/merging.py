@@ -32,7 +32,6 @@ class MergeSink(Protocol):
 
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
         """See merge_landmarks."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)

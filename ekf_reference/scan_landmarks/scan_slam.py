@@ -59,7 +59,6 @@ class MeasurementSink(Protocol):
 
     def observe(self, z: Array, covariance: Array, landmark_index: Index) -> Index:
         """See Ekf.observe_known."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)

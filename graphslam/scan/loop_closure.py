@@ -36,7 +36,6 @@ class LoopCloser(Protocol):
 
     def close(self, problem: SlamProblem, clouds: Clouds) -> Closed:
         """Closures for a problem, from the clouds (M, 3) seen at some of its poses."""
-        ...
 
 
 @dataclass(frozen=True)

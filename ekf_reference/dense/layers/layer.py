@@ -64,15 +64,12 @@ class Layer(Protocol):
         scan: whose they are, for what it says about free space; None for late returns, whose scans
         hits.late has. near: (r,) regions that the scan may speak about.
         """
-        ...
 
     def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
         """All that the layer holds, or what it holds in distinct regions (r,)."""
-        ...
 
     def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """(N,) how likely points (N, 2) [m] are occupied; NaN where the layer knows nothing."""
-        ...
 
 
 def in_world(placed: RegionsAtMap, region: Index, local: Array) -> Array:
