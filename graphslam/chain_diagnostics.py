@@ -62,7 +62,7 @@ def chain_evidence(draws: Array) -> ChainEvidence:
 
 def split_r_hat(draws: Array) -> Array:
     """Return R-hat (n,) of draws (C, N, n), cut in halves; 1 where all have one distribution."""
-    halves = _halves(draws)
+    halves = half_chains(draws)
     count = halves.shape[1]
     within = halves.var(axis=1, ddof=1).mean(axis=0)
     between = halves.mean(axis=1).var(axis=0, ddof=1)
@@ -78,7 +78,7 @@ def effective_sample_size(draws: Array) -> Array:
     initial monotone sequence.
     """
     size = draws.shape[2]
-    blocks = [_effective(_halves(draws[:, :, i : i + _BLOCK])) for i in range(0, size, _BLOCK)]
+    blocks = [_effective(half_chains(draws[:, :, i : i + _BLOCK])) for i in range(0, size, _BLOCK)]
     return np.concatenate(blocks)
 
 
@@ -87,7 +87,7 @@ def monte_carlo_error(values: Array) -> Array:
 
     They are right where a half chain is longer than the chains remember.
     """
-    means = _halves(values).mean(axis=1)
+    means = half_chains(values).mean(axis=1)
     error: Array = means.std(axis=0, ddof=1) / np.sqrt(len(means))
     return error
 
@@ -97,8 +97,8 @@ def estimated(values: Array) -> Estimated:
     return Estimated(float(values.mean()), float(monte_carlo_error(values)))
 
 
-def _halves(draws: Array) -> Array:
-    """(2 C, N // 2, ...): a draw in the middle is left out."""
+def half_chains(draws: Array) -> Array:
+    """Return draws (C, N, ...) as (2 C, N // 2, ...): one in the middle is left out."""
     half = draws.shape[1] // 2
     return np.concatenate((draws[:, :half], draws[:, -half:]))
 

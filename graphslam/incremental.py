@@ -58,30 +58,16 @@ class _Piece(NamedTuple):
     new: gtsam.Values
 
 
-class _Known:
-    """The variables that a smoother has, and where it has them now."""
-
-    def __init__(self, pose_at: Callable[[int], gtsam.Pose2]) -> None:
-        self._pose_at = pose_at
-        self._keys: set[int] = set()
-
-    def exists(self, key: int) -> bool:
-        return key in self._keys
-
-    def atPose2(self, key: int) -> gtsam.Pose2:  # noqa: N802, gtsam's name
-        return self._pose_at(key)
-
-    def add(self, values: gtsam.Values) -> None:
-        self._keys.update(values.keys())
-
-
 def _pieces(
     problem: SlamProblem,
     graph: gtsam.NonlinearFactorGraph,
-    known: _Known,
+    pose_at: Callable[[int], gtsam.Pose2],
     stops: Sequence[int] = (),
 ) -> Iterator[_Piece]:
-    """One piece for every pose with observations, at `stops` (poses) and at the end."""
+    """One piece for every pose with observations, at `stops` (poses) and at the end.
+
+    pose_at: where the smoother has the pose of a key now.
+    """
     piece_of = pieces(problem, graph)
     ends = np.unique(
         np.concatenate(
@@ -94,11 +80,13 @@ def _pieces(
             )
         )
     ).astype(np.intp)
-    done = 0
+    known, done = gtsam.Values(), 0
     for end in (ends + 1).tolist():
+        if done:
+            known.update(POSE_KEY + done - 1, pose_at(POSE_KEY + done - 1))
         new = extension(problem, known, done, end)
         yield _Piece(end, piece_of(done, end), new)
-        known.add(new)
+        known.insert(new)
         done = end
 
 
@@ -114,7 +102,7 @@ def run_isam2(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> Increm
     parameters.relinearizeSkip = RELINEARISE_EVERY
     parameters.setFactorization("QR")
     isam, updates = gtsam.ISAM2(parameters), 0
-    for piece in _pieces(problem, graph, _Known(isam.calculateEstimatePose2)):
+    for piece in _pieces(problem, graph, isam.calculateEstimatePose2):
         isam.update(piece.graph, piece.new)
         updates += 1
     return IncrementalEnd(_settled(isam), updates)
@@ -169,7 +157,7 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
         for first, last in zip(known[:-1].tolist(), known[1:].tolist(), strict=True)
         for stop in range(first + lag, last, lag)
     ]
-    for piece in _pieces(problem, graph, _Known(smoother.calculateEstimatePose2), stops):
+    for piece in _pieces(problem, graph, smoother.calculateEstimatePose2, stops):
         leave(piece.end - lag - 1)  # these the update is going to drop
         left = max(left, piece.end - lag - 1)
         added = list(piece.new.keys())

@@ -8,8 +8,6 @@ a loop closes, or when the log has grown by half.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import gtsam
 import numpy as np
 
@@ -57,17 +55,7 @@ def track(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> tuple[gtsa
     return values, iterations
 
 
-class Placed(Protocol):
-    """Poses and landmarks that have a value already; gtsam.Values is one."""
-
-    def exists(self, key: int) -> bool:
-        """Whether it has."""
-
-    def atPose2(self, key: int) -> gtsam.Pose2:  # noqa: N802, gtsam's name
-        """A pose."""
-
-
-def extension(problem: SlamProblem, values: Placed, known: int, count: int) -> gtsam.Values:
+def extension(problem: SlamProblem, values: gtsam.Values, known: int, count: int) -> gtsam.Values:
     """Poses `known` to `count` - 1 by dead reckoning, and landmarks where they first see them.
 
     values: poses up to `known` and landmarks seen from them; those are not in the result.

@@ -195,6 +195,7 @@ class RegistrationLoopCloser:
         common = np.isfinite(cKDTree(target).query(seen, distance_upper_bound=reach)[0]).mean()
         if common < o.least_overlap:
             return "the scans view different places"
+        placement = np.diag((o.placement_m**2, o.placement_m**2, o.placement_rad**2))
         reason = ""
         for start in starts(expected, spread, o.reach_m):
             try:
@@ -203,17 +204,12 @@ class RegistrationLoopCloser:
                 reason = reason or str(error)
                 continue
             beside = running_estimate.misplacement(earlier, around, match.motion)
-            widened = replace(match, covariance=match.covariance + beside + self._placement())
+            widened = replace(match, covariance=match.covariance + beside + placement)
             doubt = self._doubt(widened, expected, spread)
             if not doubt:
                 return widened
             reason = reason or doubt
         return reason
-
-    def _placement(self) -> Array:
-        """(3, 3) how exactly a scan shows where the pose is, however well it fits."""
-        o = self.options
-        return np.diag((o.placement_m**2, o.placement_m**2, o.placement_rad**2))
 
     def _doubt(self, match: Registration, expected: Array, spread: Array) -> str:
         """What speaks against a match, empty when nothing does."""
