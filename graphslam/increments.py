@@ -94,8 +94,7 @@ def ackermann_samples(
     displacement = np.column_stack((advance - left_m * turn, forward_m * turn, turn))
     if integration != "euler":
         displacement, jacobian = _integrated(displacement, jacobian, duration_s, 0.0, integration)
-    variances = (sigma[0] ** 2, sigma[1] ** 2)
-    return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
+    return _with_noise(displacement, jacobian, sigma, duration_s, stabilisation)
 
 
 def unicycle_samples(
@@ -124,8 +123,7 @@ def unicycle_samples(
     displacement = np.column_stack((chord * cos, chord * sin, turn))
     if integration != "middle":
         displacement, jacobian = _integrated(displacement, jacobian, duration_s, 0.5, integration)
-    variances = (sigma[0] ** 2, sigma[1] ** 2)
-    return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
+    return _with_noise(displacement, jacobian, sigma, duration_s, stabilisation)
 
 
 def _integrated(
@@ -254,7 +252,7 @@ def _inverse_adjoint(x: Array, y: Array, turn: Array) -> Array:
 def _with_noise(
     displacement: Array,
     jacobian: Array,
-    variances: tuple[float, float],
+    sigma: tuple[float, float],
     duration_s: Array,
     stabilisation: Stabilisation,
 ) -> Samples:
@@ -264,7 +262,8 @@ def _with_noise(
     arriving[:, 0] = cos[:, None] * jacobian[:, 0] + sin[:, None] * jacobian[:, 1]
     arriving[:, 1] = -sin[:, None] * jacobian[:, 0] + cos[:, None] * jacobian[:, 1]
     arriving[:, 2] = jacobian[:, 2]
-    covariance = (arriving * np.array(variances)) @ arriving.transpose(0, 2, 1)
+    variance = np.array((sigma[0] ** 2, sigma[1] ** 2))
+    covariance = (arriving * variance) @ arriving.transpose(0, 2, 1)
     covariance[:, 0, 0] += stabilisation.variance_rate_position * duration_s
     covariance[:, 1, 1] += stabilisation.variance_rate_position * duration_s
     covariance[:, 2, 2] += stabilisation.variance_rate_heading * duration_s

@@ -138,9 +138,7 @@ class DynamicLayer:
         sigma_m = max(self.grid.update.sigma_m(scan), self.resolution_m)
         for region in near.tolist():
             grid = self.grid.grids[region]
-            old = before.get(region)
-            if old is None:
-                old = np.zeros_like(grid.odds)
+            old = before.get(region, np.zeros_like(grid.odds))
             if not np.array_equal(old, grid.odds):
                 self._seen(region, old, placed.triangle[region], sigma_m, time_s)
 

@@ -153,14 +153,9 @@ class ScanSlam:
     """Measures templates in scans and initialises new ones; the filter is the caller's."""
 
     def __init__(
-        self,
-        sensor: Sensor,
-        view: View,
-        mount: Array,
-        options: ScanSlamOptions | None = None,
-        seed: int = 0,
+        self, sensor: Sensor, view: View, mount: Array, options: ScanSlamOptions | None = None
     ) -> None:
-        """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials."""
+        """mount: (3,) of the scanner in the vehicle's frame."""
         self.sensor = sensor
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
@@ -173,7 +168,6 @@ class ScanSlam:
         )
         self.found = ScanLandmarks()
         self.guard: DynamicGuard | None = None
-        self._seed = seed
         self._last_seen: dict[int, int] = {}
         self._last_tried: Counter[int] = Counter()
         self._initialised = 0
@@ -291,7 +285,7 @@ class ScanSlam:
             ]
 
         # Anew for each scan: one trial more or less must not change the noise of all later ones.
-        rng = np.random.default_rng((self._seed, self.found.scans))
+        rng = np.random.default_rng((0, self.found.scans))
         for rows in o.extraction.found(scan, self.view, self._out()[0, :2], known):
             segment, trial = scan.take(rows), o.extraction.segmentation
             found = quality(segment, self.sensor, rng, trial, o.alignment, o.belief)
