@@ -43,7 +43,7 @@ def neglected_covariance(view: FilterView, carriers: Carriers, point: Array) -> 
     current = np.isin(landmark_index, view.landmark_index).all(axis=1)
     first = np.full(len(view.landmark), 0)
     first[view.landmark_index] = view.layout.first[POINT]
-    place = (first[landmark_index][..., None] + (0, 1)).reshape(len(point), -1)
+    place = (first[landmark_index][..., None] + (0, 1)).reshape(-1, share.shape[2])
     columns = np.hstack((np.tile(np.arange(3), (len(point), 1)), place))
     by_state = np.empty((len(point), 2, columns.shape[1]))
     by_state[:, :, :2] = np.eye(2)
