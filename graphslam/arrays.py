@@ -1,7 +1,5 @@
 """Array types, the wrap of angles and Gaussians, which the whole package shares."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Edges of a pose graph whose information is many powers of ten away from that of the others."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

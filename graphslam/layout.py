@@ -1,7 +1,5 @@
 """Kinds of landmarks, and where poses and landmarks lie in a joint mean or covariance."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import gtsam

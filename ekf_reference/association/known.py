@@ -1,7 +1,5 @@
 """Association by the labels that a log carries."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Array types and plane geometry that the whole package shares."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Range and bearing of points, and the inverse."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Planar motions as (x, y, heading), in metres and radians."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
