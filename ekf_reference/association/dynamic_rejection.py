@@ -33,8 +33,6 @@ class DynamicRejection:
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign by the rule; DYNAMIC: in a dynamic region, or of a closed landmark index."""
         landmark_indices = np.full(len(seen), DYNAMIC, dtype=np.intp)
-        if not len(seen):
-            return landmark_indices
         around = landmarks_around(state, model, seen)
         self.deactivated.update(
             around.landmark_index[self.guard.is_dynamic(around.landmark)].tolist()
