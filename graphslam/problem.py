@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +30,6 @@ class Merges:
     measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
-    def before(self, pose_count: int) -> Merges:
-        """Return the merges that were known by the first pose_count poses."""
-        rows = self.pose < pose_count
-        return Merges(**_of(self, rows))
-
 
 @dataclass(frozen=True)
 class PoseLandmarkMeasurements:
@@ -56,11 +51,6 @@ class PoseLandmarkMeasurements:
         """Number of landmarks."""
         return int(self.landmark.max(initial=-1)) + 1
 
-    def before(self, pose_count: int) -> PoseLandmarkMeasurements:
-        """Return what the first pose_count poses measured; landmarks keep their numbers."""
-        rows = self.pose < pose_count
-        return PoseLandmarkMeasurements(**_of(self, rows), merges=self.merges.before(pose_count))
-
 
 @dataclass(frozen=True)
 class LoopClosures:
@@ -81,11 +71,6 @@ class LoopClosures:
     def last(self) -> Index:
         """(N,) the later pose of each."""
         return np.maximum(self.first, self.second)
-
-    def before(self, pose_count: int) -> LoopClosures:
-        """Return the closures with both ends among the first pose_count poses."""
-        rows = self.last < pose_count
-        return LoopClosures(**_of(self, rows), kernel=self.kernel)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,12 +148,14 @@ class SlamProblem:
 
     def prefix(self, pose_count: int) -> SlamProblem:
         """Return the problem of the first pose_count poses; landmarks keep their numbers."""
+        seen, closed, merged = self.pose_landmarks, self.loop_closures, self.pose_landmarks.merges
+        merges = _some(merged, merged.pose < pose_count)
         return replace(
             self.keep(self.measurement_pose < pose_count, self.position_pose < pose_count),
             increment=self.increment[: pose_count - 1],
             increment_covariance=self.increment_covariance[: pose_count - 1],
-            pose_landmarks=self.pose_landmarks.before(pose_count),
-            loop_closures=self.loop_closures.before(pose_count),
+            pose_landmarks=replace(_some(seen, seen.pose < pose_count), merges=merges),
+            loop_closures=_some(closed, closed.last < pose_count),
         )
 
     def keep(self, measurements: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:
@@ -185,10 +172,14 @@ class SlamProblem:
         )
 
 
-def _of(columns: object, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Some rows of all arrays of a dataclass, by name."""
+_Columns = TypeVar("_Columns", Merges, PoseLandmarkMeasurements, LoopClosures)
+
+
+def _some(columns: _Columns, rows: NDArray[np.bool_]) -> _Columns:
+    """Some rows of all arrays."""
     every = vars(columns).items()
-    return {name: column[rows] for name, column in every if isinstance(column, np.ndarray)}
+    some: dict[str, Any] = {k: v[rows] for k, v in every if isinstance(v, np.ndarray)}
+    return replace(columns, **some)
 
 
 def _same(one: Any, other: Any) -> bool:
