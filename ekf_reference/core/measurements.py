@@ -1,9 +1,7 @@
 """The measurements of one instant, and the interface of the rules that associate them."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +30,11 @@ class MeasuredAttributes:
     value: Array
     variance: Array
 
-    def take(self, rows: Index) -> MeasuredAttributes:
+    def take(self, rows: Index) -> Self:
         """Return some rows (k,)."""
         if not self.value.size:
             return self
-        return MeasuredAttributes(self.value[rows], self.variance[rows])
+        return replace(self, value=self.value[rows], variance=self.variance[rows])
 
 
 NOT_MEASURED = MeasuredAttributes(np.zeros((1, 0)), np.zeros((1, 0)))
@@ -65,7 +63,7 @@ class Measurements:
         """Return the number of measurements."""
         return len(self.z)
 
-    def take(self, rows: Index) -> Measurements:
+    def take(self, rows: Index) -> Self:
         """Return some rows (k,), of the same instant."""
         own = {name: getattr(self, name)[rows] for name in ("z", "noise", "identity")}
         return replace(self, **own, attributes=self.attributes.take(rows))

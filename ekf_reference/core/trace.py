@@ -4,12 +4,10 @@ A trace holds the numbers the filter used, not the ones it should have used; a s
 same linear equations must reach the same estimate, or the filter's algebra is wrong.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -112,9 +110,9 @@ class MeasurementRecords:
     weight: Array
     origin: Index
 
-    def rows(self, rows: Index) -> MeasurementRecords:
+    def rows(self, rows: Index) -> Self:
         """Return some rows (k,)."""
-        return MeasurementRecords(**{name: column[rows] for name, column in vars(self).items()})
+        return replace(self, **{name: column[rows] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
 """One planar scan, placed in the world, as the layers of a dense map read it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +98,7 @@ class Scan:
     sensor: Sensor
 
     @classmethod
-    def of_ranges(cls, pose: Array, bearing_rad: Array, range_m: Array, sensor: Sensor) -> Scan:
+    def of_ranges(cls, pose: Array, bearing_rad: Array, range_m: Array, sensor: Sensor) -> Self:
         """From beams in any order (B,). What is not finite or not above zero is no return.
 
         A beam without a return says nothing: it may have met no surface, or one that absorbs.

@@ -4,11 +4,9 @@ Every model is SE(2)-equivariant (moving the start moves the result alike), whic
 smoother compose the same steps into one body-frame increment without losing information.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -34,7 +32,7 @@ class MotionStep(NamedTuple):
     @classmethod
     def by(
         cls, pose: Array, east: float, north: float, turn: float, jacobian_control: Array
-    ) -> MotionStep:
+    ) -> Self:
         """Return the step that moves a pose (3,) by known amounts.
 
         east, north: in the map [m]. turn: [rad], added without wrapping. jacobian_control: (3, m),

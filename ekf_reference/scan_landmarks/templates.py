@@ -1,8 +1,7 @@
 """Templates of landmarks, and their observation in scans (Nieto 2005, 5.2.1, 5.2.3 and 5.7)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class Template:
     pose: Array
 
     @classmethod
-    def of_segment(cls, scan: SumOfGaussians, rows: Index) -> Template:
+    def of_segment(cls, scan: SumOfGaussians, rows: Index) -> Self:
         """Some returns of a scan in the vehicle's frame; the axis at their centroid (5.2.3).
 
         Raises ValueError for fewer than three returns, or all in one place: nothing in them

@@ -5,12 +5,10 @@ goes through the same judge, `refine` without a step, so that evidence and covar
 matchers mean the same and can be compared.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -50,7 +48,7 @@ class MatchOptions:
     least_points: int = LEAST_POINTS
 
     @classmethod
-    def suited(cls, settings: OdometryOptions, judge: RefinementOptions) -> MatchOptions:
+    def suited(cls, settings: OdometryOptions, judge: RefinementOptions) -> Self:
         """For scans that suit these settings of scan odometry, from a metre off."""
         reach_m = settings.refinement.reach_m
         return cls(
