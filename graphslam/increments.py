@@ -63,13 +63,12 @@ def ackermann_samples(
 ) -> Samples:
     """Return the motion of a car with an encoder on the rear left wheel, its pose at the laser.
 
-    speed_mps: (N,) of the encoder. steering_rad: (N,), positive to the left. duration_s: (N,) for
-    which each sample holds. sigma: of speed [m/s] and steering [rad] of every sample, independent.
-    stabilisation: noise added to every sample. geometry: measures of the car. integration: along
-    the departing heading in the source.
-
     In the body frame A.4 says: the axle's middle advances by ds, the laser at (a, b) also swings by
-    -b and a times the turn ds tan(alpha) / L. Source: Nieto 2005, eqs. A.3 and A.4.
+    -b and a times the turn ds tan(alpha) / L. speed_mps: (N,) of the encoder. steering_rad: (N,),
+    positive to the left. duration_s: (N,) for which each sample holds. sigma: of speed [m/s] and
+    steering [rad] of every sample, independent. stabilisation: noise added to every sample.
+    geometry: measures of the car. integration: along the departing heading in the source. Source:
+    Nieto 2005, eqs. A.3 and A.4.
     """
     wheelbase_m = geometry.wheelbase_m
     forward_m, left_m = geometry.sensor_forward_m, geometry.sensor_left_m

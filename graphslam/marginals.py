@@ -59,13 +59,11 @@ def joint_marginal(
     """Return the joint marginal of some variables of a linear problem, a graph.
 
     kept: keys of the variables, in the order of the result. size: numbers that they have together.
-    exact: whether some of the graph's rows hold without noise. Raises SingularProblemError where
+    exact: whether some of the graph's rows hold without noise. Mean (size,) and covariance (size,
+    size) are in the coordinates of the graph's own increments: of poses in their own tangent, not
+    yet of the global error. By QR: gtsam's default, Cholesky, squares the condition number, and two
+    measurements a millisecond apart would cost half the digits. Raises SingularProblemError where
     some direction is left without information, or without noise.
-
-    Mean (size,) and covariance (size, size) are in the coordinates of the graph's own increments:
-    of poses in their own tangent, not yet of the global error. By QR: gtsam's default, Cholesky,
-    squares the condition number, and two measurements a millisecond apart would cost half the
-    digits.
     """
     try:
         if size > PARTS_BEYOND and not exact:  # rows without noise would lose that in the joins

@@ -121,9 +121,9 @@ def sample_chains(
     """Draw from a density that is about a standard normal one.
 
     potential: its negative logarithm. dimension: numbers n of a state. rng: equal generators give
-    equal draws, to the bit. options: how many. progress: called with the iterations done, and all.
-    Returns the draws after the warm-up, in which the step is set so that TARGET_ACCEPTANCE of the
-    proposals are accepted; a step of at least the rotation's angle is a single one.
+    equal draws, to the bit. progress: called with the iterations done, and all. Returns the draws
+    after the warm-up, in which the step is set so that TARGET_ACCEPTANCE of the proposals are
+    accepted; a step of at least the rotation's angle is a single one. options: how many.
     """
     options = options or SamplingOptions()
     state = _START_SPREAD * rng.standard_normal((dimension, options.chains))
@@ -177,7 +177,7 @@ def trajectory(
     """Follow Hamilton's equations: kicks by the non-Gaussian force, rotations by the Gaussian one.
 
     potential: the negative log density. at: where the chains are. velocity: (n, C) at the start.
-    angle: of each of count rotations [rad]. Returns where it ends, and the velocity there. Every
+    angle: of each rotation [rad], of count. Returns where it ends, and the velocity there. Every
     part preserves volume and is undone by running it from the end with the velocity turned around,
     so that a Metropolis step on the sum of both energies keeps the density.
     """

@@ -261,16 +261,15 @@ def sampled_pairs(
 ) -> tuple[Index, Array]:
     """Draw a landmark for every measurement, in every particle, none twice.
 
-    Measurement after measurement takes one of the K landmarks that are possible for it and not
-    taken yet, or none. Prior: equal odds of the landmarks, 1 / K each, against 1 for none.
-    Proposal: prior times density of this measurement alone, normalised. The scan's densities are
-    not independent where the pose is uncertain, and what is taken excludes others later: the ratio
-    returned makes the weight right for that too.
+    Source: Montemerlo and Thrun 2003. Measurement after measurement takes one of the K landmarks
+    that are possible for it and not taken yet, or none. Prior: equal odds of the landmarks, 1 / K
+    each, against 1 for none. Proposal: prior times density of this measurement alone, normalised.
+    The scan's densities are not independent where the pose is uncertain, and what is taken excludes
+    others later: the ratio returned makes the weight right for that too.
 
     score: (N, m, K) log densities, -inf where a pair is not possible. log_unmatched: log density of
     a measurement of no landmark. generator: gives N m uniform numbers. Returns the landmark (N, m),
-    -1 for none, and ln of prior over proposal of what was drawn (N,). Source: Montemerlo and Thrun
-    2003.
+    -1 for none, and ln of prior over proposal of what was drawn (N,).
     """
     n, m, k = score.shape
     row, uniform = np.arange(n), generator.random((m, n, 1))

@@ -133,10 +133,10 @@ class ParticleMaps:
     def expected(self, pose: Array, columns: Index, sensor: MeasurementModel) -> Expected:
         """Return what particles expect to measure of some landmarks.
 
-        pose: (N, 3). columns: (N, K), or (K,) the same for all particles. sensor: predicts in the
-        vehicle's frame; its measurements depend on relative place alone. Of a landmark that a
-        particle does not have, the values mean nothing and are finite. Source: Nieto 2005, eqs.
-        2.37 and 2.40 to 2.44.
+        Source: Nieto 2005, eqs. 2.37 and 2.40 to 2.44. pose: (N, 3). columns: (N, K), or (K,) the
+        same for all particles. sensor: predicts in the vehicle's frame; its measurements depend on
+        relative place alone. Of a landmark that a particle does not have, the values mean nothing
+        and are finite.
         """
         local = self._local(pose, self.mean[self._row, columns])
         local = np.where(self.has(columns)[..., None], local, _AHEAD)
@@ -157,9 +157,9 @@ class ParticleMaps:
     ) -> None:
         """Fuse measurements with the landmarks, the pose being known (Nieto 2005, eq. 2.20).
 
-        columns: (N, m), distinct in each row where used. used: (N, m), where a measurement is
-        fused. at: expected there. innovation: (N, m, 2), its angle wrapped. noise: (m, 2, 2), R.
-        Source: Nieto 2005, eqs. 2.45 to 2.47, for each landmark alone.
+        columns: (N, m), distinct in each row where used: (N, m). at: expected there. innovation:
+        (N, m, 2), its angle wrapped. noise: (m, 2, 2), R. Source: Nieto 2005, eqs. 2.45 to 2.47,
+        for each landmark alone.
         """
         n, j = np.nonzero(used)
         column, h = columns[n, j], at.by_landmark[n, j]
@@ -180,9 +180,9 @@ class ParticleMaps:
     ) -> None:
         """Put new landmarks into the maps, the pose being known.
 
-        pose: (N, 3). columns: (m,) of each measurement; anything where no particle takes it as new.
-        new: (N, m), where a particle does. measured: z (m, 2) and R (m, 2, 2). sensor: inverts in
-        the vehicle's frame. Source: Nieto 2005, eqs. 2.48 to 2.55 without the pose's uncertainty.
+        pose: (N, 3). columns: (m,) of each measurement; anything where no particle takes it as new:
+        (N, m). measured: z (m, 2) and R (m, 2, 2). sensor: inverts in the vehicle's frame. Source:
+        Nieto 2005, eqs. 2.48 to 2.55 without the pose's uncertainty.
         """
         n, j = np.nonzero(new)
         local, _, by_z = sensor.invert(_ORIGIN, measured[0])

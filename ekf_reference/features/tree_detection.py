@@ -57,12 +57,10 @@ class TrunkModel:
 def cluster(angle_rad: Array, range_m: Array, gap_m: float) -> Clusters:
     """Return runs of consecutive returns of a scan, split where the range jumps.
 
-    angle_rad: (B,) of the beams, evenly spaced. range_m: (B,), NaN for no return. gap_m:
-    neighbouring returns farther apart in range belong to different objects.
-
-    Source: Guivant 2002, eqs. 10 and 11. Erratum: eq. 11 takes (i_n - i_i) beam spacings as the
-    width, which leaves out half a spacing at either edge; on average the object is one spacing
-    wider, and that is what is used.
+    Source: Guivant 2002, eqs. 10 and 11. angle_rad: (B,) of the beams, evenly spaced. range_m:
+    (B,), NaN for no return. gap_m: neighbouring returns farther apart in range belong to different
+    objects. Erratum: eq. 11 takes (i_n - i_i) beam spacings as the width, which leaves out half a
+    spacing at either edge; on average the object is one spacing wider, and that is what is used.
     """
     returned = np.flatnonzero(np.isfinite(range_m))
     if not len(returned):

@@ -201,9 +201,9 @@ class CompressedState(KalmanState):
     def leave(self, reach_m: float = 0.0, *wanted: Index) -> None:
         """Make a global update, and enter a new area around the vehicle.
 
-        reach_m: how far the area has to extend beyond where the vehicle may go in it [m]. wanted:
-        (c,) state entries of landmarks that must be active, wherever they lie. Source: Guivant
-        2002, eqs. 17 to 23.
+        Source: Guivant 2002, eqs. 17 to 23. reach_m: how far the area has to extend beyond where
+        the vehicle may go in it [m]. wanted: (c,) state entries of landmarks that must be active,
+        wherever they lie.
         """
         self._global_update()
         extent = self.areas.half_m + max(reach_m, self._reach_m)
