@@ -1,5 +1,7 @@
 """Array types, the wrap of angles and Gaussians, which the whole package shares."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

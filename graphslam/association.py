@@ -8,6 +8,8 @@ out to be one are merged, everything is solved once more, the finished map judge
 again, and rare landmarks are dropped.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field, replace
 

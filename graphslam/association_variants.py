@@ -4,6 +4,8 @@ An association that is right does not depend on how it was found. These ways sha
 and the rule, but not the order of decisions, nor the thresholds near which a decision tips.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, replace
 
 import numpy as np

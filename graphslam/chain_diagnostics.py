@@ -5,6 +5,8 @@ an improved R-hat for assessing convergence of MCMC", Bayesian Analysis 16(2). D
 C chains of N draws of n numbers.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -5,6 +5,8 @@ each part of the drive is eliminated with its own landmarks only, and two neighb
 joined by QR decomposition of what they leave, so that few matrices are as wide as the map.
 """
 
+from __future__ import annotations
+
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -7,6 +7,8 @@ what is no longer needed, and the state goes on as `mean + A s`, s ~ N(0, I), P 
 without variance, a noise of any rank and a clone are like any other, and memory is bounded.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple

@@ -1,5 +1,7 @@
 """Edges of a pose graph whose information is many powers of ten away from that of the others."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from typing import NamedTuple
 

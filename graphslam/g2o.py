@@ -12,6 +12,8 @@ Landmarks keep their numbers. Poses have the lowest numbers from 0 that no landm
 order: those of the file that a problem was read from, unless it had gaps.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path

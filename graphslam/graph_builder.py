@@ -1,5 +1,7 @@
 """The SLAM problem as a gtsam factor graph."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 

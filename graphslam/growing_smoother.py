@@ -1,5 +1,7 @@
 """A smoother that grows with a log: iSAM2, of which only what new factors touch is solved anew."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import gtsam

@@ -1,5 +1,7 @@
 """Smoothing along the way: iSAM2 over the whole past, or over a fixed lag."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt

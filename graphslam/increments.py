@@ -5,6 +5,8 @@ the right perturbation, in the frame of arrival (delta Exp(xi)), which is what B
 takes. Everything is computed for all samples of a log at once.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Literal
 

@@ -6,6 +6,8 @@ if that were right, and everything is solved together whenever a piece does not 
 a loop closes, or when the log has grown by half.
 """
 
+from __future__ import annotations
+
 import gtsam
 import numpy as np
 

@@ -1,5 +1,7 @@
 """Kinds of landmarks, and where poses and landmarks lie in a joint mean or covariance."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import gtsam

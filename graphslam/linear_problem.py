@@ -5,6 +5,8 @@ Poses have p entries: three, or as many as a filter's own state has. The unknown
 global errors around a reference, which sets where they are zero, not what the equations say.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple

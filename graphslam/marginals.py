@@ -1,5 +1,7 @@
 """Covariances out of a Gaussian factor graph, by gtsam's elimination."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import gtsam

@@ -5,6 +5,8 @@ numbers: covariances or square roots where informations belong, closures in the 
 closures of a sensor's frame beside odometry of the vehicle's.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple

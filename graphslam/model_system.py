@@ -1,5 +1,7 @@
 """Grade F2 of the frozen smoother: this package's own factors, linearised where the EKF was."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

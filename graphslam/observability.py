@@ -1,5 +1,7 @@
 """Which poses or landmarks a singular problem leaves undetermined, by name."""
 
+from __future__ import annotations
+
 import gtsam
 import numpy as np
 from scipy.sparse import identity

@@ -1,5 +1,7 @@
 """Nonlinear least squares by gtsam's optimisers, with what they leave to be done."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import gtsam

@@ -1,5 +1,7 @@
 """Is a result the optimum? Evidence that can be checked, and what it amounts to."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import gtsam

@@ -6,6 +6,8 @@ exact recursive solution of such a problem, so F1 must equal the filter and F2 m
 rounding.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -6,6 +6,8 @@ landmarks). One sparse solution gives headings, which are brought back to length
 gives places and landmarks under these. No step depends on a value that was guessed.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Which landmark of a map a scan's measurements are of, when all likely joint hypotheses agree."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

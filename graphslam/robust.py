@@ -5,6 +5,8 @@ those of the weighted problem. Graduated non-convexity decides which observation
 are left out, and what remains is an ordinary problem.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import gtsam

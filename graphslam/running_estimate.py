@@ -4,6 +4,8 @@ A smoother gives it at the end of a piece; through the next it is moved by the o
 by what has been recognised, only to judge what is seen. The smoother then starts it anew.
 """
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 

@@ -15,6 +15,8 @@ One density may have several separate modes; chains find the one that they start
 search for other minima is the evidence that there is one.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -6,6 +6,8 @@ lead from where they end to the alternatives of `ambiguity`: a landmark on the o
 path, a heading wound by a turn.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,5 +1,7 @@
 """The frame on the vehicle whose motions are measured, where these are not the vehicle's own."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from graphslam.arrays import Array, Index

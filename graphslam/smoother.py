@@ -1,5 +1,7 @@
 """The smoother: the optimum of a whole log, from several starts, with the evidence for it."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -1,5 +1,7 @@
 """A graph's linearisation as a sparse matrix, its columns in the order of the keys."""
 
+from __future__ import annotations
+
 import gtsam
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags

@@ -4,6 +4,8 @@ The poses that saw it may move with it; what they touch besides is pinned where 
 answer takes the time of those poses, not of the whole graph.
 """
 
+from __future__ import annotations
+
 import gtsam
 import numpy as np
 

@@ -3,6 +3,8 @@
 The optimum of such a graph may be found beyond doubt, and the map still have the place twice.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -12,6 +12,8 @@ the matrix of norms is their covariance there: a component that the others could
 that leaves no residuals, is known badly, and the interval says so.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -5,6 +5,8 @@ keeps an estimate of each. The density of a pairing is the product of the positi
 the attributes', so nis, ln |S| (Nieto 2005, eqs. 2.58 and 2.60) and degrees of freedom add up.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol

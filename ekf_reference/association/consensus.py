@@ -5,6 +5,8 @@ Here all hypotheses of a scan are weighed against each other (Nieto 2005, sectio
 form of eqs. 2.58 and 2.60), and only that is used which all likely ones agree on.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

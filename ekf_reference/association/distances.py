@@ -1,5 +1,7 @@
 """From measurements to landmarks: which are near, how far they are, and who gets which."""
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 

@@ -5,6 +5,8 @@ landmark indices are closed for good. The other states are estimated as if these
 marginalised out. They stay in the state, so that the compressed filter still equals the full one.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -5,6 +5,8 @@ be unlikely together. The largest set that passes one joint gate wins, the one w
 joint nis, attributes included, among equals.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from dataclasses import dataclass, field
 

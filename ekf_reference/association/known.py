@@ -1,5 +1,7 @@
 """Association by the labels that a log carries."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field
 

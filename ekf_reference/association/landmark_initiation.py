@@ -5,6 +5,8 @@ lives outside the state; the measurement that completes it initialises the landm
 eq. 2.53), so no measurement is used twice.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np

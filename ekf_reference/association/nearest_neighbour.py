@@ -1,5 +1,7 @@
 """Nearest neighbours: gated (Nieto 2005, section 2.4), and in metres (Misono 2007, section 3)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

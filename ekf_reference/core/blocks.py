@@ -1,5 +1,7 @@
 """Stacked measurements: m of them as one, and one as m."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from ekf_reference.core.geometry import Array

@@ -5,6 +5,8 @@ Where the entries are more than the pose is free to do, such as a cosine and a s
 where the step leads and how the error reads there.
 """
 
+from __future__ import annotations
+
 from ekf_reference.core.geometry import Array
 
 

@@ -1,5 +1,7 @@
 """EKF-SLAM with the full covariance (Nieto 2005, section 2.3; Guivant 2002, section 2)."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Array types and plane geometry that the whole package shares."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -5,6 +5,8 @@ linear measurement that is the same update; for a nonlinear one, as of an absolu
 loop closure, every part is linearised where the last one led, not far from where it corrects.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple

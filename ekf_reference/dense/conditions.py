@@ -1,5 +1,7 @@
 """When three landmarks may define a region (Nieto 2005, section 3.5, its three conditions)."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

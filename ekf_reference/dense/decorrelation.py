@@ -3,6 +3,8 @@
 Nieto 2005, sections 3.3 and 3.6: Example 3.1 (eq. 3.5) and Example 3.2 (eqs. 3.11 to 3.20).
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """DenseSLAM: everything a scanner sees, kept between the landmarks (Nieto 2005, chapter 3)."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace

@@ -4,6 +4,8 @@ A map that keeps local coordinates for good ignores eq. 3.16. The sum of all lat
 bounded by the relative uncertainty of the vehicle and the base landmarks when a point was fused.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from typing import NamedTuple
 

@@ -1,5 +1,7 @@
 """Rows of numbers, kept by region, so that a scan touches only the regions it sees."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple

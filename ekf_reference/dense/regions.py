@@ -10,6 +10,8 @@ Points are located by a tree of boxes, fitted anew whenever landmarks have moved
 leaves the map is a row of NaN: its regions are empty from then on, and their ground is free.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -1,5 +1,7 @@
 """The regions where their landmarks are now: which of them is a point in."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple

@@ -1,5 +1,7 @@
 """How likely a place is occupied, given one return of a sensor (Nieto 2005, section 4.1.1)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,6 +5,8 @@ axis b. Leading dimensions broadcast: triangles (3, 2) with points (N, 2) share 
 (N, 3, 2) with (N, 2) pair up, (T, 1, 3, 2) with (N, 2) give every point in every region.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """The motion since the last sampled pose, as one Gaussian that all particles share."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from ekf_reference.core.ekf import StepNoise

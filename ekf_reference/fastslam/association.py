@@ -3,6 +3,8 @@
 Source: Montemerlo and Thrun 2003; Nieto 2005, section 2.4.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

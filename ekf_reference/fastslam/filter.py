@@ -1,5 +1,7 @@
 """FastSLAM 1.0 and 2.0 (Nieto 2005, section 2.2.1; Montemerlo et al. 2002 and 2003)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 

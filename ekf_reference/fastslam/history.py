@@ -1,5 +1,7 @@
 """What a cloud of particles was at every epoch, and which of them have descendants."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index

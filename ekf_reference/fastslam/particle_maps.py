@@ -1,5 +1,7 @@
 """The maps of all particles, and what a particle expects to measure of its landmarks."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Resampling of weighted particles."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index

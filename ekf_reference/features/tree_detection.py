@@ -6,6 +6,8 @@ averages (eq. 16); the diameter then leads from the surface that was measured to
 serves as landmark.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field
 

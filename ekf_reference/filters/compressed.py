@@ -7,6 +7,8 @@ root: where all landmarks share an uncertainty that is large beside their distan
 cancels, and psi itself would cost half the digits.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np

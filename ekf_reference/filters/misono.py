@@ -5,6 +5,8 @@ in it, and measurements in the vehicle's own axes are bilinear. The price is a f
 three are free: nothing in the published filter keeps the pair on the unit circle.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

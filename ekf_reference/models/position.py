@@ -1,5 +1,7 @@
 """Absolute positions, such as those of a satellite receiver (Guivant 2002, section 4.2)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 

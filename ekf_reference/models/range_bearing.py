@@ -1,5 +1,7 @@
 """Range and bearing of points, and the inverse."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,6 +3,8 @@
 Matching a scan with a landmark's template measures such a pose, whatever the method.
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from ekf_reference.core.geometry import Array

@@ -5,6 +5,8 @@ A corner of the occupancy layer is paired with the nearest one; a rectangle is d
 template of a pose landmark (6.1.2). Only regions around the vehicle are searched (6.1.3).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple

@@ -5,6 +5,8 @@ first scan that aligns with its template initialises it in the state by eqs. 2.5
 new landmark; no covariance is made up. From then on it is observed like the others.
 """
 
+from __future__ import annotations
+
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace

@@ -1,5 +1,7 @@
 """What a dense map holds around a scan landmark, to enrich its template (Nieto 2005, 6.2.1)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,6 +5,8 @@ It only selects which maximum of a template's correlation is the right one. z an
 are those of the template alone, against the whole prior, and so is the gate.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

@@ -5,6 +5,8 @@ merges landmarks that are close. Here their templates must also fit each other, 
 which they fit is fused as a measurement.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 

@@ -8,6 +8,8 @@ through one scan or one template is not in the state: R counts it (see shared_no
 alignment alone is better than its R by chi-square.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

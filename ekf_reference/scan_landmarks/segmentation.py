@@ -1,5 +1,7 @@
 """Segments of a scan, and whether they would make good landmarks (Nieto 2005, 5.2.2 and 5.7)."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field, replace
 

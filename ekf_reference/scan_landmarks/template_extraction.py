@@ -7,6 +7,8 @@ makes one template of all. `SingleSegments` keeps them apart, so that regions of
 anchored to objects.
 """
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -1,5 +1,7 @@
 """Alignment of two sums of Gaussians by maximum correlation (Nieto 2005, eqs. 5.13 and 5.14)."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, replace
 

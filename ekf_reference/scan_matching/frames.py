@@ -1,5 +1,7 @@
 """Points and Gaussians of one landmark's frame in another's, for merging two templates."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

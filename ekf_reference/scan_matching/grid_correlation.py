@@ -3,6 +3,8 @@
 The method that the thesis names beside ICP and sums of Gaussians, to compare them with.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,5 +1,7 @@
 """The sum of Gaussians of a scan (Nieto 2005, section 4.3.1), and what its returns lie on."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -4,6 +4,8 @@ PLY holds double precision and gives every bit back. PCD holds what the format's
 single precision: 24 bits of each coordinate, 4 micrometres at 50 m.
 """
 
+from __future__ import annotations
+
 import tempfile
 from pathlib import Path
 

@@ -3,6 +3,8 @@
 Open3D takes half a second to load and needs libraries of the system.
 """
 
+from __future__ import annotations
+
 import ctypes
 import re
 from collections.abc import Mapping

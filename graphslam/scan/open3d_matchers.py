@@ -5,6 +5,8 @@ cloud the thinnest axis is then the vertical one, which says nothing; here they 
 SurfaceMap, which looks in the plane.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from typing import Any, ClassVar
 

@@ -1,5 +1,7 @@
 """Planar motions as (x, y, heading), in metres and radians."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Raw scans as clouds of points in the vehicle's frame: forward, left, up in metres."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -5,6 +5,8 @@ the shape does not fix stays as guessed and gets a wide variance instead of an i
 (Zhang, Kaess and Singh 2016, solution remapping).
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

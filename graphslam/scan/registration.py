@@ -1,5 +1,7 @@
 """What a scan matcher is, and what it says of its result."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -1,5 +1,7 @@
 """The surface around a place in a cloud, as planar motion meets it: a line in the ground plan."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """What lays a template, a piece of a scan, onto other scans, and how sure that is."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 

@@ -1,5 +1,7 @@
 """Which of a layer's old points a scan's new points meet (Nieto 2005, eq. 4.10)."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -4,6 +4,8 @@ A pose's error stays in the cells. After the filter has corrected its poses an o
 second time (Nieto 2005, section 4.1.3, Figs. 4.3 a and 4.5).
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -1,5 +1,7 @@
 """A sum of Gaussians over the places that returns come from (Nieto 2005, section 4.3)."""
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 

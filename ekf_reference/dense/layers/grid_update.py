@@ -1,5 +1,7 @@
 """What a scan does to the cells of an occupancy grid, wherever these are (Nieto 2005, 4.1)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Weighted samples of occupied places (Nieto 2005, section 4.2)."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

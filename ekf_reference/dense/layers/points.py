@@ -1,5 +1,7 @@
 """Layers of points at local coordinates; the plainest keeps the returns (Nieto 2005, 3.9)."""
 
+from __future__ import annotations
+
 import numpy as np
 from scipy.spatial import cKDTree
 

@@ -4,6 +4,8 @@ What a classic grid needs for a resolution that differs from place to place (Nie
 4.1.3, "unless quadtree maps are implemented").
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
