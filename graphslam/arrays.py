@@ -27,12 +27,17 @@ def wrap_angle(angle_rad: Array) -> Array:
 
 
 def conditional_covariance(covariance: Array, basis: Array) -> Array:
-    """Return the covariance (n, n) of what an error is beside some directions of it.
+    """Return the covariance of what an error is beside some directions of it.
 
-    covariance: (n, n) P of the error e, positive semidefinite. basis: (n, d) N, of full rank. With
-    e = N alpha + c and alpha unknown, c is what the prior says given alpha: P - N (N^T P^-1 N)^-1
-    N^T, for a singular P the limit of P + s I as s vanishes. A direction that the prior has no
-    variance in leaves it as it is.
+    With e = N alpha + c and alpha unknown, c is what the prior says given alpha. A direction that
+    the prior has no variance in leaves it as it is.
+
+    Args:
+        covariance: (n, n) P of e, positive semidefinite.
+        basis: (n, d) N, of full rank.
+
+    Returns:
+        (n, n) P - N (N^T P^-1 N)^-1 N^T, for a singular P the limit of P + s I as s vanishes.
     """
     scale = np.sqrt(np.diag(covariance))
     unit = np.where(scale > 0.0, scale, 1.0)

@@ -38,8 +38,11 @@ class ExtremeEdges(NamedTuple):
 def extreme_edges(covariance: Array) -> ExtremeEdges:
     """Return the few edges whose information is far from the median.
 
-    covariance: (N, n, n) of edges of one kind. None of fewer than ten edges, nor where more than a
-    tenth are far off.
+    Args:
+        covariance: (N, n, n) of edges of one kind.
+
+    Returns:
+        None of fewer than ten edges, nor where more than a tenth are far off.
     """
     size = _size(covariance)
     apart = size - np.median(size) if len(size) else size
@@ -52,8 +55,12 @@ def extreme_edges(covariance: Array) -> ExtremeEdges:
 def meant(covariance: Array, extreme: ExtremeEdges) -> Iterator[tuple[str, Array]]:
     """Yield readings of extreme edges by which they are like the others.
 
-    What it is that stands there, and (N, n, n) covariances by that. covariance: (N, n, n) of all
-    edges, as the inverse of what stands for their information. extreme: of these.
+    Args:
+        covariance: (N, n, n) of all edges, as the inverse of what stands for their information.
+        extreme: Of these.
+
+    Yields:
+        What it is that stands there, and (N, n, n) covariances by that.
     """
     own, median = covariance[extreme.rows], np.median(_size(covariance))
     for how, read in READINGS:

@@ -81,9 +81,13 @@ _SINGULAR = 1e-13
 
 
 def recognises(tag: str) -> bool:
-    """Return whether a word, a file's first, is the tag of a graph, be it one that is not read.
+    """Return whether a word is the tag of a graph, be it one that is not read.
 
-    So also of spatial graphs, for an error to say what the file is.
+    Args:
+        tag: A file's first word.
+
+    Returns:
+        True also for spatial graphs, so that an error can say what the file is.
     """
     return tag in _TAGS or tag.startswith(("VERTEX_", "EDGE_", "PARAMS_SE")) or _spatial(tag)
 
@@ -106,16 +110,28 @@ class G2oContents(NamedTuple):
 
 
 def holds(problem: SlamProblem) -> bool:
-    """Return whether g2o can say where positions of a problem were measured: at the pose alone."""
+    """Return whether g2o can say where positions were measured: it knows no antenna off the pose.
+
+    Args:
+        problem: What would be written.
+
+    Returns:
+        False where there are positions of an antenna with a lever arm.
+    """
     return not len(problem.position) or problem.lever_m == (0.0, 0.0)
 
 
 def write_g2o(path: Path, contents: G2oContents) -> None:
-    """Write contents, a problem with a solution, to a path; a file there is replaced.
+    """Write a problem with a solution.
 
-    Raises ValueError for pose landmarks, or positions of an antenna off the pose's origin, for
-    which g2o has no edge: they would be taken for the pose's own. Raises SingularProblemError for a
-    covariance without an inverse; its edge is named.
+    Args:
+        path: The file, replaced if it exists.
+        contents: Problem, poses (K, 3) and points (L, 2).
+
+    Raises:
+        ValueError: There are pose landmarks, or positions of an antenna off the pose's origin, for
+            which g2o has no edge: they would be taken for the pose's own.
+        SingularProblemError: A covariance has no inverse; its edge is named.
     """
     problem, poses, landmarks, _, landmark_ids = contents
     if problem.pose_landmarks.count:
@@ -207,14 +223,21 @@ class _Nodes:
 
 
 def read_g2o(path: Path) -> G2oContents:
-    """Read a planar graph of poses, in the order of their ids, and of landmarks from a path.
+    """Read a planar graph of poses, in the order of their ids, and of landmarks.
 
     The first edge from a pose to the next is its increment, all others between poses are closures,
     whose robust kernel g2o cannot tell. Two poses that follow each other may have no such edge;
-    vertices may be missing. Returns the problem, and the values of the file's vertices.
+    vertices may be missing.
 
-    Raises ValueError, which names the line at fault: an unknown tag, a number that is missing or
-    not finite, information that is not positive definite, a pose that no edges connect.
+    Args:
+        path: The file.
+
+    Returns:
+        The problem, and the values of the file's vertices.
+
+    Raises:
+        ValueError: Names the line at fault: an unknown tag, a number that is missing or not finite,
+            information that is not positive definite, a pose that no edges connect.
     """
     found: dict[str, list[_Record]] = {tag.name: [] for tag in _TAGS.values()}
     for record in _records(path):
@@ -462,11 +485,16 @@ def _covariances(path: Path, records: Sequence[_Record], triangles: Array, size:
 
 
 def inverses(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the inverses of covariances or informations, and which (N,) there are.
+    """Return the inverses of covariances or informations, and which there are.
 
-    matrix: (N, n, n), symmetric. The variances are scaled to near one first, by powers of two,
-    which round nothing: sigmas as far apart as 1e-12 and 1e12 cost no digits. The inverse of one
-    that is not positive definite is of no use.
+    The variances are scaled to near one first, by powers of two, which round nothing: sigmas as far
+    apart as 1e-12 and 1e12 cost no digits.
+
+    Args:
+        matrix: (N, n, n), symmetric.
+
+    Returns:
+        (N, n, n), and (N,) which are positive definite; the inverse of another is of no use.
     """
     variance = np.einsum("nii->ni", matrix)
     regular: NDArray[np.bool_] = ((variance > 0.0) & np.isfinite(variance)).all(axis=1)

@@ -19,14 +19,26 @@ COMPONENTS = ("odometry", "bearing", "range", "position", "pose landmark", "loop
 
 
 def gaussian(covariance: Array) -> gtsam.noiseModel.Gaussian:
-    """Return a noise model with all correlations; covariance: (n, n), in gtsam's order."""
+    """Return a noise model with all correlations.
+
+    Args:
+        covariance: (n, n), positive definite, in gtsam's order of the residual.
+
+    Returns:
+        A full Gaussian.
+    """
     return gtsam.noiseModel.Gaussian.Covariance(covariance, False)
 
 
 def prior_factor(key: int, problem: SlamProblem) -> gtsam.PriorFactorPose2:
-    """Return the prior of a problem's first pose; key: of that.
+    """Return the prior of the first pose, its covariance turned into gtsam's tangent there.
 
-    The prior's covariance, of the additive global error, is turned into gtsam's tangent there.
+    Args:
+        key: Of the pose.
+        problem: Has the prior, of the additive global error.
+
+    Returns:
+        The factor.
     """
     turn = to_tangent(problem.prior_pose[2:3])[0]
     noise = gaussian(turn @ problem.prior_covariance @ turn.T)
@@ -71,10 +83,17 @@ def measurement_factors(
 def position_factor(
     key: int, z: Array, covariance: Array, lever_m: tuple[float, float], kernel: str = "none"
 ) -> gtsam.NonlinearFactor:
-    """Return the factor of an absolute position; our own one, which is slow, only with a lever arm.
+    """Return the factor of an absolute position; our own one only where there is a lever arm.
 
-    key: of the pose. z: (2,) of the antenna, east, north [m], with covariance (2, 2). lever_m: the
-    antenna, forward and left of the pose. kernel: of KERNELS.
+    Args:
+        key: Of the pose.
+        z: (2,) of the antenna, east, north [m].
+        covariance: (2, 2) [m^2].
+        lever_m: The antenna, forward and left of the pose.
+        kernel: Of KERNELS.
+
+    Returns:
+        The factor; a custom one is slow.
     """
     noise = robust(gaussian(covariance), kernel)
     if lever_m == (0.0, 0.0):
@@ -105,9 +124,17 @@ def position_factors(
 
 
 def robust(noise: gtsam.noiseModel.Base, kernel: str) -> gtsam.noiseModel.Base:
-    """Return a Gaussian noise under a kernel of KERNELS with its usual constant (95 % efficiency).
+    """Return a noise model under a robust kernel, with its usual constant (95 % efficiency).
 
-    Raises ValueError for another kernel.
+    Args:
+        noise: A Gaussian.
+        kernel: Of KERNELS.
+
+    Returns:
+        The noise itself for `none`.
+
+    Raises:
+        ValueError: There is no such kernel.
     """
     if kernel == "none":
         return noise
@@ -120,10 +147,17 @@ def robust(noise: gtsam.noiseModel.Base, kernel: str) -> gtsam.noiseModel.Base:
 
 
 def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFactorGraph:
-    """Return the graph of a whole problem, its factors in the order that `last_poses` describes.
+    """Return the graph of a whole problem.
 
     Pose k has key POSE_KEY + k, point landmark j LANDMARK_KEY + j, pose landmark j
-    POSE_LANDMARK_KEY + j. kernel: of KERNELS, for all but prior, increments and surveyed landmarks.
+    POSE_LANDMARK_KEY + j.
+
+    Args:
+        problem: What is known.
+        kernel: Of KERNELS, for all but prior, increments and surveyed landmarks.
+
+    Returns:
+        The graph, its factors in the order that `last_poses` describes.
     """
     return graph_of(chain.from_iterable(_factors(problem, kernel)))
 
@@ -180,9 +214,13 @@ def pieces(
 
 
 def last_poses(problem: SlamProblem) -> Index:
-    """Return the last pose (F,) that each factor of a problem's graph touches.
+    """Return the last pose that each factor of `build_graph` touches.
 
-    0 for priors of landmarks.
+    Args:
+        problem: The graph's.
+
+    Returns:
+        (F,) indices of poses, 0 for priors of landmarks.
     """
     return np.concatenate(
         (
@@ -199,9 +237,13 @@ def last_poses(problem: SlamProblem) -> Index:
 
 
 def row_components(problem: SlamProblem) -> Index:
-    """Return whose noise each scalar row (m,) of a problem's graph has, once it is linearised.
+    """Return whose noise each scalar row of `build_graph` has, once it is linearised.
 
-    Rows of COMPONENTS, -1 for what is known beforehand (priors) or inferred (merges).
+    Args:
+        problem: The graph's.
+
+    Returns:
+        (m,) rows of COMPONENTS, -1 for what is known beforehand (priors) or inferred (merges).
     """
     odometry, bearing, range_, position, template, closure = range(len(COMPONENTS))
     seen = problem.pose_landmarks
@@ -220,9 +262,13 @@ def row_components(problem: SlamProblem) -> Index:
 
 
 def to_tangent(heading_rad: Array) -> Array:
-    """Return blkdiag(R^T, 1) (N, 3, 3): additive global pose errors to the pose's own tangent.
+    """Return the matrices that take additive global pose errors into the pose's own tangent.
 
-    heading_rad: (N,) of the poses.
+    Args:
+        heading_rad: (N,) of the poses.
+
+    Returns:
+        (N, 3, 3), blkdiag(R^T, 1).
     """
     cos, sin = np.cos(heading_rad), np.sin(heading_rad)
     turn = np.zeros((len(cos), 3, 3))
@@ -234,10 +280,16 @@ def to_tangent(heading_rad: Array) -> Array:
 
 
 def right_perturbation(measured: Array, covariance: Array) -> Array:
-    """Return covariances (N, 3, 3) of the right perturbation, in the frame of what is measured.
+    """Return covariances of what is added to x, y, heading as of the right perturbation.
 
-    measured: (N, 3) x, y, heading in the frame that it is seen from. covariance: (N, 3, 3) of the
-    error added to these. To first order: from the frame that something is seen from into its own.
+    To first order: from the frame that something is seen from into its own.
+
+    Args:
+        measured: (N, 3) x, y, heading in the frame that it is seen from.
+        covariance: (N, 3, 3) of the error added to these.
+
+    Returns:
+        (N, 3, 3), in the frame of what is measured.
     """
     turn = to_tangent(measured[:, 2])
     return turn @ covariance @ turn.transpose(0, 2, 1)
@@ -249,10 +301,16 @@ def to_values(
     seen: Index,
     pose_landmarks: PoseLandmarkMeasurements | None = None,
 ) -> gtsam.Values:
-    """Return gtsam's values of poses (K, 3) and landmarks (L, 2), with the keys of `build_graph`.
+    """Return gtsam's values of poses and landmarks.
 
-    seen: which landmarks have a value; others must not be in the graph. pose_landmarks:
-    measurements of pose landmarks, which are put where they were first seen.
+    Args:
+        poses: (K, 3).
+        landmarks: (L, 2).
+        seen: Which landmarks have a value; others must not be in the graph.
+        pose_landmarks: Measurements of pose landmarks, which are put where they were first seen.
+
+    Returns:
+        The values, with the keys of `build_graph`.
     """
     values = gtsam.Values()
     for key, pose in enumerate(poses.tolist(), start=POSE_KEY):
@@ -269,9 +327,12 @@ def to_values(
 
 
 def unwrap(poses: Array, problem: SlamProblem) -> None:
-    """Unwrap the headings of poses (K, 3) along the odometry of a problem, in place.
+    """Unwrap the headings of poses along the odometry, in place.
 
-    A pose's turn is taken within pi of its increment's.
+    Args:
+        poses: (K, 3), changed.
+        problem: Has the prior and the increments; a pose's turn is taken within pi of its
+            increment's.
     """
     expected = np.concatenate((problem.prior_pose[2:], problem.increment[:, 2]))
     excess = np.diff(poses[:, 2], prepend=0.0) - expected
@@ -279,10 +340,17 @@ def unwrap(poses: Array, problem: SlamProblem) -> None:
 
 
 def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Array]:
-    """Return poses (K, 3) and points (L, 2) of a problem's solution.
+    """Return poses and points of a solution.
 
-    NaN where a landmark is absent. values: with the keys of `build_graph`. gtsam wraps headings;
-    they are unwrapped along the odometry, so that a whole turn between two poses counts.
+    gtsam wraps headings; they are unwrapped along the odometry, so that a whole turn between two
+    poses counts.
+
+    Args:
+        values: The solution, with the keys of `build_graph`.
+        problem: What was solved.
+
+    Returns:
+        Poses (K, 3) and points (L, 2), NaN where a landmark is absent.
     """
     poses = np.array(
         [
@@ -299,6 +367,14 @@ def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Arra
 
 
 def pose_landmarks_from(values: gtsam.Values, problem: SlamProblem) -> Array:
-    """Return the pose landmarks (Q, 3) of a problem's solution, values, their headings wrapped."""
+    """Return the pose landmarks of a solution.
+
+    Args:
+        values: The solution, with the keys of `build_graph`.
+        problem: What was solved.
+
+    Returns:
+        (Q, 3) x, y, heading, wrapped.
+    """
     poses = [values.atPose2(POSE_LANDMARK_KEY + j) for j in range(problem.pose_landmarks.count)]
     return np.array([(p.x(), p.y(), p.theta()) for p in poses]).reshape(-1, 3)

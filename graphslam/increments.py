@@ -66,11 +66,21 @@ def ackermann_samples(
     """Return the motion of a car with an encoder on the rear left wheel, its pose at the laser.
 
     In the body frame A.4 says: the axle's middle advances by ds, the laser at (a, b) also swings by
-    -b and a times the turn ds tan(alpha) / L. speed_mps: (N,) of the encoder. steering_rad: (N,),
-    positive to the left. duration_s: (N,) for which each sample holds. sigma: of speed [m/s] and
-    steering [rad] of every sample, independent. stabilisation: noise added to every sample.
-    geometry: measures of the car. integration: along the departing heading in the source. Source:
-    Nieto 2005, eqs. A.3 and A.4.
+    -b and a times the turn ds tan(alpha) / L.
+
+    Args:
+        speed_mps: (N,) of the encoder.
+        steering_rad: (N,), positive to the left.
+        duration_s: (N,) for which each sample holds.
+        sigma: Of speed [m/s] and steering [rad] of every sample, independent.
+        stabilisation: Noise added to every sample.
+        geometry: Measures of the car.
+        integration: Along the departing heading in the source.
+
+    Returns:
+        Displacements in the departing frame, covariances in the arriving one.
+
+    Source: Nieto 2005, eqs. A.3 and A.4.
     """
     wheelbase_m = geometry.wheelbase_m
     forward_m, left_m = geometry.sensor_forward_m, geometry.sensor_left_m
@@ -107,9 +117,16 @@ def unicycle_samples(
 ) -> Samples:
     """Return the motion of a differential drive: a chord along the heading halfway.
 
-    speed_mps: (N,), forward. yaw_rate_radps: (N,), positive to the left. duration_s: (N,) for which
-    each sample holds. sigma: of speed [m/s] and yaw rate [rad/s] of every sample, independent.
-    stabilisation: noise added to every sample. integration: another way to lead the displacement.
+    Args:
+        speed_mps: (N,), forward.
+        yaw_rate_radps: (N,), positive to the left.
+        duration_s: (N,) for which each sample holds.
+        sigma: Of speed [m/s] and yaw rate [rad/s] of every sample, independent.
+        stabilisation: Noise added to every sample.
+        integration: Another way to lead the displacement.
+
+    Returns:
+        Displacements in the departing frame, covariances in the arriving one.
     """
     turn = duration_s * yaw_rate_radps
     chord = duration_s * speed_mps
@@ -180,11 +197,18 @@ def _mean_turn(turn: Array) -> tuple[Array, Array]:
 
 
 def compose(samples: Samples, interval: Index, count: int) -> Samples:
-    """Return one increment for each of count intervals; zero, without covariance, for an empty one.
+    """Compose the samples of each interval into one increment.
 
-    samples: in order of time. interval: (N,) of each sample, not decreasing. A perturbation xi_i at
-    the arrival of sample i reaches the end of the interval as Ad(T_i^-1) xi_i, T_i the motion from
-    i to the end; the covariances add, being independent.
+    A perturbation xi_i at the arrival of sample i reaches the end of the interval as Ad(T_i^-1)
+    xi_i, T_i the motion from i to the end; the covariances add, being independent.
+
+    Args:
+        samples: N samples, in order of time.
+        interval: (N,) the interval of each sample, not decreasing.
+        count: How many intervals.
+
+    Returns:
+        `count` increments; zero, with zero covariance, for an interval without samples.
     """
     heading, x, y = _dead_reckoning(samples.displacement)
     start = np.searchsorted(interval, np.arange(count), side="left")
@@ -212,9 +236,14 @@ def compose(samples: Samples, interval: Index, count: int) -> Samples:
 
 
 def dead_reckoned(prior_pose: Array, displacement: Array) -> Array:
-    """Return the poses (N + 1, 3) that displacements lead to on their own, headings unwrapped.
+    """Return the poses that displacements lead to on their own.
 
-    prior_pose: (3,) x, y [m], heading [rad]. displacement: (N, 3), each in the departing frame.
+    Args:
+        prior_pose: (3,) x, y [m], heading [rad].
+        displacement: (N, 3), each in the departing frame.
+
+    Returns:
+        (N + 1, 3), headings unwrapped.
     """
     heading, x, y = _dead_reckoning(displacement)
     cos, sin = np.cos(prior_pose[2]), np.sin(prior_pose[2])

@@ -102,11 +102,16 @@ class _States(NamedTuple):
 def solve(
     problem: LinearProblem, poses: Array, landmarks: Mapping[LandmarkKind, Array]
 ) -> Marginal:
-    """Return the joint marginal of the last pose and all landmarks of a problem.
+    """Return the joint marginal of the last pose and all landmarks.
 
-    poses: (K, p) reference. landmarks: (n, w) reference of every kind of landmarks, in the order of
-    the result. A landmark that is NaN was removed on the way, and is eliminated, too. Raises
-    SingularProblemError where some direction is left without information, or without noise.
+    Args:
+        problem: the relations.
+        poses: (K, p) reference.
+        landmarks: (n, w) reference of every kind of landmarks, in the order of the result. A
+            landmark that is NaN was removed on the way, and is eliminated, too.
+
+    Raises:
+        SingularProblemError: some direction is left without information, or without noise.
     """
     prior, fixes, survey = problem.prior, problem.positions, problem.survey
     chain = _States(POSE_KEY, poses)

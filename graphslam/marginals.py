@@ -26,9 +26,16 @@ class SingularProblemError(ArithmeticError):
 
 
 def eliminate(graph: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:
-    """Return gtsam's Bayes tree of a graph, all variables eliminated by QR.
+    """Eliminate all variables by QR.
 
-    Raises RuntimeError, gtsam's own, of many lines, where the graph is singular.
+    Args:
+        graph: A linear problem.
+
+    Returns:
+        gtsam's Bayes tree, for solution and marginals.
+
+    Raises:
+        RuntimeError: The graph is singular (gtsam's own exception, of many lines).
     """
     ordering = gtsam.Ordering.ColamdGaussianFactorGraph(graph)
     return graph.eliminateMultifrontal(ordering, gtsam.EliminateQR)
@@ -42,9 +49,17 @@ def last_pose_and_landmarks(
 ) -> Marginal:
     """Return the joint marginal of the last pose, points and pose landmarks.
 
-    graph: a linear problem, with the keys of graph_builder.build_graph, of pose_count,
-    landmark_count and pose_landmark_count: K, L and Q. Mean and covariance are of 3 + 2 L + 3 Q
-    numbers, in the graph's own local increments. Raises SingularProblemError as `joint_marginal`.
+    Args:
+        graph: A linear problem, with the keys of graph_builder.build_graph.
+        pose_count: K poses.
+        landmark_count: L points.
+        pose_landmark_count: Q pose landmarks.
+
+    Returns:
+        Mean and covariance of 3 + 2 L + 3 Q numbers, in the graph's own local increments.
+
+    Raises:
+        SingularProblemError: Some direction is left without information.
     """
     kept = [
         POSE_KEY + pose_count - 1,
@@ -58,14 +73,23 @@ def last_pose_and_landmarks(
 def joint_marginal(
     graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int, *, exact: bool = False
 ) -> Marginal:
-    """Return the joint marginal of some variables of a linear problem, a graph.
+    """Return the joint marginal of some variables of a linear problem.
 
-    kept: keys of the variables, in the order of the result. size: numbers that they have together.
-    exact: whether some of the graph's rows hold without noise. Mean (size,) and covariance (size,
-    size) are in the coordinates of the graph's own increments: of poses in their own tangent, not
-    yet of the global error. By QR: gtsam's default, Cholesky, squares the condition number, and two
-    measurements a millisecond apart would cost half the digits. Raises SingularProblemError where
-    some direction is left without information, or without noise.
+    By QR: gtsam's default, Cholesky, squares the condition number, and two measurements a
+    millisecond apart would cost half the digits.
+
+    Args:
+        graph: The linear problem.
+        kept: Keys of the variables, in the order of the result.
+        size: Numbers that they have together.
+        exact: Whether some of the graph's rows hold without noise.
+
+    Returns:
+        Mean (size,) and covariance (size, size), in the coordinates of the graph's own increments:
+        of poses in their own tangent, not yet of the global error.
+
+    Raises:
+        SingularProblemError: Some direction is left without information, or without noise.
     """
     try:
         if size > PARTS_BEYOND and not exact:  # rows without noise would lose that in the joins
@@ -109,10 +133,15 @@ def _remaining(
 
 
 def to_global(covariance: Array, heading_rad: float, oriented_rad: Array | None = None) -> Array:
-    """Return a joint covariance (n, n), poses in their own tangent, as of the global error.
+    """Turn poses in a joint covariance from their own tangent into the global error.
 
-    covariance: the pose's three numbers first, pose landmarks last. heading_rad: of the pose.
-    oriented_rad: (Q,) of the pose landmarks; none by default.
+    Args:
+        covariance: (n, n), the pose's three numbers first, pose landmarks last.
+        heading_rad: Of the pose.
+        oriented_rad: (Q,) headings of the pose landmarks; none by default.
+
+    Returns:
+        (n, n) of the additive global error.
     """
     frames = np.concatenate(([heading_rad], [] if oriented_rad is None else oriented_rad))
     points = (len(covariance) - Layout(len(frames)).size) // POINT.width
@@ -120,10 +149,17 @@ def to_global(covariance: Array, heading_rad: float, oriented_rad: Array | None 
 
 
 def turned(covariance: Array, frame: Index, heading_rad: Array) -> Array:
-    """Return a joint covariance (n, n) of local errors as that of global ones.
+    """Return a joint covariance of local errors as that of global ones.
 
-    frame: (m,) first entries of all poses and pose landmarks. heading_rad: (m,) of these. P_global
-    = blkdiag(R, I, ...) P_local blkdiag(R, I, ...)^T, R a pose's rotation.
+    P_global = blkdiag(R, I, ...) P_local blkdiag(R, I, ...)^T, R a pose's rotation.
+
+    Args:
+        covariance: (n, n).
+        frame: (m,) first entries of all poses and pose landmarks.
+        heading_rad: (m,) of these.
+
+    Returns:
+        (n, n).
     """
     turn = np.eye(len(covariance))
     for first, block in zip(frame.tolist(), to_tangent(heading_rad), strict=True):
@@ -135,10 +171,18 @@ def turned(covariance: Array, frame: Index, heading_rad: Array) -> Array:
 def pose_covariances(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, headings_rad: Array
 ) -> Array:
-    """Return the covariance (K, 3, 3) of every pose on its own, of the additive global error.
+    """Return the covariance of every pose on its own.
 
-    graph: the problem. values: its solution. headings_rad: (K,) of the solution's poses. Raises
-    SingularProblemError where some direction is left without information.
+    Args:
+        graph: The problem.
+        values: Its solution.
+        headings_rad: (K,) of the solution's poses.
+
+    Returns:
+        (K, 3, 3) of the additive global error.
+
+    Raises:
+        SingularProblemError: Some direction is left without information.
     """
     try:
         tree = eliminate(graph.linearize(values))

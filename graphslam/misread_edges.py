@@ -42,10 +42,16 @@ def misread_edges(
 ) -> EdgeReading | None:
     """Return the first other reading of the edges between poses whose chi-square is plausible.
 
-    problem: a graph with closures. test: of its optimum. verified: whether nothing speaks against
-    that optimum but, perhaps, its chi-square. None where that needs no other reading, or none fits.
     Closures may be inverted where informations are too small to tell: that they are is told by an
     optimum that is lower than chance makes it, whatever its chi-square.
+
+    Args:
+        problem: A graph with closures.
+        test: Of its optimum.
+        verified: Whether nothing speaks against that optimum but, perhaps, its chi-square.
+
+    Returns:
+        None where the chi-square at hand needs no other reading, or none fits.
     """
     if not len(problem.loop_closures.first) or test.dof <= 0:
         return None
@@ -62,9 +68,14 @@ def misread_edges(
 
 
 def few_misread(problem: SlamProblem) -> EdgeReading | None:
-    """Return the reading of the few edges of extreme information by which a problem's graph fits.
+    """Return the reading of the few edges of extreme information by which a graph fits.
 
-    None where there are no such edges, or no reading makes them like the others and the graph fit.
+    Args:
+        problem: A graph.
+
+    Returns:
+        None where there are no such edges, or no reading makes them like the others and the graph
+        fit.
     """
     closed, steps = problem.loop_closures, problem.steps
     covariance = np.concatenate((problem.increment_covariance[steps], closed.covariance))

@@ -146,8 +146,11 @@ def moved_to(
 ) -> LinearisationPoints:
     """Return the same uses of measurements, linearised at one estimate.
 
-    points: where the filter linearised them. problem: of which they are. poses: (K, 3). landmarks:
-    (n, w) of each kind, merged ones among them.
+    Args:
+        points: where the filter linearised them.
+        problem: of which they are.
+        poses: (K, 3).
+        landmarks: (n, w) of each kind, merged ones among them.
     """
     measurements = _measurement_models(problem, own_axes=points.own_axes)
     merges = _merge_models(problem)

@@ -59,10 +59,14 @@ class ChiSquareTest:
 
 
 def chi_square_test(error: float, dof: int) -> ChiSquareTest:
-    """Return chi2 = 2 error with its two-sided band.
+    """Test the error at an optimum by chi-square.
 
-    error: half the squared norm of the whitened residuals. dof: scalar measurements, the prior's
-    among them, less scalar unknowns.
+    Args:
+        error: Half the squared norm of the whitened residuals.
+        dof: Scalar measurements, the prior's among them, less scalar unknowns.
+
+    Returns:
+        chi2 = 2 error with its two-sided band.
     """
     tail = 1e-3
     lower, upper = (
@@ -91,10 +95,15 @@ class Stationarity:
 
 
 def stationarity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Stationarity:
-    """Return the first and second order conditions of a graph at a point, values.
+    """Examine the first and second order conditions at a point.
 
-    The Newton decrement, and whether the linear problem is positive definite: its elimination fails
-    unless it is.
+    Args:
+        graph: The problem.
+        values: The point.
+
+    Returns:
+        The Newton decrement, and whether the linear problem is positive definite: its elimination
+        fails unless it is.
     """
     linear = graph.linearize(values)
     try:
@@ -142,9 +151,14 @@ class Exploration:
 
 
 def same_error(one: float, other: float) -> bool:
-    """Return whether two errors, one and other, are equal as far as the optimisers settle.
+    """Return whether two errors are equal as far as the optimisers settle.
 
-    They differ by at most AGREEMENT, relative to one more than the smaller.
+    Args:
+        one: Half the squared norm of whitened residuals.
+        other: Of another point, in the same units.
+
+    Returns:
+        Whether they differ by at most AGREEMENT, relative to one more than the smaller.
     """
     return abs(one - other) <= AGREEMENT * (1.0 + min(one, other))
 

@@ -109,10 +109,16 @@ def recorded_system(
 ) -> LinearProblem:
     """Return F1: what the filter's own recorded matrices say.
 
-    prior: where the filter began. steps: its predictions. until: (K,) steps made when each pose is
-    reached, ascending from 0. measurements: of landmarks from poses, by the landmarks' kind.
-    merges: of two landmarks that are one, by their kind. positions: absolute fixes. Raises
-    numpy.linalg.LinAlgError where a recorded covariance is singular.
+    Args:
+        prior: where the filter began.
+        steps: its predictions.
+        until: (K,) steps made when each pose is reached, ascending from 0.
+        measurements: of landmarks from poses, by the landmarks' kind.
+        merges: of two landmarks that are one, by their kind.
+        positions: absolute fixes.
+
+    Raises:
+        numpy.linalg.LinAlgError: a recorded covariance is singular.
     """
     known, (start,) = _whitened(prior.covariance[None], np.eye(len(prior.pose))[None])
     return LinearProblem(
@@ -130,10 +136,14 @@ def recorded_system(
 
 
 def recorded_motion(every: RecordedSteps, until: Index) -> LinearRelations:
-    """Return the filter's predictions, every one, as relations of each pose and the next.
+    """Return predictions as relations of each pose and the next.
 
-    until: (K,) steps made when each pose is reached, ascending from 0. Raises
-    numpy.linalg.LinAlgError where a recorded covariance is singular.
+    Args:
+        every: the filter's predictions.
+        until: (K,) steps made when each pose is reached, ascending from 0.
+
+    Raises:
+        numpy.linalg.LinAlgError: a recorded covariance is singular.
     """
     steps, pose = _compose(every, until), np.arange(len(until))
     return RecordedRelations(

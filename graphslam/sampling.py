@@ -122,10 +122,16 @@ def sample_chains(
 ) -> Chains:
     """Draw from a density that is about a standard normal one.
 
-    potential: its negative logarithm. dimension: numbers n of a state. rng: equal generators give
-    equal draws, to the bit. progress: called with the iterations done, and all. Returns the draws
-    after the warm-up, in which the step is set so that TARGET_ACCEPTANCE of the proposals are
-    accepted; a step of at least the rotation's angle is a single one. options: how many.
+    Args:
+        potential: Its negative logarithm.
+        dimension: Numbers n of a state.
+        rng: Equal generators give equal draws, to the bit.
+        options: How many.
+        progress: Called with the iterations done, and all.
+
+    Returns:
+        The draws after the warm-up, in which the step is set so that TARGET_ACCEPTANCE of the
+        proposals are accepted; a step of at least the rotation's angle is a single one.
     """
     options = options or SamplingOptions()
     state = _START_SPREAD * rng.standard_normal((dimension, options.chains))
@@ -178,10 +184,17 @@ def trajectory(
 ) -> tuple[_Point, Array]:
     """Follow Hamilton's equations: kicks by the non-Gaussian force, rotations by the Gaussian one.
 
-    potential: the negative log density. at: where the chains are. velocity: (n, C) at the start.
-    angle: of each rotation [rad], of count. Returns where it ends, and the velocity there. Every
-    part preserves volume and is undone by running it from the end with the velocity turned around,
-    so that a Metropolis step on the sum of both energies keeps the density.
+    Args:
+        potential: The negative log density.
+        at: Where the chains are.
+        velocity: (n, C) at the start.
+        angle: Of each rotation [rad].
+        count: Number of rotations.
+
+    Returns:
+        Where it ends, and the velocity there. Every part preserves volume and is undone by running
+        it from the end with the velocity turned around, so that a Metropolis step on the sum of
+        both energies keeps the density.
     """
     cos, sin = np.cos(angle), np.sin(angle)
     point = at
@@ -201,10 +214,14 @@ class SlamPotential:
     """
 
     def __init__(self, problem: SlamProblem) -> None:
-        """Precompute the information matrices of the factors of a problem, its landmarks points.
+        """Precompute the information matrices of the factors.
 
-        Raises ValueError for pose landmarks, loop closures under a robust kernel, or a landmark
-        that nothing is known of.
+        Args:
+            problem: Its landmarks are points.
+
+        Raises:
+            ValueError: It has pose landmarks, loop closures under a robust kernel, or a landmark
+                that nothing is known of.
         """
         if problem.pose_landmarks.count:
             raise ValueError("pose landmarks cannot be sampled, only points")
@@ -239,7 +256,14 @@ class SlamPotential:
         return 3 * self._poses + 2 * self._points
 
     def split(self, state: Array) -> tuple[Array, Array]:
-        """Return views of poses (K, 3, C) and points (L, 2, C) in a state (n, C), or gradient."""
+        """Return the poses and points of states.
+
+        Args:
+            state: (n, C), or gradients by states.
+
+        Returns:
+            Poses (K, 3, C) and points (L, 2, C), views of the state.
+        """
         columns, end = state.shape[1], 3 * self._poses
         return state[:end].reshape(-1, 3, columns), state[end:].reshape(-1, 2, columns)
 
@@ -349,7 +373,11 @@ class ChainPotential:
     """
 
     def __init__(self, potential: SlamPotential) -> None:
-        """Find the pose that measured each point of a potential first; the first where none did."""
+        """Find the pose that measured each point first; the first pose where none did.
+
+        Args:
+            potential: Of states in the world.
+        """
         self._world = potential
         problem = potential.problem
         count = problem.pose_count
@@ -359,7 +387,14 @@ class ChainPotential:
         self._to_anchor = _sums(self._anchor, count)
 
     def to_world(self, q: Array) -> Array:
-        """Return the states (n, C) in the world at q (n, C); headings are sums of the turns."""
+        """Return the states in the world.
+
+        Args:
+            q: (n, C) coordinates along the path.
+
+        Returns:
+            (n, C), headings as sums of the turns, without wrapping.
+        """
         state = np.empty_like(q)
         (steps, local), (poses, points) = self._world.split(q), self._world.split(state)
         poses[:, 2] = np.cumsum(steps[:, 2], axis=0)
@@ -369,7 +404,14 @@ class ChainPotential:
         return state
 
     def to_chain(self, state: Array) -> Array:
-        """Return q (n, C) of a state (n, C) in the world; turns are differences of headings."""
+        """Return the coordinates along the path.
+
+        Args:
+            state: (n, C) in the world.
+
+        Returns:
+            (n, C), turns as differences of headings, without wrapping.
+        """
         q = np.empty_like(state)
         (steps, local), (poses, points) = self._world.split(q), self._world.split(state)
         steps[:] = np.diff(poses, axis=0, prepend=0.0)
@@ -385,10 +427,17 @@ class ChainPotential:
         return energy, self.pulled_back(state, gradient)
 
     def pulled_back(self, state: Array, gradient: Array) -> Array:
-        """Return the gradients (n, C) in the coordinates along the path, by the chain rule.
+        """Return the gradients in the coordinates along the path, by the chain rule.
 
-        state: (n, C) in the world, where the gradient (n, C) is taken. As of forces on a chain of
-        rigid bodies: a step moves, and its turn swings, all that comes after it.
+        As of forces on a chain of rigid bodies: a step moves, and its turn swings, all that comes
+        after it.
+
+        Args:
+            state: (n, C) in the world, where the gradients are taken.
+            gradient: (n, C) in the world.
+
+        Returns:
+            (n, C) in the coordinates.
         """
         found, columns = np.empty_like(gradient), gradient.shape[1]
         (poses, points), (by_pose, by_point) = self._world.split(state), self._world.split(gradient)
@@ -428,9 +477,16 @@ def _turned(places: Array, heading_rad: Array) -> Array:
 def laplace_root(potential: ChainPotential, problem: SlamProblem, state: Array) -> Array:
     """Return a root of gtsam's covariance at an optimum, in coordinates along the path.
 
-    potential: of the problem. problem: what was solved. state: (n,) the optimum. (n, n) upper
-    triangular; root @ root.T is the covariance of all unknowns. Raises SingularProblemError where
-    some direction is left without information.
+    Args:
+        potential: Of the problem.
+        problem: What was solved.
+        state: (n,) the optimum.
+
+    Returns:
+        (n, n) upper triangular; root @ root.T is the covariance of all unknowns.
+
+    Raises:
+        SingularProblemError: Some direction is left without information.
     """
     count, poses = problem.pose_count, state[: 3 * problem.pose_count].reshape(-1, 3)
     points = state[3 * count :].reshape(-1, 2)
@@ -454,11 +510,17 @@ class WhitenedPotential:
     """A problem's density around its optimum, so that gtsam's Gaussian is the standard normal."""
 
     def __init__(self, problem: SlamProblem, poses: Array, landmarks: Array) -> None:
-        """Find a root of gtsam's covariance at the optimum of a problem.
+        """Find a root of gtsam's covariance at the optimum.
 
-        poses: (K, 3) and landmarks: (L, 2) of the optimum. Raises ValueError for more than
-        LARGEST_DIMENSION unknowns, or what cannot be sampled (see SlamPotential), and
-        SingularProblemError where some direction is left without information.
+        Args:
+            problem: What was solved.
+            poses: (K, 3) of the optimum.
+            landmarks: (L, 2) of the optimum.
+
+        Raises:
+            ValueError: There are more than LARGEST_DIMENSION unknowns, or there is what cannot be
+                sampled (see SlamPotential).
+            SingularProblemError: Some direction is left without information.
         """
         if problem.state_dimension > LARGEST_DIMENSION:
             raise ValueError(
@@ -482,9 +544,13 @@ class WhitenedPotential:
         return energy, self._root.T @ gradient
 
     def to_world(self, whitened: Array) -> Array:
-        """Return the states (n, C) in the world, headings within pi of the optimum's.
+        """Return the states in the world.
 
-        whitened: (n, C), standard normal where the posterior is gtsam's Gaussian.
+        Args:
+            whitened: (n, C), standard normal where the posterior is gtsam's Gaussian.
+
+        Returns:
+            (n, C), headings within pi of the optimum's.
         """
         optimum = self._optimum[:, None]
         apart = self._chain.to_world(self._centre + self._root @ whitened) - optimum
@@ -530,7 +596,8 @@ class PosteriorDraws:
     def mean(self) -> tuple[Array, Array]:
         """Return the posterior's mean (m,) and its Monte Carlo standard errors (m,).
 
-        Raises NotConvergedError where the draws are not the posterior's.
+        Raises:
+            NotConvergedError: The draws are not the posterior's.
         """
         self._check()
         return self.draws.mean(axis=(0, 1)), monte_carlo_error(self.draws)
@@ -538,7 +605,8 @@ class PosteriorDraws:
     def covariance(self) -> tuple[Array, Array]:
         """Return the posterior's covariance (m, m) and its Monte Carlo standard errors (m, m).
 
-        Raises NotConvergedError where the draws are not the posterior's.
+        Raises:
+            NotConvergedError: The draws are not the posterior's.
         """
         self._check()
         apart = self.draws - self.draws.mean(axis=(0, 1))
@@ -551,7 +619,8 @@ class PosteriorDraws:
     def skewness(self) -> tuple[Array, Array]:
         """Return the skewness of every number (m,) and its Monte Carlo standard errors (m,).
 
-        Raises NotConvergedError where the draws are not the posterior's.
+        Raises:
+            NotConvergedError: The draws are not the posterior's.
         """
         self._check()
         scaled = (self.draws - self.draws.mean(axis=(0, 1))) / self.draws.std(axis=(0, 1))
@@ -560,14 +629,23 @@ class PosteriorDraws:
     def judge(
         self, mean: Array, covariance: Array, numbers: Index, level: float = 0.95
     ) -> Judgement:
-        """Return a Gaussian's coverage and extreme variance ratios, with their Monte Carlo errors.
+        """Compare a Gaussian with the posterior.
 
-        mean, covariance: (m,) and (m, m) of the Gaussian over the same numbers. numbers: (b,) which
-        of them are judged together: a block, or all. level: probability of the Gaussian's
-        ellipsoid. The extreme directions are sought in one half of the chains and measured in the
-        other, so that an exact covariance of many numbers is not called wrong for want of draws; a
-        single direction that is found this way is not more extreme than the true one but by chance.
-        Raises NotConvergedError where the draws are not the posterior's.
+        The extreme directions are sought in one half of the chains and measured in the other, so
+        that an exact covariance of many numbers is not called wrong for want of draws; a single
+        direction that is found this way is not more extreme than the true one but by chance.
+
+        Args:
+            mean: (m,) of the Gaussian over the same numbers.
+            covariance: (m, m) of the Gaussian.
+            numbers: (b,) which of them are judged together: a block, or all.
+            level: Probability of the Gaussian's ellipsoid.
+
+        Returns:
+            Coverage and generalised eigenvalues with their Monte Carlo errors.
+
+        Raises:
+            NotConvergedError: The draws are not the posterior's.
         """
         self._check()
         apart = self.draws - mean
@@ -614,12 +692,22 @@ def sample_posterior(
     options: SamplingOptions | None = None,
     progress: Progress = lambda done, total: None,
 ) -> PosteriorDraws:
-    """Draw from the smoother's posterior; returns the draws with their evidence.
+    """Draw from the smoother's posterior.
 
-    problem: what is known. poses: (K, 3) and landmarks: (L, 2) of the optimum. rng: equal
-    generators give equal draws, to the bit. options: how many. progress: called with the iterations
-    done, and all. Raises ValueError for a log that is too long, or has what cannot be sampled, and
-    SingularProblemError where some direction is left without information.
+    Args:
+        problem: What is known.
+        poses: (K, 3) of the optimum.
+        landmarks: (L, 2) of the optimum.
+        rng: Equal generators give equal draws, to the bit.
+        options: How many draws.
+        progress: Called with the iterations done, and all.
+
+    Returns:
+        The draws with their evidence.
+
+    Raises:
+        ValueError: The log is too long, or has what cannot be sampled.
+        SingularProblemError: Some direction is left without information.
     """
     density = WhitenedPotential(problem, poses, landmarks)
     chains = sample_chains(density, density.dimension, rng, options, progress)

@@ -28,12 +28,18 @@ def mount(first: Index, second: Index, motion: Array, poses: Array) -> Array:
 def other_frame(
     first: Index, second: Index, motion: Array, covariance: Array, poses: Array
 ) -> Array | None:
-    """Return the mount that explains motions beside poses that are of another frame, or None.
+    """Return the mount that explains motions beside poses that are of another frame.
 
-    first, second: (N,) poses that motions depart from and lead to. motion: (N, 3) in the departing
-    frame, with covariance (N, 3, 3). poses: (K, 3) that are to be explained, as a file's vertices.
-    The mount is x, y and heading of the motions' frame in the poses'; None where the poses have
-    these motions, or no frame of the vehicle has.
+    Args:
+        first: (N,) poses that motions depart from.
+        second: (N,) poses that they lead to.
+        motion: (N, 3) in the departing frame.
+        covariance: (N, 3, 3).
+        poses: (K, 3) that are to be explained, as a file's vertices.
+
+    Returns:
+        x, y and heading of the motions' frame in the poses'; None where the poses have these
+        motions, or no frame of the vehicle has.
     """
     if len(first) < _FEWEST:
         return None

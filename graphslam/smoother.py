@@ -77,8 +77,12 @@ class SmootherOptions:
     def check(self, problem: SlamProblem) -> None:
         """Check that a problem allows these choices.
 
-        Raises ValueError where a closure reaches beyond the fixed lag; or, but in a batch, only
-        later poses fix an earlier one; or robust is gnc beside what it cannot weigh.
+        Args:
+            problem: What is to be solved.
+
+        Raises:
+            ValueError: A closure reaches beyond the fixed lag; or, but in a batch, only later poses
+                fix an earlier one; or robust is gnc beside what it cannot weigh.
         """
         closed = problem.loop_closures
         reach = int(np.abs(closed.first - closed.second).max(initial=0))
@@ -151,12 +155,20 @@ class SmootherResult:
         return int(self.values.dim())
 
     def initial_error(self) -> float:
-        """Return the error where the increments lead, landmarks where they were first seen."""
+        """Return the error where the increments lead, landmarks where they were first seen.
+
+        Returns:
+            Half the squared norm of the whitened residuals there.
+        """
         start = extension(self.problem, gtsam.Values(), 0, self.problem.pose_count)
         return float(self.graph.error(start))
 
     def pose_landmarks(self) -> Array:
-        """Return the pose landmarks (Q, 3) at the optimum, headings wrapped as gtsam has them."""
+        """Return the pose landmarks at the optimum.
+
+        Returns:
+            (Q, 3) x, y [m], heading [rad], wrapped as gtsam has it.
+        """
         if self.lagged is not None:
             return self.lagged.pose_landmarks
         return pose_landmarks_from(self.values, self.problem)
@@ -166,8 +178,13 @@ class SmootherResult:
     ) -> Array:
         """Return the joint covariance of any poses, points and pose landmarks, in this order.
 
-        poses, landmarks, pose_landmarks: indices of P, L and Q. (n, n) at the optimum, of the
-        additive global error; n = 3 P + 2 L + 3 Q.
+        Args:
+            poses: P indices of poses.
+            landmarks: L indices of points.
+            pose_landmarks: Q indices of pose landmarks.
+
+        Returns:
+            (n, n) at the optimum, of the additive global error; n = 3 P + 2 L + 3 Q.
         """
         layout = Layout(len(poses), len(landmarks), len(pose_landmarks))
         frames = [POSE_KEY + k for k in poses], [POSE_LANDMARK_KEY + j for j in pose_landmarks]
@@ -177,9 +194,11 @@ class SmootherResult:
         return turned(local, layout.frame, headings)
 
     def marginal(self) -> Marginal:
-        """Return the last pose and all landmarks jointly, of the additive global error.
+        """Return the last pose and all landmarks jointly.
 
-        Pose landmarks come last; their headings are as gtsam has them, wrapped.
+        Returns:
+            Mean and covariance of the additive global error. Pose landmarks come last; their
+            headings are as gtsam has them, wrapped.
         """
         if self.lagged is not None:
             return self.lagged.marginal
@@ -194,10 +213,13 @@ class SmootherResult:
         return Marginal(mean, to_global(local.covariance, self.poses[-1, 2], pose_landmarks[:, 2]))
 
     def pose_covariances(self) -> Array:
-        """Return (K, 3, 3) of every pose alone, given all measurements, later ones among them.
+        """Return the covariance of every pose alone, given all measurements, later ones among them.
 
-        Of the additive global error. Raises SingularProblemError where some direction is left
-        without information.
+        Returns:
+            (K, 3, 3), additive global error.
+
+        Raises:
+            SingularProblemError: Some direction is left without information.
         """
         if self.lagged is not None:
             return self.lagged.pose_covariance
@@ -212,15 +234,22 @@ def smooth(
 ) -> SmootherResult:
     """Find the optimum of a problem, or follow it along the way and say how far it is.
 
-    problem: what is known; it is not changed. guesses: poses (K, 3) and landmarks (L, 2) of other
-    estimators by name, tried first. progress: called with the name of each stage. options: method,
-    optimiser and robust kernel; batch Levenberg-Marquardt by default. Returns the lowest minimum
-    that was found, with the evidence that it is the optimum.
-
     The relaxed start, which needs no guess, and the incremental method's end come after the
     guesses; then tracking, where no guess agrees with the relaxed start, and the search for other
-    minima. Raises SingularProblemError where every attempt fails for want of information,
-    ValueError where the problem does not allow the options (SmootherOptions.check).
+    minima.
+
+    Args:
+        problem: What is known; it is not changed.
+        guesses: Poses (K, 3) and landmarks (L, 2) of other estimators by name, tried first.
+        progress: Called with the name of each stage.
+        options: Method, optimiser and robust kernel; batch Levenberg-Marquardt by default.
+
+    Returns:
+        The lowest minimum that was found, with the evidence that it is the optimum.
+
+    Raises:
+        SingularProblemError: Every attempt fails for want of information.
+        ValueError: The problem does not allow the options (SmootherOptions.check).
     """
     options = options or SmootherOptions()
     options.check(problem)

@@ -13,11 +13,15 @@ from graphslam.arrays import Array
 def sparse_system(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, height: int = 1
 ) -> tuple[csr_matrix, Array]:
-    """Return the whitened Jacobian (m, n) and right-hand side (m,) of a graph.
+    """Return the whitened Jacobian and right-hand side of a graph.
 
-    graph: its factors, in whose order the rows are, touch no other keys than the values'. values:
-    where it is linearised. height: rows that it has at least: gtsam leaves out entries that are
-    zero.
+    Args:
+        graph: Its factors touch no other keys than the values'.
+        values: Where it is linearised.
+        height: Rows that it has at least: gtsam leaves out entries that are zero.
+
+    Returns:
+        (m, n) Jacobian, its rows in the order of the factors; (m,) right-hand side.
     """
     row, column, value = graph.linearize(values).sparseJacobian_()
     row, column = row.astype(np.intp) - 1, column.astype(np.intp) - 1

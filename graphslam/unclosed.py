@@ -36,9 +36,14 @@ class Unclosed(NamedTuple):
 def unclosed_passage(result: SmootherResult, covariance: Array) -> Unclosed | None:
     """Return two poses that lie nearer to each other than the graph can tell.
 
-    result: of a graph with loop closures. covariance: (K, 3, 3) of the poses, additive global
-    error. Sigmas are smaller than stated where chi-square is lower than expected. The loosest pair
-    of those that are looked at; None where closures tie all.
+    Sigmas are smaller than stated where chi-square is lower than expected.
+
+    Args:
+        result: Of a graph with loop closures.
+        covariance: (K, 3, 3) of the poses, additive global error.
+
+    Returns:
+        The loosest pair of those that are looked at; None where closures tie all.
     """
     closed = result.problem.loop_closures
     if not len(closed.first):

@@ -65,9 +65,13 @@ class Component(NamedTuple):
 
 
 def variance_components(result: SmootherResult) -> tuple[Component, ...]:
-    """Return every component that a result's problem has, in the order of COMPONENTS.
+    """Return every component that the problem has.
 
-    result: of a batch smoother without a robust kernel; its graph is linearised once.
+    Args:
+        result: Of a batch smoother without a robust kernel; its graph is linearised once.
+
+    Returns:
+        In the order of COMPONENTS.
     """
     component = row_components(result.problem)
     jacobian, residual = sparse_system(result.graph, result.values, len(component))
@@ -77,10 +81,15 @@ def variance_components(result: SmootherResult) -> tuple[Component, ...]:
 def estimate_components(
     jacobian: csr_matrix, residual: Array, component: Index
 ) -> tuple[Component, ...]:
-    """Return how the noise of each component that occurs compares with the stated one.
+    """Return how each component's noise compares with the stated one.
 
-    jacobian: (m, n), of full column rank, and residual: (m,), both whitened as stated. component:
-    (m,) rows of COMPONENTS; -1 is right as stated.
+    Args:
+        jacobian: (m, n), of full column rank, its rows whitened as stated.
+        residual: (m,) right-hand side, whitened as stated.
+        component: (m,) rows of COMPONENTS; -1 is right as stated.
+
+    Returns:
+        One for each that occurs.
     """
     names, group = np.unique(component, return_inverse=True)
     free = names >= 0

@@ -34,7 +34,13 @@ class Attributes(Protocol):
     def distances(self, landmark_index: Index, seen: Measurements) -> AttributeDistances:
         """Return how far measurements are from landmarks by their attributes.
 
-        landmark_index: (L,) of the landmarks. seen: m measurements.
+        Args:
+            landmark_index: (L,) landmark indices.
+            seen: m measurements.
+
+        Returns:
+            (m, L) normalised squares, what they add to N (Nieto 2005, eq. 2.60), and degrees of
+            freedom.
         """
 
 
@@ -58,7 +64,12 @@ class AttributeEstimates:
     """
 
     def __init__(self, repeats: Array) -> None:
-        """Start without landmarks. repeats: (A,), see the class; 1 where errors are independent."""
+        """Start without landmarks.
+
+        Args:
+            repeats: (A,) measurements with the information of an independent one; 1 where errors
+                are independent.
+        """
         nothing = np.zeros((0, len(repeats)))
         self.repeats, self.count = repeats, nothing.astype(np.intp)
         self._information = self._weighted = self._least = nothing
@@ -93,9 +104,13 @@ class AttributeEstimates:
         )
 
     def note(self, landmark_indices: Index, measured: MeasuredAttributes) -> None:
-        """Average in the attributes of m measurements that were associated (Guivant 2002, eq. 16).
+        """Average in the attributes of measurements that were associated.
 
-        landmark_indices: (m,); negative codes are passed over. measured: NaN where not measured.
+        Args:
+            landmark_indices: (m,) landmark indices; negative codes are passed over.
+            measured: Attributes of these m measurements; NaN where not measured.
+
+        Source: Guivant 2002, eq. 16.
         """
         row, column = np.nonzero(np.isfinite(measured.value) & (landmark_indices >= 0)[:, None])
         landmark_index, variance = landmark_indices[row], measured.variance[row, column]
@@ -134,9 +149,14 @@ def compared(
 ) -> AttributeDistances:
     """Return how far measurements are from landmarks with known attributes.
 
-    seen: attributes of m measurements. mean, variance: (L, A) of the landmarks, NaN where unknown.
-    anyone: (A,) mean and variance of what a landmark that lacks one stands with. Of nis and dof
-    only what both have counts.
+    Args:
+        seen: Attributes of m measurements.
+        mean: (L, A) of the landmarks, NaN where unknown.
+        variance: (L, A), NaN where unknown.
+        anyone: (A,) mean and variance of what a landmark that lacks one stands with.
+
+    Returns:
+        (m, L) normalised squares and degrees of freedom of what both have, and what they add to N.
     """
     known = np.isfinite(mean)
     spread = np.where(known, variance, anyone[1]) + seen.variance[:, None]
@@ -148,10 +168,15 @@ def compared(
 
 
 def population(mean: Array, variance: Array) -> tuple[Array, Array]:
-    """Return mean and variance (A,) of each attribute over all landmarks that have it.
+    """Return mean and variance of each attribute over all landmarks that have it.
 
-    mean, variance: (L, A) of the landmarks, NaN where unknown. Spread between landmarks and their
-    own variance together; NaN while none has it.
+    Args:
+        mean: (L, A), NaN where unknown.
+        variance: (L, A), NaN where unknown.
+
+    Returns:
+        (A,) and (A,): spread between landmarks and their own variance together; NaN while none has
+        it.
     """
     known = np.isfinite(mean)
     landmarks = known.sum(axis=0)
@@ -165,7 +190,12 @@ def population(mean: Array, variance: Array) -> tuple[Array, Array]:
 def same_tail(gate: float, dof: Index) -> Array:
     """Return the chi-square bounds that are exceeded as often as a gate with 2 degrees of freedom.
 
-    dof: degrees of freedom, each 2 or more, of any shape, which the bounds have.
+    Args:
+        gate: For 2 degrees of freedom.
+        dof: Degrees of freedom, each 2 or more, of any shape.
+
+    Returns:
+        Bounds of the same shape.
     """
     more = np.arange(3, int(dof.max(initial=2)) + 1)
     wider = 2.0 * gammainccinv(0.5 * more, math.exp(-0.5 * gate))

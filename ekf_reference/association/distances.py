@@ -28,10 +28,19 @@ class Distances(NamedTuple):
 
 
 def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurements) -> LocalMap:
-    """Return the points within the longest range and a margin, without those that `seen` closes.
+    """Return the landmarks that measurements could be of.
 
-    state: the filter's, after the prediction. model: how these landmarks are measured. seen: at
-    least one measurement. Raises FilterDivergedError where a variance of the pose is negative.
+    Args:
+        state: The filter's, after the prediction.
+        model: How these landmarks are measured.
+        seen: At least one measurement.
+
+    Returns:
+        Points within the longest range and a margin of the vehicle, without those that `seen`
+        closes.
+
+    Raises:
+        FilterDivergedError: A variance of the pose is negative.
     """
     longest, variance = float(model.range_m(seen.z).max()), state.pose_covariance.diagonal()
     if variance.min() < 0.0:
@@ -44,10 +53,17 @@ def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurem
 
 
 def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measurements) -> Distances:
-    """Return nis, N = nis + ln |S| and innovations, angles wrapped, of all pairs (m, L).
+    """Return the distances of all measurements to all landmarks.
 
-    local: L landmarks with the joint covariance. model: how they are measured. seen: m
-    measurements. Source: Nieto 2005, eqs. 2.57, 2.58 and 2.60.
+    Args:
+        local: L landmarks with the joint covariance.
+        model: How they are measured.
+        seen: m measurements.
+
+    Returns:
+        (m, L) normalised innovations squared, N = nis + ln |S|, and innovations, angles wrapped.
+
+    Source: Nieto 2005, eqs. 2.57, 2.58 and 2.60.
     """
     predicted = model.predict(local.pose, local.landmark)
     hv, hl = predicted.jacobian_pose, predicted.jacobian_landmark
@@ -64,9 +80,14 @@ def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measure
 
 
 def match_in_order(cost: Array, allowed: Mask) -> Index:
-    """Return the column (m,) of each row, -1 for none: the cheapest pair first, none used twice.
+    """Pair rows with columns: the cheapest pair first, none used twice.
 
-    cost: (m, L). allowed: (m, L), pairs that may be.
+    Args:
+        cost: (m, L).
+        allowed: (m, L), pairs that may be.
+
+    Returns:
+        (m,) column of each row, -1 for none.
     """
     column = np.full(len(cost), -1, dtype=np.intp)
     taken: set[int] = set()
@@ -78,11 +99,16 @@ def match_in_order(cost: Array, allowed: Mask) -> Index:
 
 
 def indices_of(column: Index, far: Mask, local_index: Index, count: int) -> Index:
-    """Return the landmark index (m,) of each measurement from its column in a local map.
+    """Return the landmark index of each measurement from its column in a local map.
 
-    column: (m,), -1 for none. far: (m, L), whether a measurement is far enough from a landmark to
-    be of another one. local_index: (L,) landmark indices of the local map. count: landmarks in the
-    state so far; from there upward is what is far from all, AMBIGUOUS the rest.
+    Args:
+        column: (m,) of the local map, -1 for none.
+        far: (m, L), whether a measurement is far enough from a landmark to be of another one.
+        local_index: (L,) landmark indices of the local map.
+        count: Landmarks in the state so far.
+
+    Returns:
+        (m,) landmark indices; from `count` upward what is far from all, AMBIGUOUS for the rest.
     """
     landmark_indices = np.full(len(column), AMBIGUOUS, dtype=np.intp)
     matched = column >= 0

@@ -83,11 +83,17 @@ class JointCompatibility:
 def pair_covariance(
     local: LocalMap, model: MeasurementModel, seen: Measurements, row: Index, landmark: Index
 ) -> Array:
-    """Return the covariance (2 p, 2 p) of the innovations of p pairs, correlations included.
+    """Return the joint covariance of the innovations of pairs, correlations included.
 
-    local: landmarks with their joint covariance. model: how they are measured. seen: measurements
-    of one instant. row: (p,) measurement, and landmark: (p,) row in `local`, of each pair; may
-    repeat.
+    Args:
+        local: Landmarks with their joint covariance.
+        model: How they are measured.
+        seen: Measurements of one instant.
+        row: (p,) measurement of each pair.
+        landmark: (p,) row of each pair's landmark in `local`; may repeat.
+
+    Returns:
+        (2 p, 2 p).
     """
     chosen, where = np.unique(landmark, return_inverse=True)
     part = local.take(chosen)

@@ -71,11 +71,17 @@ def reject_beyond(
     model: MeasurementModel,
     seen: Measurements,
 ) -> Index:
-    """Return landmark indices (m,), REJECTED where a label is contradicted or its landmark gone.
+    """Reject labels that the gate contradicts, and those of removed landmarks.
 
-    gate: largest normalised innovation squared, infinite to trust every label. landmark_indices:
-    (m,) that the labels name; new landmarks pass. state: the filter's, after the prediction. model:
-    how these landmarks are measured. seen: the measurements.
+    Args:
+        gate: Largest normalised innovation squared, infinite to trust every label.
+        landmark_indices: (m,) landmark indices that the labels name.
+        state: The filter's, after the prediction.
+        model: How these landmarks are measured.
+        seen: The measurements.
+
+    Returns:
+        (m,) landmark indices, REJECTED where one is not used; new landmarks pass.
     """
     first = state.layout.first[seen.kind]
     landmark_indices = landmark_indices.copy()

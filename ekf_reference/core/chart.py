@@ -14,18 +14,39 @@ class Chart:
     """Contract of all charts, and the additive one: every entry is free."""
 
     def plus(self, pose: Array, step: Array) -> Array:
-        """Return a pose (p,) corrected by a step (p,), as the gain gives it."""
+        """Correct a pose.
+
+        Args:
+            pose: (p,), to be corrected.
+            step: (p,), as the gain gives it.
+
+        Returns:
+            (p,), the corrected pose.
+        """
         return pose + step
 
     def minus(self, pose: Array, other: Array) -> Array:
-        """Return the step (p,) to a pose (p,) from another near it: plus(other, step) = pose."""
+        """Return the step that leads from another pose to this one.
+
+        Args:
+            pose: (p,), where the step ends.
+            other: (p,), where it starts, near enough that the way is short.
+
+        Returns:
+            (p,) with plus(other, step) = pose.
+        """
         return pose - other
 
     def reset(self, pose: Array, step: Array) -> Array | None:
-        """Return how the error reads at a pose (p,) that a step (p,) has corrected.
+        """Return how the error reads at the corrected pose.
 
-        (p, p) derivative of minus(plus(pose, step + e), plus(pose, step)) by e, or None where it is
-        one.
+        Args:
+            pose: (p,) before the correction.
+            step: (p,) of it.
+
+        Returns:
+            (p, p) derivative of minus(plus(pose, step + e), plus(pose, step)) by e, or None where
+            it is one.
         """
         return None
 

@@ -45,7 +45,12 @@ class NewLandmarks(NamedTuple):
     def independent(cls, landmark: Array, p: int) -> Self:
         """Return landmarks that have nothing to do with the pose; their noise is their own.
 
-        landmark: (m, w). p: entries of the pose.
+        Args:
+            landmark: (m, w).
+            p: Entries of the pose.
+
+        Returns:
+            The same, with Jacobians zero and one.
         """
         count, width = landmark.shape
         own = np.broadcast_to(np.eye(width), (count, width, width))
@@ -120,7 +125,16 @@ class MeasurementModel(Protocol):
 
 
 def diagonal_noise(sigma: Array) -> Array:
-    """Return R (m, w, w) of independent errors, sigma (m, w) each (Nieto 2005, eq. 2.41)."""
+    """Return the covariance of independent errors.
+
+    Args:
+        sigma: (m, w) standard deviations.
+
+    Returns:
+        (m, w, w), R.
+
+    Source: Nieto 2005, eq. 2.41.
+    """
     covariance = np.zeros((*sigma.shape, sigma.shape[1]))
     covariance[:, range(sigma.shape[1]), range(sigma.shape[1])] = sigma**2
     return covariance

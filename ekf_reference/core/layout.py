@@ -32,14 +32,26 @@ class Layout:
 
     @classmethod
     def of_pose(cls, pose_size: int) -> Layout:
-        """Return the layout of a pose of pose_size entries, without landmarks."""
+        """Return the layout of a pose alone.
+
+        Args:
+            pose_size: p, entries of the pose.
+
+        Returns:
+            A layout without landmarks.
+        """
         return cls(pose_size, pose_size, {kind: np.zeros(0, dtype=np.intp) for kind in KINDS})
 
     @classmethod
     def packed(cls, pose_size: int, *counts: int) -> Layout:
         """Return the layout of a pose and landmarks kind after kind, as estimates have them.
 
-        pose_size: entries of the pose. counts: landmarks of each of KINDS; none of those left out.
+        Args:
+            pose_size: p, entries of the pose.
+            counts: Landmarks of each of KINDS; none of those left out.
+
+        Returns:
+            A layout of p + w L + ... entries.
         """
         layout = cls.of_pose(pose_size)
         for kind, count in zip(KINDS, counts, strict=False):
@@ -54,14 +66,29 @@ class Layout:
         return np.concatenate((np.array(pose, int), *(entry.ravel() for entry in each)))
 
     def present(self, kind: LandmarkKind = POINT) -> Index:
-        """Return the landmark indices (m,) of a kind that are in the state, ascending."""
+        """Return the landmarks of a kind that are in the state.
+
+        Args:
+            kind: Of the landmarks.
+
+        Returns:
+            (m,) landmark indices, ascending.
+        """
         return np.flatnonzero(self.first[kind] != ABSENT)
 
     def columns(self, landmark_index: Index, kind: LandmarkKind = POINT) -> Index:
-        """Return the state entries of the pose and of some landmarks of a kind.
+        """Return the state entries of the pose and of some landmarks.
 
-        landmark_index: (m,) in any order, also repeated. (p + w m,): the pose's, then those of each
-        landmark in the order asked for. Raises ValueError for a landmark that is not in the state.
+        Args:
+            landmark_index: (m,) landmark indices, in any order, also repeated.
+            kind: Of the landmarks.
+
+        Returns:
+            (p + w m,) entries: the pose's, then those of each landmark in the order asked for.
+
+        Raises:
+            ValueError: A landmark is not in the state.
+
         Source: Guivant 2002, eq. 4; Misono 2007, eq. 7; Nieto 2005, eqs. 2.2, 2.12, 2.25, 5.3, 6.1.
         """
         first = self.first[kind][landmark_index]
@@ -72,7 +99,15 @@ class Layout:
         return np.concatenate((np.arange(self.pose_size), entries))
 
     def blocks(self, covariance: Array, kind: LandmarkKind = POINT) -> Array:
-        """Return P_ll (L, w, w) of all landmarks of a kind, none removed; covariance: (n, n)."""
+        """Return the covariance of each landmark of a kind alone.
+
+        Args:
+            covariance: (n, n), of all entries.
+            kind: Of the landmarks, all of them present.
+
+        Returns:
+            (L, w, w).
+        """
         entry = self.first[kind][:, None] + np.arange(kind.width)
         own: Array = covariance[entry[:, :, None], entry[:, None]]
         return own
@@ -84,15 +119,27 @@ class Layout:
         return np.concatenate((np.arange(p), *entries))
 
     def appended(self, count: int, kind: LandmarkKind) -> Layout:
-        """Return the layout with `count` more landmarks of a kind behind the last entry."""
+        """Return the layout with more landmarks behind the last entry.
+
+        Args:
+            count: How many.
+            kind: Of them.
+
+        Returns:
+            The larger layout.
+        """
         new = np.concatenate((self.first[kind], self.size + kind.width * np.arange(count)))
         return Layout(self.pose_size, self.size + kind.width * count, {**self.first, kind: new})
 
     def continued(self, part: Layout, start: int) -> Layout:
         """Return the layout with the landmarks that a part of it has beyond one of its entries.
 
-        part: layout of some of this one's entries, grown by new landmarks. start: its first new
-        entry. The new landmarks stand behind the last entry.
+        Args:
+            part: Layout of some of this one's entries, grown by new landmarks.
+            start: The part's first entry that is new.
+
+        Returns:
+            The larger layout, the new landmarks behind the last entry.
         """
         first, shift = dict(self.first), self.size - start
         for kind, own in self.first.items():
@@ -102,8 +149,11 @@ class Layout:
     def part(self, columns: Index) -> Layout:
         """Return the layout of a state that has only some entries.
 
-        columns: (c,) entries, the pose's first; whole landmarks. Landmark indices stay, ABSENT for
-        what is left out.
+        Args:
+            columns: (c,) entries, the pose's first; whole landmarks.
+
+        Returns:
+            The smaller layout; landmark indices are the same, ABSENT for what is left out.
         """
         place = np.full(self.size + 1, ABSENT)  # one more: what is ABSENT stays so
         place[columns] = np.arange(len(columns))

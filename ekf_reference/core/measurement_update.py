@@ -32,9 +32,15 @@ class Linearised(NamedTuple):
     innovation: Array
 
     def normalised_squared(self, noise: Array) -> float:
-        """Return the normalised innovation squared, nu^T S^-1 nu (Nieto 2005, eq. 2.58).
+        """Return the normalised innovation squared, nu^T S^-1 nu.
 
-        noise: (m, m), R. Chi-square with m degrees of freedom for a consistent filter.
+        Args:
+            noise: (m, m), R.
+
+        Returns:
+            The NIS, chi-square with m degrees of freedom for a consistent filter.
+
+        Source: Nieto 2005, eq. 2.58.
         """
         s = self.jacobian @ self.local.covariance @ self.jacobian.T + noise
         return float(self.innovation @ np.linalg.solve(s, self.innovation))
@@ -56,13 +62,20 @@ class UpdateSplitter:
     def split(
         self, linearise: Callable[[], Linearised], noise: Array
     ) -> Iterator[tuple[float, Linearised]]:
-        """Yield the parts of an update: a weight 1 / K_i, of sum one, and the linearisation for it.
+        """Yield the parts of an update: a share of the information, and the linearisation for it.
 
-        linearise: linearises the measurement at the state as it then is. noise: (m, m), R of the
-        whole. The caller must fuse each part with noise / weight before it takes the next. A weight
-        is halved until the predicted correction is within the bounds, so that a strong correction
-        starts with very weak parts. The last part takes what is left. Source: Guivant 2002, section
-        4.2.
+        The caller must fuse each part with noise / weight before it takes the next. A weight is
+        halved until the predicted correction is within the bounds, so that a strong correction
+        starts with very weak parts. The last part takes what is left.
+
+        Args:
+            linearise: Linearises the measurement at the state as it then is.
+            noise: (m, m), R of the whole measurement.
+
+        Yields:
+            Weights 1 / K_i, of sum one, and the measurement linearised anew for each.
+
+        Source: Guivant 2002, section 4.2.
         """
         left = 1.0
         for remaining in range(self.most, 0, -1):

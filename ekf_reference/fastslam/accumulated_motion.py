@@ -32,11 +32,16 @@ class AccumulatedMotion:
         duration_s: float,
         stabilisation: StepNoise,
     ) -> None:
-        """Append a step (Nieto 2005, eqs. 2.32 to 2.36).
+        """Append a step.
 
-        model: SE(2)-equivariant. control: (m,) in its units, constant for duration_s [s].
-        control_covariance: (m, m) of its error. stabilisation: noise that every step adds, the same
-        in all frames.
+        Args:
+            model: The vehicle model, SE(2)-equivariant.
+            control: (m,) in the model's units, constant during the step.
+            control_covariance: (m, m) of the control's error.
+            duration_s: The step's [s].
+            stabilisation: Noise that every step adds, the same in all frames.
+
+        Source: Nieto 2005, eqs. 2.32 to 2.36.
         """
         pose, f, b = model.step(self.mean, control, duration_s)
         noise = b @ control_covariance @ b.T + stabilisation.covariance(duration_s, pose)
@@ -55,9 +60,14 @@ class AccumulatedMotion:
 
 
 def moved(pose: Array, step: Array) -> Array:
-    """Return poses (N, 3) moved by steps that are seen in their own frames, headings unwrapped.
+    """Return poses moved by steps that are seen in their own frames.
 
-    pose: (N, 3). step: (3,) the same for all, or (N, 3): forward, left [m], turn [rad].
+    Args:
+        pose: (N, 3) x, y [m], heading [rad].
+        step: (3,) the same for all, or (N, 3): forward, left [m], turn [rad].
+
+    Returns:
+        (N, 3). Headings are added without wrapping.
     """
     cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     forward, left, turn = step.T

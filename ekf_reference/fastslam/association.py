@@ -65,16 +65,24 @@ class ParticleAssociation(Protocol):
         """Normalised innovation squared beyond which a measurement is not used."""
 
     def rounds(self, seen: Measurements) -> Sequence[Index]:
-        """Return m measurements, `seen`, in parts, in the order in which they are fused.
+        """Return the measurements in parts, each of which holds a landmark at most once.
 
-        Rows of each part; it holds a landmark at most once, and every row is in one.
+        Args:
+            seen: m measurements of points of one instant.
+
+        Returns:
+            Rows of each part, in the order in which the parts are fused; every row in one part.
         """
 
     def numbers(self, seen: Measurements, serial: int) -> NDArray[np.int64]:
-        """Return the numbers (m,) that columns of new landmarks get: labels, or serial numbers.
+        """Return the numbers that columns of new landmarks get.
 
-        seen: m measurements, each of a landmark that is new to some particle. serial: the next free
-        one.
+        Args:
+            seen: m measurements, each of a landmark that is new to some particle.
+            serial: The next free serial number.
+
+        Returns:
+            (m,) labels or serial numbers.
         """
 
     def assign(
@@ -84,17 +92,25 @@ class ParticleAssociation(Protocol):
         seen: Measurements,
         generator: np.random.Generator,
     ) -> Assignment:
-        """Return what m measurements are of in every particle.
+        """Assign the measurements to landmarks, in every particle.
 
-        maps: of all particles. sight: poses, motion not sampled yet, and sensor. seen: one part of
-        `rounds`. generator: gives all random numbers.
+        Args:
+            maps: Of all particles.
+            sight: Poses, motion not sampled yet, and sensor.
+            seen: m measurements of points, one part of `rounds`.
+            generator: Gives all random numbers.
+
+        Returns:
+            Columns (N, m), and corrections (N,) of the log weights.
         """
 
     def review(self, maps: ParticleMaps, pose: Array, columns: Index) -> None:
         """Change the evidence for landmarks.
 
-        maps: of all particles. pose: (N, 3) as sampled. columns: (N, m) of the landmarks that were
-        measured, negative for none.
+        Args:
+            maps: Of all particles.
+            pose: (N, 3) as sampled.
+            columns: (N, m) of the landmarks that were measured, negative for none.
         """
 
 
@@ -239,9 +255,13 @@ class PerParticleLikelihood:
 
 
 def best_pairs(score: Array) -> Index:
-    """Return a landmark (N, m) for every measurement, -1 for none: the best pair first, none twice.
+    """Give every measurement a landmark, in every particle the best pair first, none twice.
 
-    score: (N, m, K), -inf where a pair is not possible.
+    Args:
+        score: (N, m, K), -inf where a pair is not possible.
+
+    Returns:
+        (N, m) the landmark, -1 for none.
     """
     n, m, k = score.shape
     score, choice = score.copy(), np.full((n, m), -1, dtype=np.intp)
@@ -263,15 +283,21 @@ def sampled_pairs(
 ) -> tuple[Index, Array]:
     """Draw a landmark for every measurement, in every particle, none twice.
 
-    Source: Montemerlo and Thrun 2003. Measurement after measurement takes one of the K landmarks
-    that are possible for it and not taken yet, or none. Prior: equal odds of the landmarks, 1 / K
-    each, against 1 for none. Proposal: prior times density of this measurement alone, normalised.
-    The scan's densities are not independent where the pose is uncertain, and what is taken excludes
-    others later: the ratio returned makes the weight right for that too.
+    Measurement after measurement takes one of the K landmarks that are possible for it and not
+    taken yet, or none. Prior: equal odds of the landmarks, 1 / K each, against 1 for none.
+    Proposal: prior times density of this measurement alone, normalised. The scan's densities are
+    not independent where the pose is uncertain, and what is taken excludes others later: the ratio
+    returned makes the weight right for that too.
 
-    score: (N, m, K) log densities, -inf where a pair is not possible. log_unmatched: log density of
-    a measurement of no landmark. generator: gives N m uniform numbers. Returns the landmark (N, m),
-    -1 for none, and ln of prior over proposal of what was drawn (N,).
+    Args:
+        score: (N, m, K) log densities, -inf where a pair is not possible.
+        log_unmatched: Log density of a measurement of no landmark.
+        generator: Gives N m uniform numbers.
+
+    Returns:
+        (N, m) the landmark, -1 for none; (N,) ln of prior over proposal of what was drawn.
+
+    Source: Montemerlo and Thrun 2003.
     """
     n, m, k = score.shape
     row, uniform = np.arange(n), generator.random((m, n, 1))

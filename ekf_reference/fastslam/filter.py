@@ -100,11 +100,16 @@ class FastSlam:
     ) -> None:
         """Draw the particles from the prior, with empty maps.
 
-        model: SE(2)-equivariant. prior_pose: (3,) x, y [m], heading [rad]. prior_covariance: (3,
-        3), positive semidefinite, of the additive global error. generator: all random numbers; the
-        filter advances it. options: how to sample. stabilisation: noise that every step adds, the
-        same in all frames; none by default. Raises ValueError for a prior not of x, y and heading,
-        or not finite.
+        Args:
+            model: The vehicle model, SE(2)-equivariant.
+            prior_pose: (3,) x, y [m], heading [rad].
+            prior_covariance: (3, 3), positive semidefinite, of the additive global error.
+            generator: All random numbers; the filter advances it.
+            options: How to sample.
+            stabilisation: Noise that every step adds, the same in all frames; none by default.
+
+        Raises:
+            ValueError: The prior is not of x, y and heading, or not finite.
         """
         if np.shape(prior_pose) != (3,) or np.shape(prior_covariance) != (3, 3):
             raise ValueError(
@@ -133,8 +138,10 @@ class FastSlam:
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         """Move the vehicle.
 
-        control: (m,) in the model's units, constant for duration_s [s]. covariance: (m, m) of its
-        error.
+        Args:
+            control: (m,) in the motion model's units, constant during the step.
+            covariance: (m, m) of the control's error.
+            duration_s: The step's [s].
         """
         self.motion.add(self.model, control, covariance, duration_s, self.stabilisation)
         if self.motion.covariance[2, 2] > self.options.largest_heading_sigma_rad**2:
@@ -157,9 +164,15 @@ class FastSlam:
     def observe(self, seen: Measurements) -> Index:
         """Resample where the last epoch asks for it, sample poses, weigh them, update the maps.
 
-        seen: m measurements of points of one instant; none are allowed. Returns the number (N, m)
-        of the landmark that each particle took each measurement for; negative where it did not use
-        it. Raises ValueError for measurements not of points, or not finite.
+        Args:
+            seen: Measurements of points of one instant; none are allowed.
+
+        Returns:
+            (N, m) number of the landmark that each particle took each measurement for; negative
+            where it did not use it.
+
+        Raises:
+            ValueError: The measurements are not of points, or not finite.
         """
         if seen.kind != POINT or not np.isfinite(seen.z).all():
             raise ValueError("measurements are not of points, or not finite")

@@ -30,7 +30,9 @@ class CloudHistory:
     def add(self, pose: Array, weight: Array) -> None:
         """Append an epoch.
 
-        pose: (N, 3), headings unwrapped; kept, not copied. weight: (N,) that sum to one.
+        Args:
+            pose: (N, 3) x, y [m], heading [rad], unwrapped; kept, not copied.
+            weight: (N,) that sum to one.
         """
         self.pose.append(pose)
         self.mean.append(weight @ pose)
@@ -38,14 +40,22 @@ class CloudHistory:
         self.parents.append(None)
 
     def inherit(self, parents: Index) -> None:
-        """Record the parents (N,) in the last epoch of the generation that follows it."""
+        """Record the parents of the generation that follows the last epoch.
+
+        Args:
+            parents: (N,) particle of the last epoch that each new one is a copy of.
+        """
         self.parents[-1] = parents
         self.origin = parents if self.origin is None else self.origin[parents]
 
     def effective_ancestors(self, weight: Array) -> float:
-        """Return 1 / sum w^2 over the first epoch, each with the weight of all its descendants.
+        """Return 1 / sum w^2 over the particles of the first epoch.
 
-        weight: (N,) of the present particles, which sum to one.
+        Args:
+            weight: (N,) of the present particles, which sum to one.
+
+        Returns:
+            The effective sample size where a particle has the weight of all its descendants.
         """
         if self.origin is None:
             return effective_sample_size(weight)

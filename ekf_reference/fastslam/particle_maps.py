@@ -17,7 +17,14 @@ _AHEAD = np.array([1.0, 0.0])
 
 
 def inverse_2x2(matrix: Array) -> tuple[Array, Array]:
-    """Return inverses (..., 2, 2) and determinants (...) of a regular matrix (..., 2, 2)."""
+    """Return the inverses and determinants of 2 x 2 matrices.
+
+    Args:
+        matrix: (..., 2, 2), regular; it is not checked.
+
+    Returns:
+        Inverses (..., 2, 2) and determinants (...).
+    """
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     determinant: Array = a * d - b * c
     inverse = np.empty_like(matrix)
@@ -58,7 +65,12 @@ class ParticleMaps:
     """
 
     def __init__(self, particles: int, columns: int = 16) -> None:
-        """Start with empty maps of so many particles; `allocate` adds to the columns."""
+        """Start with empty maps and room for some landmarks.
+
+        Args:
+            particles: Their number N.
+            columns: Room at first, in landmarks; `allocate` adds more.
+        """
         self.mean: Array = np.zeros((particles, columns, 2))
         self.covariance: Array = np.zeros((particles, columns, 2, 2))
         self.evidence: Array = np.zeros((particles, columns))
@@ -66,7 +78,11 @@ class ParticleMaps:
         self._row: Index = np.arange(particles)[:, None]
 
     def inherit(self, parents: Index) -> None:
-        """Replace each particle's map by that of its parent; free unused columns. parents: (N,)."""
+        """Replace each particle's map by that of its parent; free unused columns.
+
+        Args:
+            parents: (N,) indices of particles.
+        """
         new = np.flatnonzero(parents != self._row[:, 0])
         source = parents[new]
         for held in (self.mean, self.covariance, self.evidence):
@@ -74,12 +90,26 @@ class ParticleMaps:
         self.number[~(self.evidence > 0.0).any(axis=0)] = FREE
 
     def columns_of(self, number: NDArray[np.int64]) -> Index:
-        """Return the columns (m,) of labels, FREE where none has it; number: (m,) of these."""
+        """Return the columns of labels.
+
+        Args:
+            number: (m,) labels, negative for none.
+
+        Returns:
+            (m,), FREE where no column has the label.
+        """
         found = np.equal.outer(number, self.number) & (number >= 0)[:, None]
         return np.where(found.any(axis=1), found.argmax(axis=1), FREE)
 
     def allocate(self, number: NDArray[np.int64]) -> Index:
-        """Return free columns (k,) for new landmarks of a number (k,) each; adds some at need."""
+        """Give new landmarks free columns; add columns where too few are free.
+
+        Args:
+            number: (k,) labels or serial numbers of the landmarks.
+
+        Returns:
+            (k,) their columns.
+        """
         free = np.flatnonzero(self.number == FREE)
         if len(free) < len(number):
             more = max(len(self.number), len(number))
@@ -93,9 +123,14 @@ class ParticleMaps:
         return chosen
 
     def near(self, pose: Array, reach_m: float) -> Index:
-        """Return the columns (K,), ascending, within reach of any particle that has them.
+        """Return the columns of landmarks within reach of any particle that has them.
 
-        pose: (N, 3). reach_m: largest distance between vehicle and landmark [m].
+        Args:
+            pose: (N, 3) x, y [m], heading [rad].
+            reach_m: Largest distance between vehicle and landmark [m].
+
+        Returns:
+            (K,) ascending.
         """
         used = np.flatnonzero(self.number != FREE)
         x = self.mean[:, used, 0] - pose[:, None, 0]
@@ -106,8 +141,13 @@ class ParticleMaps:
     def around(self, pose: Array, point: Array, reach_m: Array) -> Index:
         """Return the columns (K,) that may lie near points, in any particle that has them.
 
-        pose: (N, 3). point: (m, 2) in the vehicle's frame [m]. reach_m: (m,) how far a landmark's
-        bounding box over the particles, in that frame, may lie from the point.
+        Args:
+            pose: (N, 3).
+            point: (m, 2) in the vehicle's frame [m].
+            reach_m: (m,) how far a landmark may lie from the point.
+
+        Returns:
+            Those whose bounding box over the particles, in the vehicle's frame, is in reach.
         """
         used = np.flatnonzero(self.number != FREE)
         place = self._local(pose, self.mean[:, used])
@@ -129,16 +169,30 @@ class ParticleMaps:
         return found
 
     def has(self, columns: Index) -> Mask:
-        """Return which particles have some landmarks (N, K); columns: (N, K), or (K,) for all."""
+        """Return which particles have some landmarks.
+
+        Args:
+            columns: (N, K), or (K,) the same for all particles.
+
+        Returns:
+            (N, K), True where the particle has the landmark.
+        """
         return self.evidence[self._row, columns] > 0.0
 
     def expected(self, pose: Array, columns: Index, sensor: MeasurementModel) -> Expected:
         """Return what particles expect to measure of some landmarks.
 
-        Source: Nieto 2005, eqs. 2.37 and 2.40 to 2.44. pose: (N, 3). columns: (N, K), or (K,) the
-        same for all particles. sensor: predicts in the vehicle's frame; its measurements depend on
-        relative place alone. Of a landmark that a particle does not have, the values mean nothing
-        and are finite.
+        Args:
+            pose: (N, 3) x, y [m], heading [rad].
+            columns: (N, K), or (K,) the same for all particles.
+            sensor: Predicts in the vehicle's frame; its measurements depend on relative place
+                alone.
+
+        Returns:
+            Measurements, Jacobians and spread; of a landmark that a particle does not have, the
+            values mean nothing and are finite.
+
+        Source: Nieto 2005, eqs. 2.37 and 2.40 to 2.44.
         """
         local = self._local(pose, self.mean[self._row, columns])
         local = np.where(self.has(columns)[..., None], local, _AHEAD)
@@ -159,9 +213,14 @@ class ParticleMaps:
     ) -> None:
         """Fuse measurements with the landmarks, the pose being known (Nieto 2005, eq. 2.20).
 
-        columns: (N, m), distinct in each row where used: (N, m). at: expected there. innovation:
-        (N, m, 2), its angle wrapped. noise: (m, 2, 2), R. Source: Nieto 2005, eqs. 2.45 to 2.47,
-        for each landmark alone.
+        Args:
+            columns: (N, m), distinct in each row where used.
+            used: (N, m), True where the measurement is fused.
+            at: Expected there.
+            innovation: (N, m, 2), its angle wrapped.
+            noise: (m, 2, 2), R.
+
+        Source: Nieto 2005, eqs. 2.45 to 2.47, for each landmark alone.
         """
         n, j = np.nonzero(used)
         column, h = columns[n, j], at.by_landmark[n, j]
@@ -182,9 +241,14 @@ class ParticleMaps:
     ) -> None:
         """Put new landmarks into the maps, the pose being known.
 
-        pose: (N, 3). columns: (m,) of each measurement; anything where no particle takes it as new:
-        (N, m). measured: z (m, 2) and R (m, 2, 2). sensor: inverts in the vehicle's frame. Source:
-        Nieto 2005, eqs. 2.48 to 2.55 without the pose's uncertainty.
+        Args:
+            pose: (N, 3).
+            columns: (m,) of each measurement; anything where no particle takes it as new.
+            new: (N, m), True where the particle takes the measurement as of a new landmark.
+            measured: z (m, 2) and R (m, 2, 2).
+            sensor: Inverts measurements in the vehicle's frame.
+
+        Source: Nieto 2005, eqs. 2.48 to 2.55 without the pose's uncertainty.
         """
         n, j = np.nonzero(new)
         local, _, by_z = sensor.invert(_ORIGIN, measured[0])
@@ -194,7 +258,11 @@ class ParticleMaps:
         self.covariance[n, columns[j]] = by_z @ measured[1][j] @ by_z.swapaxes(-1, -2)
 
     def remove(self, columns: Index) -> None:
-        """Remove landmarks among columns (K,) whose evidence is below zero; free unused columns."""
+        """Remove landmarks whose evidence has fallen below zero; free unused columns.
+
+        Args:
+            columns: (K,) of the landmarks that are checked.
+        """
         held = self.evidence[:, columns]
         self.evidence[:, columns] = np.maximum(held, 0.0)
         self.number[columns[~(held > 0.0).any(axis=0)]] = FREE

@@ -8,30 +8,59 @@ from ekf_reference.core.geometry import Array, Index
 
 
 def normalised(log_weight: Array) -> Array:
-    """Return weights (N,) that sum to one, of log_weight (N,), known up to a constant."""
+    """Return weights that sum to one.
+
+    Args:
+        log_weight: (N,) their logarithms, up to a constant.
+
+    Returns:
+        (N,) weights.
+    """
     raw = np.exp(log_weight - log_weight.max())
     weight: Array = raw / raw.sum()
     return weight
 
 
 def log_mean_exp(log_weight: Array) -> float:
-    """Return ln(sum(exp(log_weight)) / N) of log_weight (N,), without overflow."""
+    """Return ln of the mean of the weights, without overflow.
+
+    Args:
+        log_weight: (N,) their logarithms.
+
+    Returns:
+        ln(sum(exp(log_weight)) / N).
+    """
     most = float(log_weight.max())
     return most + float(np.log(np.mean(np.exp(log_weight - most))))
 
 
 def effective_sample_size(weight: Array) -> float:
-    """Return 1 / sum w^2 of a weight (N,) of sum one (Kong, Liu and Wong 1994)."""
+    """Return 1 / sum w^2.
+
+    Args:
+        weight: (N,) that sum to one.
+
+    Returns:
+        N where all are equal, 1 where one particle has all.
+
+    Source: Kong, Liu and Wong 1994.
+    """
     return 1.0 / float(weight @ weight)
 
 
 def systematic_parents(weight: Array, generator: np.random.Generator) -> Index:
-    """Return the parents (N,) of a new generation, drawn by low-variance (systematic) resampling.
+    """Draw the parents of a new generation by low-variance (systematic) resampling.
 
-    weight: (N,) that sum to one. generator: gives one uniform number, which places N equally spaced
-    pointers on the weights' cumulative sum, so particle i has floor(N w_i) or ceil(N w_i) children,
-    N w_i on average. A survivor keeps its place; other children take the places of particles
-    without children, so only these maps have to be copied.
+    One uniform number places N equally spaced pointers on the weights' cumulative sum, so particle
+    i has floor(N w_i) or ceil(N w_i) children, N w_i on average. A survivor keeps its place; other
+    children take the places of particles without children, so only these maps have to be copied.
+
+    Args:
+        weight: (N,) that sum to one.
+        generator: Gives one uniform number.
+
+    Returns:
+        (N,) the parent of each particle of the new generation.
     """
     n = len(weight)
     pointers = (generator.random() + np.arange(n)) / n

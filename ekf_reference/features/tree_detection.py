@@ -57,12 +57,19 @@ class TrunkModel:
 
 
 def cluster(angle_rad: Array, range_m: Array, gap_m: float) -> Clusters:
-    """Return runs of consecutive returns of a scan, split where the range jumps.
+    """Split a scan where the range jumps.
 
-    Source: Guivant 2002, eqs. 10 and 11. angle_rad: (B,) of the beams, evenly spaced. range_m:
-    (B,), NaN for no return. gap_m: neighbouring returns farther apart in range belong to different
-    objects. Erratum: eq. 11 takes (i_n - i_i) beam spacings as the width, which leaves out half a
-    spacing at either edge; on average the object is one spacing wider, and that is what is used.
+    Args:
+        angle_rad: (B,) of the beams, evenly spaced.
+        range_m: (B,), NaN for no return.
+        gap_m: Neighbouring returns farther apart in range belong to different objects.
+
+    Returns:
+        Runs of consecutive returns, one beam spacing wider than from first to last beam.
+
+    Source: Guivant 2002, eqs. 10 and 11.
+    Erratum: eq. 11 takes (i_n - i_i) beam spacings as the width, which leaves out half a spacing at
+    either edge; on average the object is one spacing wider, and that is what is used.
     """
     returned = np.flatnonzero(np.isfinite(range_m))
     if not len(returned):
@@ -85,16 +92,33 @@ def cluster(angle_rad: Array, range_m: Array, gap_m: float) -> Clusters:
 
 
 def observed_diameter(range_m: Array, width_rad: Array) -> Array:
-    """Return the diameters (C,) [m] of objects by their angular width (Guivant 2002, eq. 10).
+    """Return the diameter of an object by its angular width.
 
-    z_D = width_rad * distance of the centre, which itself lies ROUNDNESS diameters behind the mean
-    range_m; solved for the diameter. All are (C,).
+    z_D = width * distance of the centre, which itself lies ROUNDNESS diameters behind the mean
+    range; solved for the diameter.
+
+    Args:
+        range_m: (C,) mean range.
+        width_rad: (C,) angular width.
+
+    Returns:
+        (C,) [m].
+
+    Source: Guivant 2002, eq. 10.
     """
     return range_m * width_rad / (1.0 - ROUNDNESS * width_rad)
 
 
 def diameter_variance(range_m: Array, width_rad: Array, model: TrunkModel) -> Array:
-    """Return variances (C,) [m^2] of observed diameters; range_m, width_rad: (C,). model: sigmas.
+    """Return the variance of an observed diameter.
+
+    Args:
+        range_m: (C,) mean range.
+        width_rad: (C,) angular width.
+        model: Standard deviations of range, width and shape.
+
+    Returns:
+        (C,) [m^2].
 
     Source: Guivant 2002, eq. 12 with the shape noise of eq. 15. Eqs. 13 and 14 leave the first term
     out, being small; it is kept.
@@ -142,11 +166,17 @@ class TreeTracker:
     _unseen: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def detect(self, angle_rad: Array, range_m: Array, motion: Array) -> Trunks:
-        """Return the trunks of a scan, diameters filtered of those that were seen before.
+        """Find the trunks of a scan, and filter the diameters of those that were seen before.
 
-        angle_rad: (B,) of the beams, relative to the sensor. range_m: (B,), NaN for no return.
-        motion: (3,) of the sensor since the last scan, in its old frame [m, m, rad]. Trunks are
-        centres, not surfaces, relative to the sensor. Source: Guivant 2002, section 3.1, eq. 16.
+        Args:
+            angle_rad: (B,) of the beams, relative to the sensor.
+            range_m: (B,), NaN for no return.
+            motion: (3,) of the sensor since the last scan, in its old frame [m, m, rad].
+
+        Returns:
+            Centres, not surfaces, relative to the sensor, with filtered diameters.
+
+        Source: Guivant 2002, section 3.1, eq. 16.
         """
         self._move(motion)
         found = self._trunk_like(cluster(angle_rad, range_m, self.model.gap_m))

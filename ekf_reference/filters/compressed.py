@@ -68,8 +68,10 @@ class CompressedState(KalmanState):
     def __init__(self, pose: Array, covariance: Array, areas: LocalAreas) -> None:
         """Start with one area around the vehicle.
 
-        pose: (3,) x, y [m], heading [rad], unwrapped. covariance: (3, 3), symmetric positive
-        definite. areas: how the map is cut.
+        Args:
+            pose: (3,) x, y [m], heading [rad], unwrapped.
+            covariance: (3, 3), symmetric positive definite.
+            areas: How the map is cut.
         """
         super().__init__(pose, covariance)
         self.areas = areas
@@ -203,9 +205,11 @@ class CompressedState(KalmanState):
     def leave(self, reach_m: float = 0.0, *wanted: Index) -> None:
         """Make a global update, and enter a new area around the vehicle.
 
-        Source: Guivant 2002, eqs. 17 to 23. reach_m: how far the area has to extend beyond where
-        the vehicle may go in it [m]. wanted: (c,) state entries of landmarks that must be active,
-        wherever they lie.
+        Args:
+            reach_m: How far the new area has to extend beyond where the vehicle may go in it [m].
+            wanted: (c,) state entries of landmarks that must be active, wherever they lie.
+
+        Source: Guivant 2002, eqs. 17 to 23.
         """
         self._global_update()
         extent = self.areas.half_m + max(reach_m, self._reach_m)

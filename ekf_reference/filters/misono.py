@@ -31,21 +31,41 @@ LEAST_LENGTH = 0.1
 
 
 def from_heading(pose: Array) -> Array:
-    """Return a pose (3,) x, y, heading as x, y, xi, eta (4,) (Misono 2007, eq. 3)."""
+    """Return a pose with the cosine and sine of its heading.
+
+    Args:
+        pose: (3,) x, y [m], heading [rad].
+
+    Returns:
+        (4,) x, y, xi, eta.
+
+    Source: Misono 2007, eq. 3.
+    """
     return np.array([pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])])
 
 
 def along_circle(pose: Array) -> Array:
-    """Return d(x, y, xi, eta) / d(x, y, heading) (4, 3) at a pose (4,): the circle's tangent."""
+    """Return d(x, y, xi, eta) / d(x, y, heading), the tangent of the unit circle.
+
+    Args:
+        pose: (4,) x, y, xi, eta.
+
+    Returns:
+        (4, 3).
+    """
     jacobian = np.eye(4, 3)
     jacobian[2:, 2] = -pose[3], pose[2]
     return jacobian
 
 
 def heading_jacobian(pose: Array) -> Array:
-    """Return d(x, y, heading) / d(x, y, xi, eta) (3, 4) at a pose (4,), also off the unit circle.
+    """Return d(x, y, heading) / d(x, y, xi, eta), the heading being atan2(eta, xi).
 
-    The heading is atan2(eta, xi).
+    Args:
+        pose: (4,) x, y, xi, eta, also off the unit circle.
+
+    Returns:
+        (3, 4).
     """
     jacobian = along_circle(pose).T.copy()
     jacobian[2] /= pose[2] ** 2 + pose[3] ** 2
@@ -53,9 +73,15 @@ def heading_jacobian(pose: Array) -> Array:
 
 
 def lift(pose: Array, covariance: Array, radial_variance: float) -> Array:
-    """Return the covariance (4, 4) at a pose (4,) on the circle from that of x, y, heading (3, 3).
+    """Return the covariance of x, y, xi, eta from that of x, y, heading.
 
-    covariance: (3, 3). radial_variance: of the pair's length; zero makes the result singular.
+    Args:
+        pose: (4,) x, y, xi, eta, on the unit circle.
+        covariance: (3, 3) of x, y, heading.
+        radial_variance: Of the pair's length; zero makes the result singular.
+
+    Returns:
+        (4, 4).
     """
     along, across = along_circle(pose), np.array([0.0, 0.0, pose[2], pose[3]])
     return along @ covariance @ along.T + radial_variance * np.outer(across, across)

@@ -54,10 +54,16 @@ class Streak(NamedTuple):
     covariance: Array = np.eye(2)
 
     def length_with(self, innovation: Array, covariance: Array, gate: float) -> int:
-        """Return the length with one more fix; 1 where it starts a streak of its own.
+        """Return the length with one more fix beyond the gate.
 
-        innovation: (2,) of the fix [m]. covariance: (2, 2), its R [m^2]. gate: normalised squared
-        difference from the last fix up to which it continues the streak.
+        Args:
+            innovation: (2,) of the fix [m].
+            covariance: (2, 2), its R [m^2].
+            gate: Normalised squared difference from the last fix up to which it continues the
+                streak.
+
+        Returns:
+            One more than before, or 1 where the fix starts a streak of its own.
         """
         apart = innovation - self.innovation
         agrees = apart @ np.linalg.solve(covariance + self.covariance, apart) <= gate

@@ -224,10 +224,14 @@ def harris(occupied: Array, cell_m: float, trace: float = 0.06, least: float = 0
     """Corners (C, 2) [m] of an occupancy grid, the strongest first.
 
     Each lies at the peak of the parabolas through the response at a cell and its neighbours.
-    occupied: (I, J) cells from 0, free or unknown, to 1; what touches the border goes on beyond it.
-    Rows go along the first axis of the points, the first cell's centre is 0. cell_m: size of a
-    cell. trace: k. least: response of the weakest corner over that of a solid block's right angle;
-    walls as thin as scans draw them have 0.1 and more there, and 0.02 to 0.05 where they end.
+
+    Args:
+        occupied: (I, J) cells from 0, free or unknown, to 1. What touches the border goes on
+            beyond it. Rows go along the first axis of the points, the first cell's centre is 0.
+        cell_m: size of a cell.
+        trace: k.
+        least: response of the weakest corner over that of a solid block's right angle; walls as
+            thin as scans draw them have 0.1 and more there, and 0.02 to 0.05 where they end.
     """
     height = _response(occupied, cell_m, trace) / _of_a_block(cell_m, trace)
     peak = (height == maximum_filter(height, 3, mode="nearest")) & (height >= least)

@@ -27,8 +27,11 @@ class Quadtree(NamedTuple):
 def quadtree(center: Array, occupancy: Array, cell_m: float, most: float) -> Quadtree:
     """Merge cells bottom up.
 
-    center: (N, 2) middles [m] of square cells, whose lattice has a corner at 0, 0. occupancy: (N,)
-    of each. cell_m: side of a cell. most: largest difference of the occupancies within a leaf.
+    Args:
+        center: (N, 2) middles [m] of square cells, whose lattice has a corner at 0, 0.
+        occupancy: (N,) of each.
+        cell_m: side of a cell.
+        most: largest difference of the occupancies within a leaf.
     """
     at = np.floor(center / cell_m).astype(np.int64)
     low = high = total = occupancy
