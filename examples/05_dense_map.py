@@ -54,7 +54,7 @@ def main(figure: str | None = None) -> dict[str, float]:
         view = FilterView.of(ekf)
         dense.updated(view)
         bearing, distance = scan(pose, objects, rng)
-        seen = Scan.of_ranges(view.pose, bearing, distance, SENSOR, k)
+        seen = Scan.of_ranges(view.pose, bearing, distance, SENSOR)
         dense.insert(view, seen, k * STEP_S)
         fixed.append(seen.point)
 

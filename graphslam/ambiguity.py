@@ -111,8 +111,7 @@ def mirrors(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Al
 def _reflected(points: Array, origin: Array, angle: float) -> Array:
     """Points (N, 2) on the other side of a line."""
     cos, sin = np.cos(2.0 * angle), np.sin(2.0 * angle)
-    mirrored: Array = (points - origin) @ np.array(((cos, sin), (sin, -cos))) + origin
-    return mirrored
+    return (points - origin) @ np.array(((cos, sin), (sin, -cos))) + origin
 
 
 def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:

@@ -22,9 +22,10 @@ from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
     from_values,
-    increment_factors,
+    graph_of,
     measurement_factors,
-    position_factor,
+    motion_factors,
+    position_factors,
     prior_factor,
 )
 from graphslam.growing_smoother import GrowingSmoother
@@ -158,26 +159,20 @@ def _new_factors(draft: _Draft) -> list[gtsam.NonlinearFactor]:
     """Factors of the poses from `solved` on and of recognised measurements not included yet."""
     p, first = draft.problem, draft.solved
     new: list[gtsam.NonlinearFactor] = [] if first else [prior_factor(POSE_KEY, p)]
-    moves = slice(max(first, 1) - 1, draft.known - 1)
-    step = replace(
-        p, increment=p.increment[moves], increment_covariance=p.increment_covariance[moves]
-    )
-    departures = list(range(POSE_KEY + moves.start, POSE_KEY + moves.stop))
-    new += increment_factors(departures, [key + 1 for key in departures], step)
+    steps = np.arange(max(first, 1) - 1, draft.known - 1)
+    departed = POSE_KEY + steps
+    new += motion_factors(departed, departed + 1, p.increment[steps], p.increment_covariance[steps])
     rows = np.flatnonzero(
         (draft.landmark_index >= 0) & ~draft.included & (p.measurement_pose < draft.known)
     )
     draft.included[rows] = True
-    seen = replace(p, z=p.z[rows], sigma=p.sigma[rows])
-    poses = (POSE_KEY + p.measurement_pose[rows]).tolist()
-    new += measurement_factors(poses, (LANDMARK_KEY + draft.landmark_index[rows]).tolist(), seen)
+    poses, landmarks = (
+        POSE_KEY + p.measurement_pose[rows],
+        LANDMARK_KEY + draft.landmark_index[rows],
+    )
+    new += measurement_factors(poses, landmarks, p.z[rows], p.sigma[rows])
     fixes = np.flatnonzero((p.position_pose >= first) & (p.position_pose < draft.known))
-    new += [
-        position_factor(
-            POSE_KEY + int(p.position_pose[i]), p.position[i], p.position_covariance[i], p.lever_m
-        )
-        for i in fixes.tolist()
-    ]
+    new += position_factors(p, fixes)
     draft.solved = draft.known
     return new
 
@@ -262,9 +257,7 @@ def _merge(draft: _Draft) -> None:
 def _solution(draft: _Draft) -> tuple[Array, Array]:
     """Poses (K, 3) and landmarks (L, 2) of the optimum of all that is decided."""
     draft.solved, draft.included[:] = 0, False
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in _new_factors(draft):
-        graph.push_back(factor)
+    graph = graph_of(_new_factors(draft))
     values, *_ = levenberg_marquardt(graph, draft.values, 1e-4, limit=5)
     return from_values(values, replace(draft.problem, landmark_count=draft.count))
 

@@ -44,16 +44,10 @@ class ChainEvidence(NamedTuple):
 
 
 def chain_evidence(draws: Array) -> ChainEvidence:
-    """Return the convergence diagnostics of every number.
+    """Return the convergence diagnostics of every number of draws (C, N, n).
 
-    Args:
-        draws: (C, N, n).
-
-    Returns:
-        (n,) each. NaN where a number never changes.
-
-    Source: Vehtari et al. 2021, sections 3 and 4: R-hat is the larger of the rank-normalised split
-    one and that of the folded draws.
+    (n,) each, NaN where a number never changes. Source: Vehtari et al. 2021, sections 3 and 4:
+    R-hat is the larger of the rank-normalised split one and that of the folded draws.
     """
     ranked = _rank_normalised(draws)
     folded = np.abs(draws - np.median(draws, axis=(0, 1)))
@@ -67,15 +61,8 @@ def chain_evidence(draws: Array) -> ChainEvidence:
 
 
 def split_r_hat(draws: Array) -> Array:
-    """Return R-hat of chains cut in halves.
-
-    Args:
-        draws: (C, N, n).
-
-    Returns:
-        (n,), 1 where all halves have one distribution.
-    """
-    halves = _halves(draws)
+    """Return R-hat (n,) of draws (C, N, n), cut in halves; 1 where all have one distribution."""
+    halves = half_chains(draws)
     count = halves.shape[1]
     within = halves.var(axis=1, ddof=1).mean(axis=0)
     between = halves.mean(axis=1).var(axis=0, ddof=1)
@@ -85,49 +72,33 @@ def split_r_hat(draws: Array) -> Array:
 
 
 def effective_sample_size(draws: Array) -> Array:
-    """Return how many independent draws have the same error of the mean.
+    """Return how many independent draws have the same error of the mean as draws (C, N, n).
 
-    Args:
-        draws: (C, N, n).
-
-    Returns:
-        (n,), NaN where a number never changes.
-
-    Source: Vehtari et al. 2021, section 3.2, with Geyer's initial monotone sequence.
+    (n,), NaN where a number never changes. Source: Vehtari et al. 2021, section 3.2, with Geyer's
+    initial monotone sequence.
     """
     size = draws.shape[2]
-    blocks = [_effective(_halves(draws[:, :, i : i + _BLOCK])) for i in range(0, size, _BLOCK)]
+    blocks = [_effective(half_chains(draws[:, :, i : i + _BLOCK])) for i in range(0, size, _BLOCK)]
     return np.concatenate(blocks)
 
 
 def monte_carlo_error(values: Array) -> Array:
-    """Return the standard errors of means over all draws, by the means of half chains.
+    """Return the standard errors (...) of means over all values (C, N, ...), by half chains' means.
 
-    Args:
-        values: (C, N, ...) of every draw.
-
-    Returns:
-        (...); right where a half chain is longer than the chains remember.
+    They are right where a half chain is longer than the chains remember.
     """
-    means = _halves(values).mean(axis=1)
+    means = half_chains(values).mean(axis=1)
     error: Array = means.std(axis=0, ddof=1) / np.sqrt(len(means))
     return error
 
 
 def estimated(values: Array) -> Estimated:
-    """Return the mean of one number over all draws, with its standard error.
-
-    Args:
-        values: (C, N).
-
-    Returns:
-        Mean and error.
-    """
+    """Return the mean of one number over all values (C, N), with its standard error."""
     return Estimated(float(values.mean()), float(monte_carlo_error(values)))
 
 
-def _halves(draws: Array) -> Array:
-    """(2 C, N // 2, ...): a draw in the middle is left out."""
+def half_chains(draws: Array) -> Array:
+    """Return draws (C, N, ...) as (2 C, N // 2, ...): one in the middle is left out."""
     half = draws.shape[1] // 2
     return np.concatenate((draws[:, :half], draws[:, -half:]))
 

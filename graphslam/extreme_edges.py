@@ -78,8 +78,7 @@ def _inverse(covariance: Array) -> Array:
 def _squared(covariance: Array) -> Array:
     """(N, n, n) covariances where the upper triangles that were read are roots of informations."""
     root = np.linalg.inv(np.triu(np.linalg.inv(covariance)))
-    found: Array = root @ root.transpose(0, 2, 1)
-    return found
+    return root @ root.transpose(0, 2, 1)
 
 
 READINGS = (("the covariance", _inverse), ("a square root of it", _squared))

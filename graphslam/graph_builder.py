@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
+
 import gtsam
 import numpy as np
 
@@ -42,56 +45,37 @@ def prior_factor(key: int, problem: SlamProblem) -> gtsam.PriorFactorPose2:
     return gtsam.PriorFactorPose2(key, gtsam.Pose2(*problem.prior_pose), noise)
 
 
-def increment_factors(
-    departures: list[int], arrivals: list[int], problem: SlamProblem
+def motion_factors(
+    first: Index, second: Index, motion: Array, covariance: Array, kernel: str = "none"
 ) -> list[gtsam.BetweenFactorPose2]:
-    """Return one factor for each increment.
+    """Return a factor for each motion between two poses or pose landmarks.
 
-    Args:
-        departures: (K - 1) keys of the poses that the increments start from.
-        arrivals: (K - 1) keys of the poses that they end at.
-        problem: Has the increments, with covariances of the right perturbation, as gtsam takes
-            them.
-
-    Returns:
-        The factors, in order.
+    first, second: (N,) keys. motion: (N, 3) of the second in the first's frame. covariance:
+    (N, 3, 3) of the right perturbation, as gtsam takes it. kernel: of KERNELS.
     """
-    return _between(departures, arrivals, problem.increment, problem.increment_covariance)
-
-
-def _between(
-    first: list[int], second: list[int], motion: Array, covariance: Array, kernel: str = "none"
-) -> list[gtsam.BetweenFactorPose2]:
-    """Motions (N, 3) between keys, with covariances (N, 3, 3) of the right perturbation."""
     return [
         gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*m), robust(gaussian(c), kernel))
-        for i, j, m, c in zip(first, second, motion.tolist(), covariance, strict=True)
+        for i, j, m, c in zip(
+            first.tolist(), second.tolist(), motion.tolist(), covariance, strict=True
+        )
     ]
 
 
 def measurement_factors(
-    poses: list[int], landmarks: list[int], problem: SlamProblem, kernel: str = "none"
+    poses: Index, landmarks: Index, z: Array, sigma: Array, kernel: str = "none"
 ) -> list[gtsam.BearingRangeFactor2D]:
-    """Return one factor for each measurement of a point; gtsam wants the bearing first.
+    """Return a factor for each measurement of a point; gtsam wants the bearing first.
 
-    Those of equal sigmas share a noise model: a long log's graph takes 0.4 of the memory.
-
-    Args:
-        poses: (M) keys of the poses.
-        landmarks: (M) keys of the landmarks.
-        problem: Has ranges, bearings and their standard deviations.
-        kernel: Of KERNELS.
-
-    Returns:
-        The factors, in order.
+    Those of equal sigmas share a noise model: a long log's graph takes 0.4 of the memory. poses,
+    landmarks: (M,) keys. z, sigma: (M, 2) range and bearing. kernel: of KERNELS.
     """
     diagonal = gtsam.noiseModel.Diagonal.Sigmas
-    sigmas, kind = np.unique(problem.sigma[:, ::-1], axis=0, return_inverse=True)
+    sigmas, kind = np.unique(sigma[:, ::-1], axis=0, return_inverse=True)
     noise = [robust(diagonal(s), kernel) for s in sigmas]
     return [
         gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(bearing), r, noise[k])
         for i, j, (r, bearing), k in zip(
-            poses, landmarks, problem.z.tolist(), kind.ravel().tolist(), strict=True
+            poses.tolist(), landmarks.tolist(), z.tolist(), kind.ravel().tolist(), strict=True
         )
     ]
 
@@ -127,6 +111,16 @@ def position_factor(
         return difference
 
     return gtsam.CustomFactor(noise, [key], error)
+
+
+def position_factors(
+    problem: SlamProblem, rows: Index, kernel: str = "none"
+) -> Iterator[gtsam.NonlinearFactor]:
+    """Yield the factors of some rows (n,) of a problem's positions. kernel: of KERNELS."""
+    p = problem
+    for row in rows.tolist():
+        key, z, covariance = int(p.position_pose[row]), p.position[row], p.position_covariance[row]
+        yield position_factor(POSE_KEY + key, z, covariance, p.lever_m, kernel)
 
 
 def robust(noise: gtsam.noiseModel.Base, kernel: str) -> gtsam.noiseModel.Base:
@@ -165,56 +159,58 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
     Returns:
         The graph, its factors in the order that `last_poses` describes.
     """
+    return graph_of(chain.from_iterable(_factors(problem, kernel)))
+
+
+def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+    """Return a graph of factors, in their order."""
     graph = gtsam.NonlinearFactorGraph()
-    graph.push_back(prior_factor(POSE_KEY, problem))
-    steps = problem.steps
-    moves = problem.increment[steps], problem.increment_covariance[steps]
-    departures = (POSE_KEY + steps).tolist()
-    for between in _between(departures, [key + 1 for key in departures], *moves):
-        graph.push_back(between)
-    for measurement in measurement_factors(
-        (POSE_KEY + problem.measurement_pose).tolist(),
-        (LANDMARK_KEY + problem.measurement_landmark).tolist(),
-        problem,
-        kernel,
-    ):
-        graph.push_back(measurement)
-    for key, z, covariance in zip(
-        (POSE_KEY + problem.position_pose).tolist(),
-        problem.position,
-        problem.position_covariance,
-        strict=True,
-    ):
-        graph.push_back(position_factor(key, z, covariance, problem.lever_m, kernel))
-    for landmark_index, (place, covariance) in enumerate(
-        zip(problem.surveyed, problem.surveyed_covariance, strict=True)
-    ):
-        graph.push_back(
-            gtsam.PriorFactorPoint2(LANDMARK_KEY + landmark_index, place, gaussian(covariance))
-        )
-    seen, closed = problem.pose_landmarks, problem.loop_closures
-    poses_seen, places_seen = POSE_KEY + seen.pose, POSE_LANDMARK_KEY + seen.landmark
-    for factor in (
-        *_between(
-            poses_seen.tolist(), places_seen.tolist(), seen.measured, seen.covariance, kernel
-        ),
-        *_between(
-            (POSE_KEY + closed.first).tolist(),
-            (POSE_KEY + closed.second).tolist(),
-            closed.motion,
-            closed.covariance,
-            closed.kernel if kernel == "none" else kernel,
-        ),
-        *_between(
-            (POSE_LANDMARK_KEY + seen.merges.first).tolist(),
-            (POSE_LANDMARK_KEY + seen.merges.second).tolist(),
-            seen.merges.measured,
-            seen.merges.covariance,
-            kernel,
-        ),
-    ):
+    for factor in factors:
         graph.push_back(factor)
     return graph
+
+
+def _factors(problem: SlamProblem, kernel: str) -> Iterator[Iterable[gtsam.NonlinearFactor]]:
+    """The factors of a problem, kind by kind."""
+    p, steps = problem, problem.steps
+    first = POSE_KEY + steps
+    yield [prior_factor(POSE_KEY, p)]
+    yield motion_factors(first, first + 1, p.increment[steps], p.increment_covariance[steps])
+    poses, landmarks = POSE_KEY + p.measurement_pose, LANDMARK_KEY + p.measurement_landmark
+    yield measurement_factors(poses, landmarks, p.z, p.sigma, kernel)
+    yield position_factors(p, np.arange(len(p.position)), kernel)
+    yield (
+        gtsam.PriorFactorPoint2(key, place, gaussian(covariance))
+        for key, (place, covariance) in enumerate(
+            zip(p.surveyed, p.surveyed_covariance, strict=True), start=LANDMARK_KEY
+        )
+    )
+    seen, closed, merged = p.pose_landmarks, p.loop_closures, p.pose_landmarks.merges
+    first, second = POSE_KEY + seen.pose, POSE_LANDMARK_KEY + seen.landmark
+    yield motion_factors(first, second, seen.measured, seen.covariance, kernel)
+    own = closed.kernel if kernel == "none" else kernel
+    first, second = POSE_KEY + closed.first, POSE_KEY + closed.second
+    yield motion_factors(first, second, closed.motion, closed.covariance, own)
+    first, second = POSE_LANDMARK_KEY + merged.first, POSE_LANDMARK_KEY + merged.second
+    yield motion_factors(first, second, merged.measured, merged.covariance, kernel)
+
+
+def pieces(
+    problem: SlamProblem, graph: gtsam.NonlinearFactorGraph
+) -> Callable[[int, int], gtsam.NonlinearFactorGraph]:
+    """Return what gives the factors whose last pose is one of first to end - 1.
+
+    problem: of the graph, which is one of `build_graph`.
+    """
+    last = last_poses(problem)
+    order = np.argsort(last, kind="stable")
+    last = last[order]
+
+    def piece(first: int, end: int) -> gtsam.NonlinearFactorGraph:
+        rows = order[np.searchsorted(last, first) : np.searchsorted(last, end)]
+        return graph_of(map(graph.at, rows.tolist()))
+
+    return piece
 
 
 def last_poses(problem: SlamProblem) -> Index:
@@ -296,8 +292,7 @@ def right_perturbation(measured: Array, covariance: Array) -> Array:
         (N, 3, 3), in the frame of what is measured.
     """
     turn = to_tangent(measured[:, 2])
-    turned: Array = turn @ covariance @ turn.transpose(0, 2, 1)
-    return turned
+    return turn @ covariance @ turn.transpose(0, 2, 1)
 
 
 def to_values(

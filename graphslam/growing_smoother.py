@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from graphslam.arrays import Array
-from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, graph_of
 from graphslam.marginals import SingularProblemError
 
 MOVED_M, MOVED_RAD = 0.1, 0.01
@@ -38,10 +38,8 @@ class GrowingSmoother:
 
         Raises SingularProblemError where the factors leave a direction without information.
         """
-        new = gtsam.NonlinearFactorGraph()
-        for factor in factors:
-            new.push_back(factor)
-            self._graph.push_back(factor)
+        new = graph_of(factors)
+        self._graph.push_back(new)
         everything = gtsam.Values(self.values)
         everything.insert(start)
         try:

@@ -10,13 +10,7 @@ import gtsam
 import numpy as np
 
 from graphslam.arrays import Array, Marginal
-from graphslam.graph_builder import (
-    LANDMARK_KEY,
-    POSE_KEY,
-    last_poses,
-    to_tangent,
-    unwrap,
-)
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, graph_of, pieces, to_tangent, unwrap
 from graphslam.initialisation import extension
 from graphslam.layout import Layout
 from graphslam.marginals import joint_marginal, to_global
@@ -64,33 +58,17 @@ class _Piece(NamedTuple):
     new: gtsam.Values
 
 
-class _Known:
-    """The variables that a smoother has, and where it has them now."""
-
-    def __init__(self, pose_at: Callable[[int], gtsam.Pose2]) -> None:
-        self._pose_at = pose_at
-        self._keys: set[int] = set()
-
-    def exists(self, key: int) -> bool:
-        return key in self._keys
-
-    def atPose2(self, key: int) -> gtsam.Pose2:  # noqa: N802, gtsam's name
-        return self._pose_at(key)
-
-    def add(self, values: gtsam.Values) -> None:
-        self._keys.update(values.keys())
-
-
 def _pieces(
     problem: SlamProblem,
     graph: gtsam.NonlinearFactorGraph,
-    known: _Known,
+    pose_at: Callable[[int], gtsam.Pose2],
     stops: Sequence[int] = (),
 ) -> Iterator[_Piece]:
-    """One piece for every pose with observations, at `stops` (poses) and at the end."""
-    last = last_poses(problem)
-    order = np.argsort(last, kind="stable")
-    last = last[order]
+    """One piece for every pose with observations, at `stops` (poses) and at the end.
+
+    pose_at: where the smoother has the pose of a key now.
+    """
+    piece_of = pieces(problem, graph)
     ends = np.unique(
         np.concatenate(
             (
@@ -102,15 +80,13 @@ def _pieces(
             )
         )
     ).astype(np.intp)
-    done = 0
+    known, done = gtsam.Values(), 0
     for end in (ends + 1).tolist():
-        rows = order[np.searchsorted(last, done) : np.searchsorted(last, end)]
-        piece = gtsam.NonlinearFactorGraph()
-        for row in rows.tolist():
-            piece.push_back(graph.at(row))
+        if done:
+            known.update(POSE_KEY + done - 1, pose_at(POSE_KEY + done - 1))
         new = extension(problem, known, done, end)
-        yield _Piece(end, piece, new)
-        known.add(new)
+        yield _Piece(end, piece_of(done, end), new)
+        known.insert(new)
         done = end
 
 
@@ -126,7 +102,7 @@ def run_isam2(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> Increm
     parameters.relinearizeSkip = RELINEARISE_EVERY
     parameters.setFactorization("QR")
     isam, updates = gtsam.ISAM2(parameters), 0
-    for piece in _pieces(problem, graph, _Known(isam.calculateEstimatePose2)):
+    for piece in _pieces(problem, graph, isam.calculateEstimatePose2):
         isam.update(piece.graph, piece.new)
         updates += 1
     return IncrementalEnd(_settled(isam), updates)
@@ -181,7 +157,7 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
         for first, last in zip(known[:-1].tolist(), known[1:].tolist(), strict=True)
         for stop in range(first + lag, last, lag)
     ]
-    for piece in _pieces(problem, graph, _Known(smoother.calculateEstimatePose2), stops):
+    for piece in _pieces(problem, graph, smoother.calculateEstimatePose2, stops):
         leave(piece.end - lag - 1)  # these the update is going to drop
         left = max(left, piece.end - lag - 1)
         added = list(piece.new.keys())
@@ -195,11 +171,9 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
     leave(count)
     unwrap(poses, problem)
     turn = to_tangent(poses[:, 2]).transpose(0, 2, 1)
-    factors = gtsam.NonlinearFactorGraph()
     remaining = smoother.getFactors()
-    for i in range(remaining.size()):
-        if remaining.exists(i):
-            factors.push_back(remaining.at(i))
+    held = filter(remaining.exists, range(remaining.size()))
+    factors = graph_of(map(remaining.at, held))
     seen = sorted(key for key in landmarks if gtsam.symbolChr(key) == _POINT)
     turned = sorted(set(landmarks) - set(seen))
     places = np.full((problem.landmark_count, 2), np.nan)

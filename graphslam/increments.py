@@ -104,8 +104,7 @@ def ackermann_samples(
     displacement = np.column_stack((advance - left_m * turn, forward_m * turn, turn))
     if integration != "euler":
         displacement, jacobian = _integrated(displacement, jacobian, duration_s, 0.0, integration)
-    variances = (sigma[0] ** 2, sigma[1] ** 2)
-    return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
+    return _with_noise(displacement, jacobian, sigma, duration_s, stabilisation)
 
 
 def unicycle_samples(
@@ -141,8 +140,7 @@ def unicycle_samples(
     displacement = np.column_stack((chord * cos, chord * sin, turn))
     if integration != "middle":
         displacement, jacobian = _integrated(displacement, jacobian, duration_s, 0.5, integration)
-    variances = (sigma[0] ** 2, sigma[1] ** 2)
-    return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
+    return _with_noise(displacement, jacobian, sigma, duration_s, stabilisation)
 
 
 def _integrated(
@@ -196,19 +194,6 @@ def _mean_turn(turn: Array) -> tuple[Array, Array]:
         by_turn += 1j * (n + 1) / (n + 2) * term
         term = term * 1j * turn / (n + 2)
     return np.where(small, series, mean), np.where(small, by_turn, slope)
-
-
-def relative_pose_samples(displacement: Array, covariance: Array) -> Samples:
-    """Return measured displacements as samples.
-
-    Args:
-        displacement: (N, 3) dx, dy [m], dheading [rad] in the departing frame.
-        covariance: (N, 3, 3) of the right perturbation, in the arriving frame.
-
-    Returns:
-        The same arrays; nothing is copied.
-    """
-    return Samples(displacement, covariance)
 
 
 def compose(samples: Samples, interval: Index, count: int) -> Samples:
@@ -296,7 +281,7 @@ def _inverse_adjoint(x: Array, y: Array, turn: Array) -> Array:
 def _with_noise(
     displacement: Array,
     jacobian: Array,
-    variances: tuple[float, float],
+    sigma: tuple[float, float],
     duration_s: Array,
     stabilisation: Stabilisation,
 ) -> Samples:
@@ -306,7 +291,8 @@ def _with_noise(
     arriving[:, 0] = cos[:, None] * jacobian[:, 0] + sin[:, None] * jacobian[:, 1]
     arriving[:, 1] = -sin[:, None] * jacobian[:, 0] + cos[:, None] * jacobian[:, 1]
     arriving[:, 2] = jacobian[:, 2]
-    covariance = (arriving * np.array(variances)) @ arriving.transpose(0, 2, 1)
+    variance = np.array((sigma[0] ** 2, sigma[1] ** 2))
+    covariance = (arriving * variance) @ arriving.transpose(0, 2, 1)
     covariance[:, 0, 0] += stabilisation.variance_rate_position * duration_s
     covariance[:, 1, 1] += stabilisation.variance_rate_position * duration_s
     covariance[:, 2, 2] += stabilisation.variance_rate_heading * duration_s

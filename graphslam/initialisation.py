@@ -8,12 +8,10 @@ a loop closes, or when the log has grown by half.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import gtsam
 import numpy as np
 
-from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, last_poses
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, pieces
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
 
@@ -33,24 +31,19 @@ def track(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> tuple[gtsa
 
     graph: build_graph(problem), whose factors are used again for every piece.
     """
-    last = last_poses(problem)
-    order = np.argsort(last, kind="stable")
-    last = last[order]
+    piece_of = pieces(problem, graph)
     values, prefix = gtsam.Values(), gtsam.NonlinearFactorGraph()
     known, solved, iterations, usual = 0, 0, 0, 1.0
     while known < problem.pose_count:
         end = min(known + PIECE, problem.pose_count)
-        rows = order[np.searchsorted(last, known) : np.searchsorted(last, end)]
-        piece = gtsam.NonlinearFactorGraph()
-        for row in rows.tolist():
-            piece.push_back(graph.at(row))
+        piece = piece_of(known, end)
         prefix.push_back(piece)
         new = extension(problem, values, known, end)
         new, misfit, spent = _fit(piece, values, new)
         iterations += spent
         values.insert(new)
         known = end
-        observations = max(1, len(rows) - PIECE)
+        observations = max(1, piece.size() - PIECE)
         if misfit > MISFIT * usual * observations or known > GROWTH * solved:
             try:
                 values, spent, _ = levenberg_marquardt(prefix, values, 1e-3, limit=15)
@@ -62,19 +55,7 @@ def track(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> tuple[gtsa
     return values, iterations
 
 
-class Placed(Protocol):
-    """Poses and landmarks that have a value already; gtsam.Values is one."""
-
-    def exists(self, key: int) -> bool:
-        """Whether it has."""
-        ...
-
-    def atPose2(self, key: int) -> gtsam.Pose2:  # noqa: N802, gtsam's name
-        """A pose."""
-        ...
-
-
-def extension(problem: SlamProblem, values: Placed, known: int, count: int) -> gtsam.Values:
+def extension(problem: SlamProblem, values: gtsam.Values, known: int, count: int) -> gtsam.Values:
     """Poses `known` to `count` - 1 by dead reckoning, and landmarks where they first see them.
 
     values: poses up to `known` and landmarks seen from them; those are not in the result.

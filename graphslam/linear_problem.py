@@ -201,10 +201,14 @@ def times(matrices: Array, vectors: Array) -> Array:
 
 def whiten(covariance: Array, *arrays: NDArray[np.floating]) -> tuple[Array, ...]:
     """L^-1 of each array, (n, d) or (n, d, c), for stacked covariances L L^T (n, d, d)."""
-    root = np.linalg.cholesky(covariance)
-    whitened = []
+    return divided(np.linalg.cholesky(covariance), *arrays)
+
+
+def divided(root: NDArray[np.floating], *arrays: NDArray[np.floating]) -> tuple[Array, ...]:
+    """A^-1 of each array, (n, d) or (n, d, c), for stacked matrices A (n, d, d)."""
+    found = []
     for array in arrays:
         columns = array if array.ndim == 3 else array[..., None]
         result: Array = np.linalg.solve(root, columns).astype(np.float64, copy=False)
-        whitened.append(result if array.ndim == 3 else result[..., 0])
-    return tuple(whitened)
+        found.append(result if array.ndim == 3 else result[..., 0])
+    return tuple(found)

@@ -165,8 +165,7 @@ def turned(covariance: Array, frame: Index, heading_rad: Array) -> Array:
     for first, block in zip(frame.tolist(), to_tangent(heading_rad), strict=True):
         own = slice(first, first + len(block))
         turn[own, own] = block.T
-    result: Array = turn @ covariance @ turn.T
-    return result
+    return turn @ covariance @ turn.T
 
 
 def pose_covariances(
@@ -200,5 +199,4 @@ def pose_covariances(
         raise SingularProblemError("the measurements do not fix every pose") from error
     local = inverse @ inverse.transpose(0, 2, 1)
     turn = to_tangent(headings_rad).transpose(0, 2, 1)
-    result: Array = turn @ local @ turn.transpose(0, 2, 1)
-    return result
+    return turn @ local @ turn.transpose(0, 2, 1)

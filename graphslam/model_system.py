@@ -12,8 +12,9 @@ import numpy as np
 
 from graphslam.arrays import Array, Index, wrap_angle
 from graphslam.graph_builder import (
-    increment_factors,
+    graph_of,
     measurement_factors,
+    motion_factors,
     prior_factor,
     to_tangent,
 )
@@ -195,8 +196,8 @@ def _merge_models(problem: SlamProblem) -> dict[LandmarkKind, _Model]:
 
 
 def _increments(problem: SlamProblem, at: RelationPoints) -> _Rows:
-    first = list(range(0, 2 * len(at.row), 2))
-    factors = increment_factors(first, [key + 1 for key in first], problem)
+    first = 2 * np.arange(len(at.row))
+    factors = motion_factors(first, first + 1, problem.increment, problem.increment_covariance)
     rows = _linearised_pairs(factors, at.first, at.second)
     a = rows[:, :, :3] @ to_tangent(at.first[:, 2])
     c = rows[:, :, 3:6] @ to_tangent(at.second[:, 2])
@@ -218,9 +219,8 @@ def _in_blocks(rows: Callable[[RelationPoints], _Rows], at: RelationPoints) -> _
 def _range_bearing(problem: SlamProblem, at: RelationPoints) -> _Rows:
     """Measurements of points as range and bearing."""
     sigma = problem.sigma[at.row] / np.sqrt(at.weight)[:, None]
-    used = replace(problem, z=problem.z[at.row], sigma=sigma)
-    first = list(range(0, 2 * len(at.row), 2))
-    factors = measurement_factors(first, [key + 1 for key in first], used)
+    first = 2 * np.arange(len(at.row))
+    factors = measurement_factors(first, first + 1, problem.z[at.row], sigma)
     rows = _linearised_pairs(factors, at.first, at.second, POINT)
     return rows[:, :, :3] @ to_tangent(at.first[:, 2]), rows[:, :, 3:5], rows[:, :, 5]
 
@@ -320,10 +320,7 @@ def _linearised(
     rows = np.zeros((len(factors), height, span + 1))
     if not factors:
         return rows
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in factors:
-        graph.push_back(factor)
-    entries = graph.linearize(values).sparseJacobian_()
+    entries = graph_of(factors).linearize(values).sparseJacobian_()
     row, column = entries[:2].astype(np.intp) - 1
     which, local = np.divmod(row, height)
     place = np.where(column == span * len(factors), span, column - span * which)

@@ -21,7 +21,7 @@ def optimise(
 ) -> tuple[gtsam.Values, int, bool]:
     """Near the minimum, for `polish` to go on: the end, the iterations, whether it converged.
 
-    Raises RuntimeError where the linear systems are indeterminate, ValueError for another name.
+    name: of OPTIMISERS. Raises RuntimeError where the linear systems are indeterminate.
     """
     if name == "levenberg-marquardt":
         return levenberg_marquardt(graph, values, 1e-5)
@@ -29,8 +29,6 @@ def optimise(
         "gauss-newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
         "dogleg": (gtsam.DoglegOptimizer, gtsam.DoglegParams),
     }
-    if name not in kinds:
-        raise ValueError(f"optimiser is '{name}', expected one of {', '.join(OPTIMISERS)}")
     optimiser, parameters = kinds[name]
     return _run(optimiser, graph, values, parameters(), 1e-5, 100)
 

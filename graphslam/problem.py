@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,18 +30,6 @@ class Merges:
     measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
-    def before(self, pose_count: int) -> Merges:
-        """Return the merges that were known by an early pose.
-
-        Args:
-            pose_count: How many of the first poses.
-
-        Returns:
-            The same columns, fewer rows.
-        """
-        rows = self.pose < pose_count
-        return Merges(**_of(self, rows))
-
 
 @dataclass(frozen=True)
 class PoseLandmarkMeasurements:
@@ -63,18 +51,6 @@ class PoseLandmarkMeasurements:
         """Number of landmarks."""
         return int(self.landmark.max(initial=-1)) + 1
 
-    def before(self, pose_count: int) -> PoseLandmarkMeasurements:
-        """Return what was measured from the first poses.
-
-        Args:
-            pose_count: How many of the first poses.
-
-        Returns:
-            The same columns, fewer rows; landmarks keep their numbers.
-        """
-        rows = self.pose < pose_count
-        return PoseLandmarkMeasurements(**_of(self, rows), merges=self.merges.before(pose_count))
-
 
 @dataclass(frozen=True)
 class LoopClosures:
@@ -95,18 +71,6 @@ class LoopClosures:
     def last(self) -> Index:
         """(N,) the later pose of each."""
         return np.maximum(self.first, self.second)
-
-    def before(self, pose_count: int) -> LoopClosures:
-        """Return the closures between the first poses.
-
-        Args:
-            pose_count: How many of the first poses; both ends of a closure must be among them.
-
-        Returns:
-            The same columns, fewer rows.
-        """
-        rows = self.last < pose_count
-        return LoopClosures(**_of(self, rows), kernel=self.kernel)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,14 +114,7 @@ class SlamProblem:
         return len(self.increment) + 1
 
     def same_as(self, other: SlamProblem) -> bool:
-        """Compare with another problem, number for number; NaN equals itself.
-
-        Args:
-            other: The other problem.
-
-        Returns:
-            Whether both are equal.
-        """
+        """Return whether another problem, other, is equal, number for number; NaN equals itself."""
         return _same(self, other)
 
     @property
@@ -190,32 +147,19 @@ class SlamProblem:
         return Layout(self.pose_count, self.landmark_count, self.pose_landmarks.count).size
 
     def prefix(self, pose_count: int) -> SlamProblem:
-        """Return the problem up to an early pose.
-
-        Args:
-            pose_count: How many of the first poses stay.
-
-        Returns:
-            A smaller problem; landmarks keep their numbers, also those that are no longer measured.
-        """
+        """Return the problem of the first pose_count poses; landmarks keep their numbers."""
+        seen, closed, merged = self.pose_landmarks, self.loop_closures, self.pose_landmarks.merges
+        merges = _some(merged, merged.pose < pose_count)
         return replace(
             self.keep(self.measurement_pose < pose_count, self.position_pose < pose_count),
             increment=self.increment[: pose_count - 1],
             increment_covariance=self.increment_covariance[: pose_count - 1],
-            pose_landmarks=self.pose_landmarks.before(pose_count),
-            loop_closures=self.loop_closures.before(pose_count),
+            pose_landmarks=replace(_some(seen, seen.pose < pose_count), merges=merges),
+            loop_closures=_some(closed, closed.last < pose_count),
         )
 
     def keep(self, measurements: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:
-        """Return the problem with some of its measurements.
-
-        Args:
-            measurements: (M,) which measurements of point landmarks stay.
-            positions: (G,) which absolute positions stay.
-
-        Returns:
-            The same poses and landmarks, fewer measurements.
-        """
+        """Return the problem with some of its measurements (M,) and positions (G,), by masks."""
         return replace(
             self,
             measurement_pose=self.measurement_pose[measurements],
@@ -228,10 +172,14 @@ class SlamProblem:
         )
 
 
-def _of(columns: object, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Some rows of all arrays of a dataclass, by name."""
+_Columns = TypeVar("_Columns", Merges, PoseLandmarkMeasurements, LoopClosures)
+
+
+def _some(columns: _Columns, rows: NDArray[np.bool_]) -> _Columns:
+    """Some rows of all arrays."""
     every = vars(columns).items()
-    return {name: column[rows] for name, column in every if isinstance(column, np.ndarray)}
+    some: dict[str, Any] = {k: v[rows] for k, v in every if isinstance(v, np.ndarray)}
+    return replace(columns, **some)
 
 
 def _same(one: Any, other: Any) -> bool:

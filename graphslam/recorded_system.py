@@ -21,6 +21,7 @@ from graphslam.linear_problem import (
     LinearProblem,
     LinearRelations,
     LinearSurvey,
+    divided,
     whiten,
 )
 
@@ -173,13 +174,7 @@ def _whitened(covariance: Array, *arrays: Array) -> tuple[Array | None, tuple[Ar
         return None, whiten(covariance, *arrays)
     sigma = np.where(exact, 0.0, 1.0)
     root = np.where(exact, 1.0, np.sqrt(np.maximum(variance, _NOTHING)))
-    turned = scale[:, :, None] * direction * root[:, None, :]
-    whitened = []
-    for array in arrays:
-        columns = array if array.ndim == 3 else array[..., None]
-        rows = np.linalg.solve(turned, columns)
-        whitened.append(rows if array.ndim == 3 else rows[..., 0])
-    return sigma, tuple(whitened)
+    return sigma, divided(scale[:, :, None] * direction * root[:, None, :], *arrays)
 
 
 def _compose(steps: RecordedSteps, until: Index) -> RecordedSteps:

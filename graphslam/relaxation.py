@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
 
 from graphslam.arrays import Array, Index
 from graphslam.problem import SlamProblem
+from graphslam.sparse_system import factorised
 
 Complex = NDArray[np.complex128]
 Term = tuple[Index, Complex | complex]
@@ -60,14 +60,7 @@ class _Equations:
         entry = np.concatenate(self.entry)
         system = csc_matrix((entry, (np.concatenate(self.row), np.concatenate(self.column))), shape)
         adjoint = system.conj().T.tocsc()
-        normal = (adjoint @ system).tocsc()
-        factor = splu(
-            normal,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        solution: Complex = factor.solve(adjoint @ np.concatenate(self.value))
+        solution: Complex = factorised(adjoint @ system).solve(adjoint @ np.concatenate(self.value))
         if not np.isfinite(solution).all():
             raise RuntimeError("the relaxed problem is singular")
         return solution
@@ -161,5 +154,4 @@ def _absolute(equations: _Equations, problem: SlamProblem, turned: Complex | Non
 
 def _isotropic(covariance: Array) -> Array:
     """(N,) weights from covariances (N, 2, 2)."""
-    weight: Array = (0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])) ** -0.5
-    return weight
+    return (0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])) ** -0.5

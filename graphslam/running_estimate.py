@@ -81,8 +81,7 @@ class RunningEstimate:
         """(2 n, 2 n) covariance of the expected measurements of landmarks (n,), noise left out."""
         columns = _columns(landmark_indices)
         flat = _stacked(landmark_indices, landmark_indices, jacobian)
-        result: Array = flat @ self.covariance[np.ix_(columns, columns)] @ flat.T
-        return result
+        return flat @ self.covariance[np.ix_(columns, columns)] @ flat.T
 
     def learn(self, landmark_indices: Index, z: Array, variance: Array) -> None:
         """Narrow by measurements (m, 2) with variances (m, 2) of landmarks (m,)."""

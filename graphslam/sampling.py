@@ -33,6 +33,7 @@ from graphslam.chain_diagnostics import (
     Estimated,
     chain_evidence,
     estimated,
+    half_chains,
     monte_carlo_error,
 )
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, build_graph, to_tangent, to_values
@@ -458,14 +459,12 @@ def _before(heading: Array) -> Array:
 
 def _after(terms: Array) -> Array:
     """Sums of terms (K, ...) from each row to the last."""
-    sums: Array = np.cumsum(terms[::-1], axis=0)[::-1]
-    return sums
+    return np.cumsum(terms[::-1], axis=0)[::-1]
 
 
 def _cross(places: Array, forces: Array) -> Array:
     """Moments (N, C) about the origin of forces at places, (N, w, C) each."""
-    moments: Array = places[:, 0] * forces[:, 1] - places[:, 1] * forces[:, 0]
-    return moments
+    return places[:, 0] * forces[:, 1] - places[:, 1] * forces[:, 0]
 
 
 def _turned(places: Array, heading_rad: Array) -> Array:
@@ -611,9 +610,8 @@ class PosteriorDraws:
         """
         self._check()
         apart = self.draws - self.draws.mean(axis=(0, 1))
-        half = apart.shape[1] // 2
-        halves = np.concatenate((apart[:, :half], apart[:, -half:]))
-        squares = np.einsum("cni,cnj->cij", halves, halves) / half
+        halves = half_chains(apart)
+        squares = np.einsum("cni,cnj->cij", halves, halves) / halves.shape[1]
         flat = apart.reshape(-1, apart.shape[2])
         covariance: Array = flat.T @ flat / (len(flat) - 1.0)
         return covariance, squares.std(axis=0, ddof=1) / np.sqrt(len(squares))

@@ -296,6 +296,9 @@ def _result(
         why = explain_singularity(graph, best.values)
         raise SingularProblemError(why or "the measurements do not fix every pose and landmark")
     poses, landmarks = from_values(best.values, problem)
+    dof = problem.residual_dimension - problem.state_dimension
+    if _reweighted(problem, options.kernel):
+        dof = 0  # a kernel has changed the residuals, so that chi-square says nothing
     return SmootherResult(
         options=options,
         problem=problem,
@@ -307,7 +310,7 @@ def _result(
         starts=tuple(Start(a.name, a.error, a.iterations, a.converged) for a in search.attempts),
         optimality=Optimality(
             stationarity=stationarity(graph, best.values),
-            chi_square=chi_square_test(best.error, _degrees_of_freedom(problem, options.kernel)),
+            chi_square=chi_square_test(best.error, dof),
             agreeing=tuple(attempt.name for attempt in search.agreeing()),
             agreed=search.agreed,
             exploration=exploration,
@@ -364,13 +367,6 @@ def _along(result: SmootherResult, followed: _Followed) -> SmootherResult:
         optimality=replace(result.optimality, distance_sigma=_distance(result, followed)),
         lagged=followed.lagged,
     )
-
-
-def _degrees_of_freedom(problem: SlamProblem, kernel: str) -> int:
-    """0 where a kernel has changed the residuals, so that chi-square says nothing."""
-    if _reweighted(problem, kernel):
-        return 0
-    return problem.residual_dimension - problem.state_dimension
 
 
 def _reweighted(problem: SlamProblem, kernel: str) -> bool:

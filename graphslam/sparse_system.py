@@ -5,6 +5,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.linalg import SuperLU, splu
 
 from graphslam.arrays import Array
 
@@ -32,6 +33,16 @@ def sparse_system(
     right = np.zeros(height)
     right[row[~inside]] = value[~inside]
     return jacobian, right
+
+
+def factorised(normal: csr_matrix) -> SuperLU:
+    """Return the factors of a normal matrix (n, n). Raises RuntimeError where it is singular."""
+    return splu(
+        normal.tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
 
 
 def column_lengths(jacobian: csr_matrix) -> Array:

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 
 from graphslam.arrays import Array
-from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, graph_of
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
 
@@ -41,13 +41,11 @@ class Surroundings:
         poses = np.union1d(np.flatnonzero(own), np.concatenate((steps, steps + 1)))
         others = np.setdiff1d(problem.measurement_landmark[rows], landmark)
         self._key = LANDMARK_KEY + landmark
-        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         fixes = np.flatnonzero(own[problem.position_pose])
         prior = np.flatnonzero(own[:1])
-        for index in np.concatenate(
-            (prior, 1 + steps, count + rows, count + len(measured) + fixes)
-        ).tolist():
-            self._graph.push_back(graph.at(index))
+        own_factors = (prior, 1 + steps, count + rows, count + len(measured) + fixes)
+        self._graph = graph_of(map(graph.at, np.concatenate(own_factors).tolist()))
+        self._values = gtsam.Values()
         pinned = gtsam.noiseModel.Isotropic.Sigma(3, PINNED)
         for k in poses.tolist():
             pose = values.atPose2(POSE_KEY + k)

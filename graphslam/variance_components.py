@@ -19,13 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, diags, identity
-from scipy.sparse.linalg import splu
 from scipy.special import gammaincinv
 
 from graphslam.arrays import Array, Index
 from graphslam.graph_builder import COMPONENTS, row_components
 from graphslam.smoother import SmootherResult
-from graphslam.sparse_system import column_lengths, scaled_columns, sparse_system
+from graphslam.sparse_system import column_lengths, factorised, scaled_columns, sparse_system
 
 _DRAWS = 6
 """Random signs with which the norms of W's blocks are estimated: 41 % of one value, over a block of
@@ -115,10 +114,7 @@ def _changes(
 ) -> tuple[Array, Array]:
     """(g,) factors of the groups' variances, and their equivalent degrees of freedom."""
     jacobian = scaled_columns(jacobian, column_lengths(jacobian))
-    normal = (jacobian.T @ jacobian + _RIDGE * identity(jacobian.shape[1])).tocsc()
-    solve = splu(
-        normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    ).solve
+    solve = factorised(jacobian.T @ jacobian + _RIDGE * identity(jacobian.shape[1])).solve
 
     def left(errors: Array) -> Array:
         rest: Array = errors - jacobian @ solve(jacobian.T @ errors)

@@ -16,7 +16,7 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, LandmarkKind
 
 if TYPE_CHECKING:
-    from ekf_reference.association.dynamic_rejection import DynamicGuard
+    from ekf_reference.core.measurements import DynamicGuard
 
 T = TypeVar("T")
 

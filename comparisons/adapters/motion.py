@@ -35,7 +35,7 @@ def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
     """Body-frame displacements and covariances of all steps, by graphslam's vehicle models."""
     odometry = log.odometry
     if isinstance(odometry, RelativePoses):
-        return increments.relative_pose_samples(timeline.control, timeline.control_covariance)
+        return increments.Samples(timeline.control, timeline.control_covariance)
     return wheel_samples(odometry, timeline.control.T, timeline.step_duration_s, log.integration)
 
 

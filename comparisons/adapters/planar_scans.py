@@ -47,13 +47,8 @@ class PlanarScans:
         near = (distance >= self._options.least_range_m) & (distance <= self._most)
         if not self._flat:
             near &= _nearest(bearing, distance)
-        return Scan.of_ranges(
-            planar.compose(vehicle, self._mount),
-            bearing[near],
-            distance[near],
-            self.sensor,
-            number,
-        )
+        pose = planar.compose(vehicle, self._mount)
+        return Scan.of_ranges(pose, bearing[near], distance[near], self.sensor)
 
 
 def view_to(scans: Scans, reach_m: float) -> View:

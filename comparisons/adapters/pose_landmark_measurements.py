@@ -18,7 +18,7 @@ from graphslam.graph_builder import right_perturbation
 from graphslam.problem import Merges, PoseLandmarkMeasurements
 
 if TYPE_CHECKING:
-    from ekf_reference.association.dynamic_rejection import DynamicGuard
+    from ekf_reference.core.measurements import DynamicGuard
 
 
 class PoseLandmarkRecorder:
@@ -43,7 +43,7 @@ class PoseLandmarkRecorder:
         self, ekf: Ekf, epoch: int, first: int, second: int, z: Array, covariance: Array
     ) -> LocalMap:
         """Fuse two that are one; see merge_landmarks."""
-        from ekf_reference.scan_landmarks.merge_update import merge_landmarks
+        from ekf_reference.scan_landmarks.merging import merge_landmarks
 
         known = merge_landmarks(ekf, first, second, z, covariance)
         self._merges.append((epoch, first, second, z, covariance))

@@ -199,5 +199,4 @@ def same_tail(gate: float, dof: Index) -> Array:
     """
     more = np.arange(3, int(dof.max(initial=2)) + 1)
     wider = 2.0 * gammainccinv(0.5 * more, math.exp(-0.5 * gate))
-    bounds: Array = np.concatenate((np.full(3, gate), wider))[dof]
-    return bounds
+    return np.concatenate((np.full(3, gate), wider))[dof]

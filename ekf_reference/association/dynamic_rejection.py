@@ -8,29 +8,14 @@ marginalised out. They stay in the state, so that the compressed filter still eq
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
 from ekf_reference.association.distances import landmarks_around
-from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import MeasurementModel
-from ekf_reference.core.measurements import DYNAMIC, Association, Measurements
+from ekf_reference.core.measurements import DYNAMIC, Association, DynamicGuard, Measurements
 from ekf_reference.core.state import KalmanState
-
-
-class DynamicGuard(Protocol):
-    """Tells where things move."""
-
-    def is_dynamic(self, point: Array) -> Mask:
-        """Return which points lie in a dynamic region.
-
-        Args:
-            point: (N, 2) east, north [m].
-
-        Returns:
-            (N,).
-        """
 
 
 @dataclass
@@ -50,8 +35,6 @@ class DynamicRejection:
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign by the rule; DYNAMIC: in a dynamic region, or of a closed landmark index."""
         landmark_indices = np.full(len(seen), DYNAMIC, dtype=np.intp)
-        if not len(seen):
-            return landmark_indices
         around = landmarks_around(state, model, seen)
         self.deactivated.update(
             around.landmark_index[self.guard.is_dynamic(around.landmark)].tolist()

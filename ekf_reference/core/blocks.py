@@ -37,8 +37,7 @@ def diagonal_blocks(matrix: Array, m: int) -> Array:
         (m, r, w).
     """
     which = np.arange(m)
-    blocks: Array = matrix.reshape(m, len(matrix) // m, m, -1)[which, :, which]
-    return blocks
+    return matrix.reshape(m, len(matrix) // m, m, -1)[which, :, which]
 
 
 def block_diagonal(blocks: Array) -> Array:

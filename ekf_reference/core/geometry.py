@@ -13,25 +13,24 @@ Mask = NDArray[np.bool_]
 
 
 def wrap_angle(angle_rad: Array) -> Array:
-    """Wrap angles to (-pi, pi].
-
-    Args:
-        angle_rad: Of any shape [rad].
-
-    Returns:
-        The same shape. -pi becomes pi.
-    """
+    """Return angle_rad, of any shape, wrapped to (-pi, pi]; -pi becomes pi."""
     return math.pi - np.mod(math.pi - angle_rad, 2.0 * math.pi)
 
 
 def rotation(heading_rad: float) -> Array:
-    """Return the rotation that turns vectors of a frame with this heading into the map's.
+    """Return R (2, 2) with v_world = R v_frame.
 
-    Args:
-        heading_rad: Counter-clockwise from east [rad].
-
-    Returns:
-        (2, 2), R with v_world = R v_frame.
+    heading_rad: of the frame, counter-clockwise from east.
     """
     cos, sin = math.cos(heading_rad), math.sin(heading_rad)
     return np.array([[cos, -sin], [sin, cos]])
+
+
+def to_frame(pose: Array, point: Array) -> Array:
+    """Return each point (N, 2) of the world in the frame of a pose (3,)."""
+    return (point - pose[:2]) @ rotation(float(pose[2]))
+
+
+def to_world(pose: Array, point: Array) -> Array:
+    """Return each point (N, 2) of the frame of a pose (3,) in the world."""
+    return point @ rotation(float(pose[2])).T + pose[:2]

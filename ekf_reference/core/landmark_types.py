@@ -5,10 +5,8 @@ layout, among the filter's models, which predict and invert its measurements, an
 Nothing else depends on the kind.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -44,7 +42,7 @@ class NewLandmarks(NamedTuple):
     jacobian_z: Array
 
     @classmethod
-    def independent(cls, landmark: Array, p: int) -> NewLandmarks:
+    def independent(cls, landmark: Array, p: int) -> Self:
         """Return landmarks that have nothing to do with the pose; their noise is their own.
 
         Args:

@@ -1,14 +1,12 @@
 """The measurements of one instant, and the interface of the rules that associate them."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.core.landmark_types import POINT, LandmarkKind, MeasurementModel
 from ekf_reference.core.state import KalmanState
 
@@ -32,18 +30,11 @@ class MeasuredAttributes:
     value: Array
     variance: Array
 
-    def take(self, rows: Index) -> MeasuredAttributes:
-        """Return some rows.
-
-        Args:
-            rows: (k,) of the measurements.
-
-        Returns:
-            Attributes of these.
-        """
+    def take(self, rows: Index) -> Self:
+        """Return some rows (k,)."""
         if not self.value.size:
             return self
-        return MeasuredAttributes(self.value[rows], self.variance[rows])
+        return replace(self, value=self.value[rows], variance=self.variance[rows])
 
 
 NOT_MEASURED = MeasuredAttributes(np.zeros((1, 0)), np.zeros((1, 0)))
@@ -72,15 +63,8 @@ class Measurements:
         """Return the number of measurements."""
         return len(self.z)
 
-    def take(self, rows: Index) -> Measurements:
-        """Return some rows.
-
-        Args:
-            rows: (k,) of the measurements.
-
-        Returns:
-            These, of the same instant.
-        """
+    def take(self, rows: Index) -> Self:
+        """Return some rows (k,), of the same instant."""
         own = {name: getattr(self, name)[rows] for name in ("z", "noise", "identity")}
         return replace(self, **own, attributes=self.attributes.take(rows))
 
@@ -100,3 +84,10 @@ class Association(Protocol):
             (m,) landmark indices of the state, or negative codes of what is not used. Indices from
             the present landmark count upward name new landmarks, in order.
         """
+
+
+class DynamicGuard(Protocol):
+    """Tells where things move."""
+
+    def is_dynamic(self, point: Array) -> Mask:
+        """Return whether each point (N, 2) east, north [m] lies in a dynamic region (N,)."""

@@ -1,9 +1,7 @@
 """A packed tree of boxes: which of many boxes does a point or a box meet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -33,7 +31,7 @@ class BoxTree:
     levels: tuple[Array, ...]
 
     @classmethod
-    def pack(cls, box: Array, order: Index) -> BoxTree:
+    def pack(cls, box: Array, order: Index) -> Self:
         """A tree over boxes (n, 4) in a given order (n,), neighbours close to each other.
 
         A box that is not a number is empty, and its neighbours' hull is theirs alone.

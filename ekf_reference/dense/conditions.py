@@ -75,8 +75,7 @@ def ellipse_margin(triangle: Array, covariance: Array) -> Array:
 def _ratio(size: Array, sigma: Array) -> Array:
     """Size in sigmas, infinite where there is no uncertainty."""
     certain = sigma <= 0.0
-    ratio: Array = np.where(certain, np.inf, size / np.where(certain, 1.0, sigma))
-    return ratio
+    return np.where(certain, np.inf, size / np.where(certain, 1.0, sigma))
 
 
 def smallest_angle(triangle: Array) -> Array:
@@ -129,14 +128,12 @@ class Conditions:
 
     def highly_correlated(self, covariance: Array) -> Mask:
         """Which points (2 m, 2 m) [m^2] meet it as the thesis has it, by correlation; (m, m)."""
-        alike: Mask = coordinate_correlation(covariance) >= self.least_correlation
-        return alike
+        return coordinate_correlation(covariance) >= self.least_correlation
 
     def well_conditioned(self, triangle: Array, covariance: Array) -> Mask:
         """Which triangles (C, 3, 2) with covariances (C, 6, 6) keep their shape; (C,)."""
         wide = smallest_angle(triangle) >= self.least_angle_rad
-        safe: Mask = wide & (self.margin(triangle, covariance) >= self.flip_sigmas)
-        return safe
+        return wide & (self.margin(triangle, covariance) >= self.flip_sigmas)
 
 
 def overlap(first: Array, second: Array) -> Mask:

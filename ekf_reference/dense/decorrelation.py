@@ -42,8 +42,7 @@ def local_cross_covariance(
     P_jb. with_point: (k, 2) P_jG. Raises DegenerateTriangleError.
     """
     h = local_jacobians(triangle, point)
-    cross: Array = with_landmarks @ h.by_landmarks.T + with_point @ h.by_point.T
-    return cross
+    return with_landmarks @ h.by_landmarks.T + with_point @ h.by_point.T
 
 
 def correlations(triangle: Array, point: Array, covariance: Array) -> Correlations:
@@ -79,8 +78,7 @@ def passive_change(
     local_cross_covariance, transposed. jacobian: (m, c). innovation_covariance: (m, m).
     innovation: (m,), wrapped.
     """
-    change: Array = cross @ jacobian.T @ np.linalg.solve(innovation_covariance, innovation)
-    return change
+    return cross @ jacobian.T @ np.linalg.solve(innovation_covariance, innovation)
 
 
 def displacements(

@@ -16,10 +16,8 @@ never less than it and less than 1.4 of it for any coordinate, with a third to t
 of the motion (test_waiting_oracle.py derives it exactly; 1.13 and 1.25 in two simulated drives).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -83,7 +81,7 @@ class Points(NamedTuple):
     back: Array
 
     @classmethod
-    def none(cls) -> Points:
+    def none(cls) -> Self:
         """No points."""
         index = np.empty(0, dtype=np.intp)
         two = np.empty((0, 2))

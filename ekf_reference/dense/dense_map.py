@@ -101,7 +101,7 @@ class DenseMap:
         )
         if self.waiting is not None:
             behind = self._make_virtual(view, landmark_index, self.waiting)
-            if len(made) or len(behind):
+            if len(made) or behind:
                 self._fuse_late(view, self.waiting)
             self._potential = self.regions.potential(
                 self.landmark, landmark_index, view.pose, view.joint(landmark_index)
@@ -176,22 +176,16 @@ class DenseMap:
 
     def _make_virtual(
         self, view: FilterView, landmark_index: Index, waiting: DelayedInitialisation
-    ) -> Index:
-        """Regions with virtual corners for what has waited too long."""
-        none = np.empty(0, dtype=np.intp)
-        if not self.virtual:
-            return none
+    ) -> int:
+        """Make regions with virtual corners for what has waited too long; how many."""
         overdue = waiting.overdue(view, self.tally.scans)
-        if len(overdue) < self.least_points:
-            return none
-        return self.regions.extend_virtual(
-            self.landmark,
-            landmark_index,
-            view.pose,
-            view.joint(landmark_index),
-            overdue,
-            self.least_points,
+        if not self.virtual or len(overdue) < self.least_points:
+            return 0
+        joint, least = view.joint(landmark_index), self.least_points
+        made = self.regions.extend_virtual(
+            self.landmark, landmark_index, view.pose, joint, overdue, least
         )
+        return len(made)
 
     def _fuse_late(self, view: FilterView, waiting: DelayedInitialisation) -> None:
         placed = self.place(view)

@@ -138,9 +138,7 @@ class DynamicLayer:
         sigma_m = max(self.grid.update.sigma_m(scan), self.resolution_m)
         for region in near.tolist():
             grid = self.grid.grids[region]
-            old = before.get(region)
-            if old is None:
-                old = np.zeros_like(grid.odds)
+            old = before.get(region, np.zeros_like(grid.odds))
             if not np.array_equal(old, grid.odds):
                 self._seen(region, old, placed.triangle[region], sigma_m, time_s)
 
@@ -321,5 +319,4 @@ class LowPass:
         """The average around every cell, of values over the region's cells (along a, along b)."""
         rows, columns = value.shape
         smooth = np.fft.irfft2(np.fft.rfft2(value, self.size) * self.spectrum, self.size)
-        average: Array = smooth[:rows, :columns] / self.inside
-        return average
+        return smooth[:rows, :columns] / self.inside

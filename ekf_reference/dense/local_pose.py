@@ -5,9 +5,7 @@ axis from L1 to L2, heading as in 3.28. Then a point's place in the frame is the
 with the measurement (3.29), and the third landmark does not matter.
 """
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -27,7 +25,7 @@ class Frames(NamedTuple):
     turn: Array
 
     @classmethod
-    def of(cls, first: Array, second: Array) -> Frames:
+    def of(cls, first: Array, second: Array) -> Self:
         """Of landmarks (..., 2) and (..., 2) [m]."""
         ahead = second - first
         ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)

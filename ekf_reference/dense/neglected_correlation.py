@@ -13,7 +13,6 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
-from ekf_reference.core.layout import Layout
 from ekf_reference.dense.layers.gaussians import largest_sigma
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import global_jacobians, to_local, turned
@@ -41,26 +40,16 @@ def neglected_covariance(view: FilterView, carriers: Carriers, point: Array) -> 
     point: (k, 2) [m]. NaN where a carrier's covariance is not current (compressed filters).
     """
     landmark_index, share = carriers
-    k, m = landmark_index.shape
-    place = np.minimum(
-        np.searchsorted(view.landmark_index, landmark_index), max(len(view.landmark_index) - 1, 0)
-    )
-    current = (
-        (view.landmark_index[place] == landmark_index).all(axis=1)
-        if len(view.landmark_index)
-        else np.zeros(k, bool)
-    )
-    size = Layout.packed(3, m).size
-    columns = np.empty((k, size), dtype=np.intp)
-    columns[:, :3] = np.arange(3)
-    columns[:, 3::2] = view.layout.first[POINT][place] if len(view.landmark_index) else 3
-    columns[:, 4::2] = columns[:, 3::2] + 1
-    by_state = np.empty((k, 2, size))
+    current = np.isin(landmark_index, view.landmark_index).all(axis=1)
+    first = np.full(len(view.landmark), 0)
+    first[view.landmark_index] = view.layout.first[POINT]
+    place = (first[landmark_index][..., None] + (0, 1)).reshape(-1, share.shape[2])
+    columns = np.hstack((np.tile(np.arange(3), (len(point), 1)), place))
+    by_state = np.empty((len(point), 2, columns.shape[1]))
     by_state[:, :, :2] = np.eye(2)
     by_state[:, :, 2] = turned(point - view.pose[:2])
     by_state[:, :, 3:] = -share
     by_state[~current] = np.nan
-    columns[~current] = 0
     joint = view.covariance[columns[:, :, None], columns[:, None, :]]
     spread: Array = by_state @ joint @ by_state.transpose(0, 2, 1)
     return spread

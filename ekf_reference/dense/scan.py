@@ -1,9 +1,8 @@
 """One planar scan, placed in the world, as the layers of a dense map read it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +62,7 @@ class Sensor:
         along = self.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
         side = turned(ray)
         across = (range_m * self.sigma_bearing_rad) ** 2
-        spread: Array = along + across[:, None, None] * side[:, :, None] * side[:, None, :]
-        return spread
+        return along + across[:, None, None] * side[:, :, None] * side[:, None, :]
 
     @property
     def reach_rad(self) -> float:
@@ -91,24 +89,16 @@ class Scan:
     """The returns of one scan. pose: (3,) of the scanner in the world.
 
     bearing_rad: (B,) ascending, in [-pi, pi), from the scanner's ahead. range_m: (B,) finite,
-    above zero. number: of the scan, not decreasing.
+    above zero.
     """
 
     pose: Array
     bearing_rad: Array
     range_m: Array
     sensor: Sensor
-    number: int = 0
 
     @classmethod
-    def of_ranges(
-        cls,
-        pose: Array,
-        bearing_rad: Array,
-        range_m: Array,
-        sensor: Sensor,
-        number: int = 0,
-    ) -> Scan:
+    def of_ranges(cls, pose: Array, bearing_rad: Array, range_m: Array, sensor: Sensor) -> Self:
         """From beams in any order (B,). What is not finite or not above zero is no return.
 
         A beam without a return says nothing: it may have met no surface, or one that absorbs.
@@ -123,7 +113,6 @@ class Scan:
             bearing_rad=bearing[order],
             range_m=range_m[returned][order],
             sensor=sensor,
-            number=number,
         )
 
     @property

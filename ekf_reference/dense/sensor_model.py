@@ -45,8 +45,7 @@ class InverseSensorModel:
         level = 1.0 - 2.0 * np.exp(-0.5 * exponent)
         occupied = (1.0 - self.p_occupied) + (self.p_occupied - 0.5) * (1.0 - level)
         free = np.where(ahead_m > 0.0, 0.5 + (self.p_free - 0.5) * level, 0.5)
-        result: Array = np.where(level <= 0.0, occupied, free)
-        return result
+        return np.where(level <= 0.0, occupied, free)
 
 
 def log_odds(probability: Array | float) -> Array:

@@ -42,8 +42,7 @@ def determinant(triangle: Array) -> Array:
     The trap is its sign: Delta = b x a is *negative* where L1, L2, L3 run counter-clockwise.
     """
     a, b = axes(triangle)
-    delta: Array = b[..., 0] * a[..., 1] - b[..., 1] * a[..., 0]
-    return delta
+    return b[..., 0] * a[..., 1] - b[..., 1] * a[..., 0]
 
 
 def is_degenerate(triangle: Array) -> Mask:
@@ -52,8 +51,7 @@ def is_degenerate(triangle: Array) -> Mask:
     for corner in range(3):
         edge = triangle[..., corner, :] - triangle[..., corner - 1, :]
         longest = np.maximum(longest, edge[..., 0] * edge[..., 0] + edge[..., 1] * edge[..., 1])
-    flat: Mask = ~(np.abs(determinant(triangle)) > FLATTEST * longest)
-    return flat
+    return ~(np.abs(determinant(triangle)) > FLATTEST * longest)
 
 
 def circumradius(triangle: Array) -> Array:
@@ -87,8 +85,7 @@ def solve(triangle: Array, point: Array) -> Array:
 def to_global(triangle: Array, local: Array) -> Array:
     """Points (..., 2) [m] at local coordinates (..., 2) (Nieto 2005, eqs. 3.7, C.2)."""
     a, b = axes(triangle)
-    point: Array = triangle[..., 0, :] + local[..., :1] * a + local[..., 1:] * b
-    return point
+    return triangle[..., 0, :] + local[..., :1] * a + local[..., 1:] * b
 
 
 def contains(local: Array, tolerance: float = 0.0) -> Mask:
@@ -171,8 +168,7 @@ def local_covariance(triangle: Array, point: Array, covariance: Array) -> Array:
     """
     j = local_jacobians(triangle, point)
     jacobian = np.concatenate((j.by_landmarks, j.by_point), axis=-1)
-    result: Array = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
-    return result
+    return jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
 
 
 def turned(vector: Array) -> Array:

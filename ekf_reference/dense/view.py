@@ -1,9 +1,8 @@
 """What dense mapping reads of a filter. Nothing here, or behind it, writes to the filter."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -33,7 +32,7 @@ class FilterView:
     covariance: Array
 
     @classmethod
-    def of(cls, ekf: Ekf, kinds: tuple[LandmarkKind, ...] = (POINT,)) -> FilterView:
+    def of(cls, ekf: Ekf, kinds: tuple[LandmarkKind, ...] = (POINT,)) -> Self:
         """The filter as it is now, whatever it keeps its pose as. kinds: of landmarks."""
         reading = ekf.read_pose()
         seen = [ekf.state.snapshot(kind) for kind in kinds]
@@ -62,8 +61,7 @@ class FilterView:
     def joint(self, landmark_index: Index) -> Array:
         """(3 + 2 k, 3 + 2 k) covariance of the pose and landmarks (k,) among `landmark_index`."""
         columns = self.layout.columns(np.searchsorted(self.landmark_index, landmark_index))
-        part: Array = self.covariance[columns[:, None], columns]
-        return part
+        return self.covariance[columns[:, None], columns]
 
 
 def numbered(

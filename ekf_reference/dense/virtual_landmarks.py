@@ -34,8 +34,7 @@ class VirtualLandmarks:
         (L1 + L2) / 2 + depth R90 (L2 - L1), so NaN with either of them.
         """
         first, second = landmark[self.pair[:, 0]], landmark[self.pair[:, 1]]
-        point: Array = 0.5 * (first + second) + self.depth[:, None] * turned(second - first)
-        return point
+        return 0.5 * (first + second) + self.depth[:, None] * turned(second - first)
 
     def jacobian(self) -> Array:
         """Their derivative (V, 2, 4) by L1x, L1y, L2x, L2y; exact, since they are linear."""

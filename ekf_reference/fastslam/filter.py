@@ -153,8 +153,7 @@ class FastSlam:
 
     def mean_pose(self) -> Array:
         """Return the weighted mean (3,) of the predicted particles, its heading unwrapped."""
-        found: Array = self.weight @ self.predicted_pose()
-        return found
+        return self.weight @ self.predicted_pose()
 
     def sample_motion(self) -> None:
         """Sample the motion since the last sampled pose, without a measurement (eq. 2.9)."""

@@ -79,7 +79,3 @@ class CloudHistory:
         ordered = np.sort(self.ancestors(), axis=1)
         found: Index = 1 + np.count_nonzero(np.diff(ordered, axis=1), axis=1)
         return found
-
-    def paths(self) -> Array:
-        """Return the paths (K, N, 3) of the particles of the last cloud."""
-        return np.stack([p[a] for p, a in zip(self.pose, self.ancestors(), strict=True)])

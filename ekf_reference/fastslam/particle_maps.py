@@ -157,8 +157,7 @@ class ParticleMaps:
         gap = np.maximum(low - point[:, None], point[:, None] - high)
         gap = np.maximum(gap, 0.0)
         close = (gap * gap).sum(axis=2) <= (reach_m * reach_m)[:, None]
-        found: Index = used[np.any(close, axis=0)]
-        return found
+        return used[np.any(close, axis=0)]
 
     @staticmethod
     def _local(pose: Array, place: Array) -> Array:

@@ -147,8 +147,7 @@ class OwnAxesObservation:
 
     def range_m(self, z: Array) -> Array:
         """Return the distances (m,) from the vehicle."""
-        distance: Array = np.hypot(z[:, 0], z[:, 1])
-        return distance
+        return np.hypot(z[:, 0], z[:, 1])
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         """Return H x and H for landmarks (m, 2) from a pose (4,) (eqs. 9 and 12)."""
@@ -249,8 +248,7 @@ class UnitCircle(Chart):
 
     def reset(self, pose: Array, step: Array) -> Array:
         """Turn the error along the circle with the pair, and drop the other."""
-        jacobian: Array = along_circle(self.plus(pose, step)) @ along_circle(pose).T
-        return jacobian
+        return along_circle(self.plus(pose, step)) @ along_circle(pose).T
 
 
 @dataclass(frozen=True)

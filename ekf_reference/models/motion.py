@@ -4,11 +4,9 @@ Every model is SE(2)-equivariant (moving the start moves the result alike), whic
 smoother compose the same steps into one body-frame increment without losing information.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -34,18 +32,11 @@ class MotionStep(NamedTuple):
     @classmethod
     def by(
         cls, pose: Array, east: float, north: float, turn: float, jacobian_control: Array
-    ) -> MotionStep:
-        """Return the step that moves and turns a pose by known amounts.
+    ) -> Self:
+        """Return the step that moves a pose (3,) by known amounts.
 
-        Args:
-            pose: (3,) x, y, heading at the departure.
-            east: Displacement in the map [m].
-            north: Displacement in the map [m].
-            turn: [rad], added without wrapping.
-            jacobian_control: (3, m), df/du.
-
-        Returns:
-            The step, with the Jacobian by the pose that every SE(2)-equivariant model has.
+        east, north: in the map [m]. turn: [rad], added without wrapping. jacobian_control: (3, m),
+        df/du. The Jacobian by the pose is that of every SE(2)-equivariant model.
         """
         by_pose = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
         return cls(pose + (east, north, turn), by_pose, jacobian_control)

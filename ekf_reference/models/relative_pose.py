@@ -20,8 +20,7 @@ class RelativePose(MeasurementModel):
 
     def range_m(self, z: Array) -> Array:
         """Return the distances (m,)."""
-        distance: Array = np.hypot(z[:, 0], z[:, 1])
-        return distance
+        return np.hypot(z[:, 0], z[:, 1])
 
     def predict(self, T_world_vehicle: Array, T_world_landmark: Array) -> PredictedMeasurements:
         """Predict the measurements of poses (m, 3) from a pose (3,)."""

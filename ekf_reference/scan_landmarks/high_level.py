@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from ekf_reference.core.geometry import Array, Index, Mask, rotation
+from ekf_reference.core.geometry import Array, Index, Mask, to_frame
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.regions_at_map import RegionsAtMap
@@ -165,18 +165,6 @@ def overlapping(first: Array, second: Array) -> bool:
     return True
 
 
-def to_frame(pose: Array, point: Array) -> Array:
-    """Points (N, 2) of the world in the frame of a pose (3,)."""
-    local: Array = (point - pose[:2]) @ rotation(float(pose[2]))
-    return local
-
-
-def to_world(pose: Array, point: Array) -> Array:
-    """The inverse."""
-    place: Array = point @ rotation(float(pose[2])).T + pose[:2]
-    return place
-
-
 def _corners(around: Around, o: SearchOptions) -> Array:
     """(C, 2) in the world."""
     steps = np.arange(2 * int(o.reach_m / o.cell_m) + 1)
@@ -251,8 +239,7 @@ def harris(occupied: Array, cell_m: float, trace: float = 0.06, least: float = 0
     row = np.argwhere(peak)
     row = row[np.argsort(-height[peak], kind="stable")]
     point = cell_m * (row + _offset(height, row))
-    corner: Array = point[_apart(point, _APART_M)]
-    return corner
+    return point[_apart(point, _APART_M)]
 
 
 def _response(value: Array, cell_m: float, trace: float) -> Array:

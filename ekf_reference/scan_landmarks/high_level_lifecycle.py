@@ -15,17 +15,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_reference.core.ekf import NEW, Ekf
-from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.geometry import Array, Index, to_world
 from ekf_reference.core.landmark_types import POSE
+from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.relative_pose import RelativePose
-from ekf_reference.scan_landmarks.high_level import Found, to_world
+from ekf_reference.scan_landmarks.high_level import Found
 from ekf_reference.scan_landmarks.scan_slam import GATE, MOVES, predicted_frames
 from ekf_reference.scan_landmarks.templates import (
     APART,
     BLANK,
-    DynamicPlaces,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -107,7 +107,7 @@ class HighLevelLandmarks:
     variance_factor: float = 4.0
     landmark: list[HighLevelLandmark] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
-    guard: DynamicPlaces | None = None
+    guard: DynamicGuard | None = None
     moving: set[int] = field(default_factory=set)
 
     def take(self, found: Found, base: Index, point: Array) -> None:

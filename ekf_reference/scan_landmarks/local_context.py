@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, rotation
+from ekf_reference.core.geometry import Array, rotation, to_frame, to_world
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.gaussians import Gaussians
-from ekf_reference.scan_landmarks.high_level import to_frame, to_world
 from ekf_reference.scan_landmarks.templates import Template
 from ekf_reference.scan_matching.sog import SumOfGaussians
 

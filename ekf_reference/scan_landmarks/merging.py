@@ -15,6 +15,7 @@ import numpy as np
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.landmark_types import POSE
+from ekf_reference.core.measurement_update import Linearised
 from ekf_reference.core.state import LocalMap
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.scan_slam import ScanSlam
@@ -30,8 +31,7 @@ class MergeSink(Protocol):
     """Receives, for a filter, the measurement that two of its landmarks are one."""
 
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
-        """See merge_update.merge_landmarks."""
-        ...
+        """See merge_landmarks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,10 +141,42 @@ class DuplicateMerging:
 def relative(ekf: Ekf, first: int, second: int) -> Pair:
     """Return the relative pose of two landmarks and its covariance (Nieto 2005, eq. 5.15)."""
     local = ekf.state.map_of(np.array((first, second), dtype=np.intp), POSE)
+    z, h = _second_in_first(local)
+    return Pair(first, second, z, h @ _joint(local) @ h.T)
+
+
+def _second_in_first(local: LocalMap) -> tuple[Array, Array]:
+    """Z (3,) of the second of two landmarks in the first's frame, and H (3, 6) by both."""
     at = _MODEL.predict(local.landmark[0], local.landmark[1:])
-    h = np.hstack((at.jacobian_pose[0], at.jacobian_landmark[0]))
-    joint = local.covariance[len(local.pose) :, len(local.pose) :]
-    return Pair(first, second, at.z[0], h @ joint @ h.T)
+    return at.z[0], np.hstack((at.jacobian_pose[0], at.jacobian_landmark[0]))
+
+
+def _joint(local: LocalMap) -> Array:
+    """(6, 6) covariance of two landmarks."""
+    return local.covariance[len(local.pose) :, len(local.pose) :]
+
+
+def merge_landmarks(ekf: Ekf, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
+    """Fuse where the second's frame is in the first's, and remove the second (section 5.2.3).
+
+    z: (3,) such as the alignment of their templates says, with covariance (3, 3); zero with little
+    covariance makes them equal. Returns the two as they were before the removal, to move what the
+    second's frame holds (`united`). Raises ValueError for one landmark, or one removed.
+    """
+    if first == second:
+        raise ValueError(f"landmark {first} is one already")
+    both = np.array((first, second), dtype=np.intp)
+
+    def linearise() -> Linearised:
+        local = ekf.state.map_of(both, POSE)
+        expected, h = _second_in_first(local)
+        jacobian = np.hstack((np.zeros((3, len(local.pose))), h))
+        return Linearised(local, jacobian, _MODEL.innovation(z, expected))
+
+    ekf.fuse(linearise, covariance[None], ekf.take_numbers("merge"), both[1:], first)
+    known = ekf.state.map_of(both, POSE)
+    ekf.remove(both[1:], POSE)
+    return known
 
 
 def united(first: Template, second: Template, known: LocalMap) -> SumOfGaussians:
@@ -153,10 +185,8 @@ def united(first: Template, second: Template, known: LocalMap) -> SumOfGaussians
     known: the two landmarks, as merge_landmarks returns them; the uncertainty between the frames
     is added to that of the second's Gaussians. Errata: see frames.
     """
-    joint = known.covariance[len(known.pose) :, len(known.pose) :]
-    mean, covariance = moved_gaussians(
-        known.landmark[0], known.landmark[1], joint, second.shape.mean, second.shape.covariance
-    )
+    (one, other), shape = known.landmark, second.shape
+    mean, covariance = moved_gaussians(one, other, _joint(known), shape.mean, shape.covariance)
     return SumOfGaussians.of_equal_height(
         np.concatenate((first.shape.mean, mean)),
         np.concatenate((first.shape.covariance, covariance)),

@@ -20,6 +20,7 @@ import numpy as np
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index, rotation, wrap_angle
 from ekf_reference.core.landmark_types import POSE
+from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.segmentation import quality
 from ekf_reference.scan_landmarks.template_extraction import (
@@ -30,7 +31,6 @@ from ekf_reference.scan_landmarks.template_extraction import (
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
-    DynamicPlaces,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -59,7 +59,6 @@ class MeasurementSink(Protocol):
 
     def observe(self, z: Array, covariance: Array, landmark_index: Index) -> Index:
         """See Ekf.observe_known."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,14 +153,9 @@ class ScanSlam:
     """Measures templates in scans and initialises new ones; the filter is the caller's."""
 
     def __init__(
-        self,
-        sensor: Sensor,
-        view: View,
-        mount: Array,
-        options: ScanSlamOptions | None = None,
-        seed: int = 0,
+        self, sensor: Sensor, view: View, mount: Array, options: ScanSlamOptions | None = None
     ) -> None:
-        """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials."""
+        """mount: (3,) of the scanner in the vehicle's frame."""
         self.sensor = sensor
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
@@ -173,8 +167,7 @@ class ScanSlam:
             self.options.belief,
         )
         self.found = ScanLandmarks()
-        self.guard: DynamicPlaces | None = None
-        self._seed = seed
+        self.guard: DynamicGuard | None = None
         self._last_seen: dict[int, int] = {}
         self._last_tried: Counter[int] = Counter()
         self._initialised = 0
@@ -292,7 +285,7 @@ class ScanSlam:
             ]
 
         # Anew for each scan: one trial more or less must not change the noise of all later ones.
-        rng = np.random.default_rng((self._seed, self.found.scans))
+        rng = np.random.default_rng((0, self.found.scans))
         for rows in o.extraction.found(scan, self.view, self._out()[0, :2], known):
             segment, trial = scan.take(rows), o.extraction.segmentation
             found = quality(segment, self.sensor, rng, trial, o.alignment, o.belief)

@@ -134,8 +134,7 @@ def quality(
 def _twice_as_long(segment: SumOfGaussians, sensor: Sensor) -> Array:
     """(N, 2, 2) covariances for pieces of surface twice as long, noise as it was."""
     noise = sensor.covariance(segment.mean, np.hypot(*segment.mean.T))
-    longer: Array = noise + 4.0 * (segment.covariance - noise)
-    return longer
+    return noise + 4.0 * (segment.covariance - noise)
 
 
 def _seen_again(segment: SumOfGaussians, sensor: Sensor, rng: np.random.Generator) -> Array:

@@ -1,13 +1,12 @@
 """Templates of landmarks, and their observation in scans (Nieto 2005, 5.2.1, 5.2.3 and 5.7)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Self
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, Index, Mask, rotation
+from ekf_reference.core.geometry import Array, Index, Mask, to_world
+from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.scan_matching.alignment_covariance import (
     CovarianceOptions,
     ScanAlignment,
@@ -37,13 +36,6 @@ MOVING_SHARE = 0.2
 (`dynamic-lanes`, car park) 11 had 0.07 or less, as at a region's edge, and 11 0.25 or more."""
 
 
-class DynamicPlaces(Protocol):
-    """Tells where things move."""
-
-    def is_dynamic(self, point: Array) -> Mask:
-        """Return which points (N, 2) of the world [m] lie in a dynamic region (N,)."""
-
-
 @dataclass(frozen=True)
 class Template:
     """A landmark's shape in its own axis, and where the axis was when it was made.
@@ -56,7 +48,7 @@ class Template:
     pose: Array
 
     @classmethod
-    def of_segment(cls, scan: SumOfGaussians, rows: Index) -> Template:
+    def of_segment(cls, scan: SumOfGaussians, rows: Index) -> Self:
         """Some returns of a scan in the vehicle's frame; the axis at their centroid (5.2.3).
 
         Raises ValueError for fewer than three returns, or all in one place: nothing in them
@@ -71,14 +63,13 @@ class Template:
         centre = part.centroid
         return cls(replace(part, mean=part.mean - centre), np.append(centre, 0.0))
 
-    def moves(self, axis: Array, places: DynamicPlaces) -> bool:
+    def moves(self, axis: Array, guard: DynamicGuard) -> bool:
         """Return whether it is largely where things move, its axis at (3,) (section 6.5)."""
-        return bool(np.mean(places.is_dynamic(self.placed(axis))) >= MOVING_SHARE)
+        return bool(np.mean(guard.is_dynamic(self.placed(axis))) >= MOVING_SHARE)
 
     def placed(self, axis: Array) -> Array:
         """Return its points (N, 2) where its axis is at (3,)."""
-        points: Array = self.shape.mean @ rotation(float(axis[2])).T + axis[:2]
-        return points
+        return to_world(axis, self.shape.mean)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from ekf_reference.scan_matching.search import Lattice, Picture
 
 _OCCUPIED = 0.5
 """Cells less likely occupied than that, or unknown, count for nothing."""
+_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,7 @@ class GridAlignment:
 
 
 def correlate(
-    point: Array,
-    scan: Scan,
-    guess: Array,
-    covariance: Array,
-    resolution_m: float = 0.2,
-    rounds: int = 3,
+    point: Array, scan: Scan, guess: Array, covariance: Array, resolution_m: float = 0.2
 ) -> GridAlignment:
     """The pose, among many about a guess, at which points (N, 2) fall on the most occupied cells.
 
@@ -54,7 +50,7 @@ def correlate(
     lever = float(np.sqrt(np.square(point - point.mean(axis=0)).sum(axis=1).mean()))
     best, spread, spacing = np.asarray(guess, dtype=float), covariance, resolution_m
     score = 0.0
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         pose = Lattice.over(best, spread, spacing, lever).pose
         value = picture.scores(point, weight, pose)
         row = int(np.argmax(value))

@@ -1,9 +1,8 @@
 """The alignment problem: two sums of Gaussians, a prior, and which pairs count."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -69,7 +68,7 @@ class Problem:
         guess: Array,
         covariance: Array,
         options: AlignmentOptions | None = None,
-    ) -> Problem:
+    ) -> Self:
         """Raises ValueError for a guess (3,) or a covariance (3, 3) that cannot be used."""
         guess, covariance = np.asarray(guess, dtype=float), np.asarray(covariance, dtype=float)
         if guess.shape != (3,) or not np.isfinite(guess).all():

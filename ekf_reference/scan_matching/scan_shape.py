@@ -61,8 +61,7 @@ def _boundaries(scan: Scan, one: Mask, first_rad: float, last_rad: float) -> Mas
         -scan.bearing_rad[back], scan.range_m[back], scan.point[back], one[back], -first_rad,
         scan.sensor,
     )  # fmt: skip
-    both: Mask = boundary | mirrored[back]
-    return both
+    return boundary | mirrored[back]
 
 
 def _one_sided(

@@ -4,10 +4,9 @@ As correlation with occupancy grids (Nieto 2005, section 5.3): the second sum, b
 once on a grid, and read at the first sum's means from many poses.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -46,7 +45,7 @@ class Lattice:
     reach_m: float
 
     @classmethod
-    def over(cls, guess: Array, covariance: Array, spacing_m: float, lever_m: float) -> Lattice:
+    def over(cls, guess: Array, covariance: Array, spacing_m: float, lever_m: float) -> Self:
         """Within 2.5 sigmas of a guess, no farther apart than a spacing at the lever's end.
 
         Where that would be too many the spacing is wider. The guess itself is one of them.
@@ -109,7 +108,7 @@ class Picture:
     cell_m: float
 
     @classmethod
-    def of(cls, point: Array, value: Array, low: Array, high: Array, cell_m: float) -> Picture:
+    def of(cls, point: Array, value: Array, low: Array, high: Array, cell_m: float) -> Self:
         """What points (N, 2) between two corners (2,) add to their cells."""
         shape = np.ceil((high - low) / cell_m).astype(int) + 1
         at = np.floor((point - low) / cell_m).astype(np.intp)

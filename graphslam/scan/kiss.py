@@ -19,16 +19,12 @@ if TYPE_CHECKING:
 
 def registration(iterations: int, converged: float) -> Registration:
     """The aligner of points to a voxel map; converged: step that ends it."""
-    aligner: Registration = kiss_icp().registration.Registration(
-        iterations, converged, max_num_threads=1
-    )
-    return aligner
+    return kiss_icp().registration.Registration(iterations, converged, max_num_threads=1)
 
 
 def voxel_map(voxel_m: float, reach_m: float, per_voxel: int) -> VoxelHashMap:
     """An empty map that forgets what lies beyond its reach."""
-    empty: VoxelHashMap = kiss_icp().mapping.VoxelHashMap(voxel_m, reach_m, per_voxel)
-    return empty
+    return kiss_icp().mapping.VoxelHashMap(voxel_m, reach_m, per_voxel)
 
 
 def thinned(points: Array, voxel_m: float) -> Array:

@@ -80,8 +80,7 @@ def _load_open3d() -> ModuleType:
     limit = getattr(module.utility, "set_max_threads", None)
     if limit is not None:
         limit(1)
-    found: ModuleType = module
-    return found
+    return module
 
 
 def remedy(library: str, error: ImportError | OSError) -> str:

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from graphslam.arrays import Array, Index
 from graphslam.problem import LoopClosures, SlamProblem
 from graphslam.scan import planar
-from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
+from graphslam.scan.matchers import COARSE_M, MatchOptions, SurfaceMatcher
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import placed
 from graphslam.scan.refinement import RefinementOptions
@@ -27,7 +27,6 @@ from graphslam.smoother import SmootherResult, smooth
 Clouds = Mapping[int, Array]
 """Points (M, 3) seen from some of the poses, by the pose's number."""
 
-_COARSE_M = 1.0
 _CHI2_2_99 = 9.21
 _CHI2_3_999 = 16.27
 
@@ -37,7 +36,6 @@ class LoopCloser(Protocol):
 
     def close(self, problem: SlamProblem, clouds: Clouds) -> Closed:
         """Closures for a problem, from the clouds (M, 3) seen at some of its poses."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -192,11 +190,12 @@ class RegistrationLoopCloser:
             np.array([planar.between(base, running_estimate.pose[k]) for k in around]),
         )
         source = clouds[int(running_estimate.keyframes[later])]
-        reach = _COARSE_M + 2.0 * float(np.sqrt(np.trace(spread[:2, :2])))
+        reach = COARSE_M + 2.0 * float(np.sqrt(np.trace(spread[:2, :2])))
         seen = planar.moved(expected, source)
         common = np.isfinite(cKDTree(target).query(seen, distance_upper_bound=reach)[0]).mean()
         if common < o.least_overlap:
             return "the scans view different places"
+        placement = np.diag((o.placement_m**2, o.placement_m**2, o.placement_rad**2))
         reason = ""
         for start in starts(expected, spread, o.reach_m):
             try:
@@ -205,17 +204,12 @@ class RegistrationLoopCloser:
                 reason = reason or str(error)
                 continue
             beside = running_estimate.misplacement(earlier, around, match.motion)
-            widened = replace(match, covariance=match.covariance + beside + self._placement())
+            widened = replace(match, covariance=match.covariance + beside + placement)
             doubt = self._doubt(widened, expected, spread)
             if not doubt:
                 return widened
             reason = reason or doubt
         return reason
-
-    def _placement(self) -> Array:
-        """(3, 3) how exactly a scan shows where the pose is, however well it fits."""
-        o = self.options
-        return np.diag((o.placement_m**2, o.placement_m**2, o.placement_rad**2))
 
     def _doubt(self, match: Registration, expected: Array, spread: Array) -> str:
         """What speaks against a match, empty when nothing does."""
@@ -234,9 +228,7 @@ class RegistrationLoopCloser:
 
 def _as_before(tried: Array | None, expected: Array) -> bool:
     """A pair was tried from about the same expectation."""
-    return tried is not None and bool(
-        np.abs(planar.wrapped(tried - expected)).max() < _COARSE_M / 4
-    )
+    return tried is not None and bool(np.abs(planar.wrapped(tried - expected)).max() < COARSE_M / 4)
 
 
 def starts(expected: Array, spread: Array, reach_m: float) -> list[Array]:
@@ -264,16 +256,8 @@ def loop_closer(
 
     matcher: in place of the surfaces', which begin a metre off.
     """
-    reach_m = settings.refinement.reach_m
-    surfaces = MatchOptions(
-        reaches_m=(max(1.0, 2.0 * reach_m), reach_m),
-        iterations=15,
-        judge=RefinementOptions(reach_m=reach_m),
-        cell_m=0.2 * settings.voxel_m,
-        neighbours=max(24, settings.neighbours // 2),
-        radius_m=settings.radius_m,
-    )
-    options = LoopOptions(most_residual_m=max(0.15, 0.4 * reach_m))
+    surfaces = replace(MatchOptions.suited(settings, RefinementOptions()), iterations=15)
+    options = LoopOptions(most_residual_m=max(0.15, 0.4 * settings.refinement.reach_m))
     return RegistrationLoopCloser(matcher or SurfaceMatcher(surfaces), options, progress)
 
 
@@ -329,5 +313,4 @@ class KeyframeEstimate:
             place, spread = self.relative(base, k)
             own = planar.rotation(place[2]).T
             total += planar.carried(own @ spread @ own.T, planar.between(place, motion))
-        mean: Array = total / len(around)
-        return mean
+        return total / len(around)

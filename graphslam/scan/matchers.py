@@ -5,22 +5,23 @@ goes through the same judge, `refine` without a step, so that evidence and covar
 matchers mean the same and can be compared.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from graphslam.arrays import Array
 from graphslam.scan import kiss, planar
+from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import LEAST_POINTS, usable
 from graphslam.scan.refinement import RefinementOptions, refine
 from graphslam.scan.registration import Matcher, Registration, ScanError
 from graphslam.scan.surfaces import SurfaceMap
 
+COARSE_M = 1.0
+"""So far off a match may begin."""
 _FAR_M = 1e4
 _UNKNOWN_M = 1e4
 """A sigma so wide that the covariance's axes are those of what is not fixed, to rounding."""
@@ -45,6 +46,18 @@ class MatchOptions:
     neighbours: int = 24
     radius_m: float = 0.5
     least_points: int = LEAST_POINTS
+
+    @classmethod
+    def suited(cls, settings: OdometryOptions, judge: RefinementOptions) -> Self:
+        """For scans that suit these settings of scan odometry, from a metre off."""
+        reach_m = settings.refinement.reach_m
+        return cls(
+            reaches_m=(max(COARSE_M, 2.0 * reach_m), reach_m),
+            judge=replace(judge, reach_m=reach_m),
+            cell_m=0.2 * settings.voxel_m,
+            neighbours=max(24, settings.neighbours // 2),
+            radius_m=settings.radius_m,
+        )
 
 
 class JudgedMatcher:

@@ -72,8 +72,7 @@ def above_ground(points: Array, margin_m: float) -> Array:
     seen = height[np.isfinite(height)]
     if not seen.any():
         return cloud
-    kept: Array = cloud[height > np.quantile(seen, _LOWEST) + margin_m]
-    return kept
+    return cloud[height > np.quantile(seen, _LOWEST) + margin_m]
 
 
 def usable(

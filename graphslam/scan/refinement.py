@@ -97,8 +97,7 @@ class _System:
     @property
     def fixed(self) -> NDArray[np.bool_]:
         """(3,) which principal directions enough pairs fix."""
-        fixed: NDArray[np.bool_] = self.stiffness >= self._options.least_stiffness
-        return fixed
+        return self.stiffness >= self._options.least_stiffness
 
     def step(self) -> Array:
         """(3,) the Gauss-Newton step along the directions that are fixed."""

@@ -55,4 +55,3 @@ class Matcher(Protocol):
 
         Raises ScanError where nothing can be aligned or the result cannot be trusted.
         """
-        ...

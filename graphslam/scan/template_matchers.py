@@ -13,8 +13,6 @@ from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.refinement import RefinementOptions
 from graphslam.scan.registration import ScanError
 
-COARSE_M = 1.0
-"""So far off a match may begin."""
 _LEAST_LEVER_M = 0.01
 _FREE_M = 100.0
 """Sigma of what a shape does not fix: so wide that the guess, which is the estimate's, says nothing
@@ -72,18 +70,9 @@ class TemplateMatchers:
         return found.covariance
 
     def _options(self, count: int, free_m: float) -> MatchOptions:
-        s = self._settings
-        reach_m = s.refinement.reach_m
         fixed = max(RefinementOptions().least_stiffness, self.fixing * count)
-        return MatchOptions(
-            reaches_m=(max(COARSE_M, 2.0 * reach_m), reach_m),
-            iterations=30,
-            judge=RefinementOptions(reach_m=reach_m, least_stiffness=fixed, free_sigma_m=free_m),
-            cell_m=0.2 * s.voxel_m,
-            neighbours=max(24, s.neighbours // 2),
-            radius_m=s.radius_m,
-            least_points=3,
-        )
+        judge = RefinementOptions(least_stiffness=fixed, free_sigma_m=free_m)
+        return replace(MatchOptions.suited(self._settings, judge), iterations=30, least_points=3)
 
 
 def lever_m(points: Array) -> float:

@@ -10,12 +10,10 @@ landmark can say. So as factors they are wider than the matcher's covariance say
 return is wrong by.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import gtsam
 import numpy as np
@@ -31,9 +29,10 @@ from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
 from graphslam.running_estimate import RunningEstimate
 from graphslam.scan import planar
 from graphslam.scan.loop_closure import starts
+from graphslam.scan.matchers import COARSE_M
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.registration import Registration, ScanError, squared_distance
-from graphslam.scan.template_matchers import COARSE_M, Template, TemplateMatchers, lever_m
+from graphslam.scan.template_matchers import Template, TemplateMatchers, lever_m
 
 USED, INITIALISED = "used", "initialised"
 APART = "does not meet the scan"
@@ -69,7 +68,7 @@ class TemplateOptions:
     shared_m: float = 0.05
 
     @classmethod
-    def suited(cls, settings: OdometryOptions, sigma_m: float) -> TemplateOptions:
+    def suited(cls, settings: OdometryOptions, sigma_m: float) -> Self:
         """For scans that suit these settings of scan odometry, each return sigma_m off."""
         residual_m = max(0.15, 0.4 * settings.refinement.reach_m)
         return cls(most_residual_m=residual_m, shared_m=sigma_m)

@@ -19,8 +19,7 @@ from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import LocalMap
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
-from ekf_reference.scan_landmarks.merge_update import merge_landmarks
-from ekf_reference.scan_landmarks.merging import FusingOptions
+from ekf_reference.scan_landmarks.merging import FusingOptions, merge_landmarks
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from tests.helpers import Array, Source, assert_followed, compared

@@ -31,8 +31,8 @@ from comparisons.pipeline.prepare import prepare
 from comparisons.pipeline.prepared import Preparation, Prepared
 from comparisons.report.run import RunReport
 from comparisons.settings import run_config
-from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.models.motion import MotionModel, MotionStep
 from ekf_reference.scan_landmarks.scan_slam import MOVES, USED, ScanLandmarks, ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments

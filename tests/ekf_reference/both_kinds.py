@@ -19,7 +19,7 @@ from ekf_reference.core.trace import Trace
 from ekf_reference.filters.compressed import CompressedEkf, CompressedState, LocalAreas
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
-from ekf_reference.scan_landmarks.merge_update import merge_landmarks
+from ekf_reference.scan_landmarks.merging import merge_landmarks
 
 RADIUS_M, RANGE_M, STEP_S = 15.0, 11.0, 0.5
 AREAS = LocalAreas(half_m=5.0, reach_m=11.0)

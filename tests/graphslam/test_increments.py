@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from graphslam.graph_builder import to_tangent
-from graphslam.increments import Samples, compose, relative_pose_samples
+from graphslam.increments import Samples, compose
 from tests.graphslam.motions import GEOMETRY, controls, samples
 from tests.graphslam.numerics import Array, central_difference, exponential, product, relative_error
 
@@ -71,7 +71,7 @@ def test_composition_transports_perturbations_exactly() -> None:
     rng = np.random.default_rng(0)
     moves = rng.uniform(-1, 1, (5, 3))
     covariances = np.array([np.diag(rng.uniform(0.1, 1, 3)) for _ in moves])
-    whole = compose(relative_pose_samples(moves, covariances), np.zeros(5, dtype=np.intp), 1)
+    whole = compose(Samples(moves, covariances), np.zeros(5, dtype=np.intp), 1)
 
     def perturbed(xi: Array) -> Array:
         """Right perturbation of the end when every sample's arrival is perturbed."""

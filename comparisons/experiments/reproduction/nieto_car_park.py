@@ -50,9 +50,10 @@ from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR
 from comparisons.logs.log import Log
 from comparisons.report.figures.style import draw_landmarks, draw_reference
 from comparisons.report.marks import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
+from ekf_reference.core.geometry import to_world
 from ekf_reference.dense.layers.gaussians import Ellipses
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.scan_landmarks.high_level import Found, Search, SearchOptions, search, to_world
+from ekf_reference.scan_landmarks.high_level import Found, Search, SearchOptions, search
 from graphslam.increments import dead_reckoned
 
 FOLDER = "acfr_car_park"

@@ -53,8 +53,9 @@ from comparisons.logs.simulate.scan_drive import ScanExperiment, occupancy, simu
 from comparisons.logs.simulate.scan_worlds import with_landmarks
 from comparisons.report.figures.style import draw_trajectory
 from comparisons.report.marks import EKF_COLOUR, TRUTH_COLOUR, ellipses
+from ekf_reference.core.geometry import to_world
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world
+from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search
 from ekf_reference.scan_landmarks.high_level import within as inside_of
 from ekf_reference.scan_landmarks.high_level_lifecycle import SHARE
 from ekf_reference.scan_matching.sog import SumOfGaussians

@@ -58,19 +58,14 @@ from comparisons.logs.simulate.scan_drive import (
 )
 from comparisons.logs.simulate.scan_worlds import Moving
 from comparisons.report.marks import TRUTH_COLOUR
+from ekf_reference.core.geometry import to_world
 from ekf_reference.dense.dynamic import DynamicLayer, places
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Single
 from ekf_reference.dense.sensor_model import log_odds
 from ekf_reference.dense.triangles import to_global
-from ekf_reference.scan_landmarks.high_level import (
-    Around,
-    Search,
-    SearchOptions,
-    to_world,
-    within,
-)
+from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, within
 
 _DYNAMIC_COLOUR = "#e08a1e"
 _MOST_DRIVES = 3

@@ -19,10 +19,11 @@ from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.figures import Aside
 from comparisons.logs.log import Log
-from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import to_world
+from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.dense.layers.gaussians import Gaussians
-from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world
+from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search
 from ekf_reference.scan_landmarks.high_level_lifecycle import Glimpse, HighLevelLandmarks
 from ekf_reference.scan_landmarks.templates import View
 from ekf_reference.scan_matching.scan_shape import of_scan

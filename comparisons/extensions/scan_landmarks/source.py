@@ -16,9 +16,9 @@ from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.stamps import resolved
-from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.measurements import DynamicGuard
 from ekf_reference.core.state import FilterDivergedError, LocalMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.scan_landmarks.merging import DuplicateMerging, FusingOptions

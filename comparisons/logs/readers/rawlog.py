@@ -37,7 +37,7 @@ from comparisons.logs.readers.scan_odometry import PRIOR_SIGMA, no_measurements
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import number_or_fail, read_text, shorten
 from comparisons.logs.validation import whole_numbers
-from graphslam.increments import compose, relative_pose_samples
+from graphslam.increments import Samples, compose
 
 _LEAST_STEP_S = 1e-3
 """Between frames: what is nearer is the clock of a simulation, not of a robot."""
@@ -134,7 +134,7 @@ def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _D
         )
     time_s, first_ticks, provenance = _frame_times(frames)
     composed = compose(
-        relative_pose_samples(
+        Samples(
             np.reshape([moves[row].displacement for row in inside], (-1, 3)),
             np.reshape([moves[row].covariance for row in inside], (-1, 3, 3)),
         ),

@@ -82,5 +82,4 @@ def doubled(pair: Associated, d_min_m: float, worth: Array) -> Index:
 
 def _key(cell: NDArray[np.int64]) -> NDArray[np.int64]:
     wrapped = cell & (_SIDE - 1)
-    key: NDArray[np.int64] = wrapped[:, 0] * _SIDE + wrapped[:, 1]
-    return key
+    return wrapped[:, 0] * _SIDE + wrapped[:, 1]

@@ -80,8 +80,7 @@ class ClassicGrid:
     @property
     def _around(self) -> Array:
         """(n, 2) [m] from the middle of a block to its cells."""
-        around: Array = self._cell - 0.5 * _BLOCK * self.update.resolution_m
-        return around
+        return self._cell - 0.5 * _BLOCK * self.update.resolution_m
 
     @property
     def _radius_m(self) -> float:

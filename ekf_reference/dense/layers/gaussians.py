@@ -130,8 +130,7 @@ def largest_sigma(covariance: Array) -> Array:
     """Largest standard deviation (N,) of covariances (N, 2, 2), in any direction."""
     mean = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
     half = 0.5 * (covariance[:, 0, 0] - covariance[:, 1, 1])
-    sigma: Array = np.sqrt(np.maximum(mean + np.hypot(half, covariance[:, 0, 1]), 0.0))
-    return sigma
+    return np.sqrt(np.maximum(mean + np.hypot(half, covariance[:, 0, 1]), 0.0))
 
 
 def _through(first: Array, second: Array, entries: Array) -> Array:

@@ -58,8 +58,7 @@ class GridUpdate:
         bound = scan.farthest(ahead_m, left_m, radius_m)
         distance = np.sqrt(ahead_m * ahead_m + left_m * left_m)
         margin = radius_m + (_FAR + _SLACK) * self.sigma_m(scan)
-        found: Mask = distance <= bound + margin
-        return found
+        return distance <= bound + margin
 
     def change(self, scan: Scan, ahead_m: Single, left_m: Single) -> Single:
         """(N,) log-odds that a scan adds to cells ahead and left (N,) of the scanner."""

@@ -64,20 +64,16 @@ class Layer(Protocol):
         scan: whose they are, for what it says about free space; None for late returns, whose scans
         hits.late has. near: (r,) regions that the scan may speak about.
         """
-        ...
 
     def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
         """All that the layer holds, or what it holds in distinct regions (r,)."""
-        ...
 
     def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """(N,) how likely points (N, 2) [m] are occupied; NaN where the layer knows nothing."""
-        ...
 
 
 def in_world(placed: RegionsAtMap, region: Index, local: Array) -> Array:
     """Points (N, 2) [m] of local coordinates (N, 2) in regions (N,) (Nieto 2005, eq. 3.7)."""
     origin, a, b = placed.frames
     first, along_a, along_b = (f.take(region, axis=0) for f in (origin, a, b))  # faster than [ ]
-    point: Array = first + local[:, :1] * along_a + local[:, 1:] * along_b
-    return point
+    return first + local[:, :1] * along_a + local[:, 1:] * along_b

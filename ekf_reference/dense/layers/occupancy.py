@@ -1,8 +1,7 @@
 """Occupancy grids, one in every region (Nieto 2005, section 4.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -39,7 +38,7 @@ class RegionGrid:
     middle: Single
 
     @classmethod
-    def over(cls, triangle: Array, resolution_m: float) -> RegionGrid:
+    def over(cls, triangle: Array, resolution_m: float) -> Self:
         """An unknown grid over a triangle (3, 2), cells no longer than the resolution."""
         edge = np.linalg.norm(triangle[1:] - triangle[0], axis=1)
         along_a, along_b = np.maximum(np.ceil(edge / resolution_m), 1.0).astype(int).tolist()

@@ -22,7 +22,7 @@ from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.filters.compressed import CompressedState
 from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.models.relative_pose import RelativePose
-from ekf_reference.scan_landmarks.merge_update import merge_landmarks
+from ekf_reference.scan_landmarks.merging import merge_landmarks
 from ekf_reference.scan_matching.frames import moved_gaussians
 from tests.ekf_reference.both_kinds import (
     AREAS,

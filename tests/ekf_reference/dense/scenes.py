@@ -116,7 +116,7 @@ def simulation() -> tuple[RegionsAtMap, tuple[Scan, ...]]:
         way = cast(beam + aside, pose, yard())
         way = np.where(way < 25.0, way, np.nan)
         way = way + sensor.sigma_range_m * rng.standard_normal(len(beam))
-        taken.append(Scan.of_ranges(pose, beam, way, sensor, len(taken)))
+        taken.append(Scan.of_ranges(pose, beam, way, sensor))
     return regions.placed(landmark), tuple(taken)
 
 

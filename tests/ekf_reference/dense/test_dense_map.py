@@ -288,7 +288,7 @@ def random_drive(seed: int, dense: DenseMap) -> FilterView:
         dense.predicted(seen)
         dense.updated(seen)
         for _ in range(rng.integers(0, 3)):
-            dense.insert(seen, Scan.of_ranges(pose, bearing, ranges, SENSOR, step))
+            dense.insert(seen, Scan.of_ranges(pose, bearing, ranges, SENSOR))
         assert accounted(dense), f"seed {seed}, step {step}"
     return seen
 

@@ -117,6 +117,7 @@ def test_a_region_whose_covariance_is_not_current_is_left_alone() -> None:
         view, np.flatnonzero(~touched), point[~touched]))  # fmt: skip
     nothing = replace(view, landmark_index=kept[:0], covariance=view.covariance[:3, :3])
     assert np.isnan(layer.note(nothing, np.arange(2), point[:2])).all()
+    assert len(layer.sigma_now(view, np.arange(0), point[:0])) == 0
 
 
 def test_corners_may_be_linear_functions_of_landmarks() -> None:

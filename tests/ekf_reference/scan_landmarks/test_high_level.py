@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, to_frame, to_world
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.scan import Scan, Sensor
@@ -19,8 +19,6 @@ from ekf_reference.scan_landmarks.high_level import (
     pairs,
     rectangle,
     search,
-    to_frame,
-    to_world,
     within,
 )
 from tests.ekf_reference.dense.scenes import lattice, reported

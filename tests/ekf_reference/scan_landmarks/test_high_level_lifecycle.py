@@ -8,13 +8,13 @@ import pytest
 
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
-from ekf_reference.core.geometry import Array, Mask
+from ekf_reference.core.geometry import Array, Mask, to_world
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
-from ekf_reference.scan_landmarks.high_level import Found, search, to_world
+from ekf_reference.scan_landmarks.high_level import Found, search
 from ekf_reference.scan_landmarks.high_level_lifecycle import Glimpse, HighLevelLandmarks
 from ekf_reference.scan_landmarks.templates import View
 from ekf_reference.scan_matching.scan_shape import of_scan

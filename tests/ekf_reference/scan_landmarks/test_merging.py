@@ -9,8 +9,12 @@ from ekf_reference.core.ekf import NEW
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.state import LocalMap
-from ekf_reference.scan_landmarks.merge_update import merge_landmarks
-from ekf_reference.scan_landmarks.merging import DuplicateMerging, FusingOptions, united
+from ekf_reference.scan_landmarks.merging import (
+    DuplicateMerging,
+    FusingOptions,
+    merge_landmarks,
+    united,
+)
 from ekf_reference.scan_landmarks.scan_slam import USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import segments
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
