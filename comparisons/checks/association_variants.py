@@ -25,8 +25,8 @@ from comparisons.checks.association import (
     differing_measurements,
 )
 from comparisons.figures import Figure, in_sigma
+from comparisons.plane import pose_difference, rms, squared_distance
 from comparisons.words import Row
-from ekf_reference.core.geometry import wrap_angle
 
 if TYPE_CHECKING:
     from comparisons.adapters.smoother_association import Alternative
@@ -225,7 +225,6 @@ def poses_apart(poses: Array, reference: Array, covariance: Array) -> tuple[floa
     """
     if len(poses) < _FEWEST_EPOCHS:
         return 0.0, 0.0
-    d, p = (poses - reference)[1:], covariance[1:]
-    d[:, 2] = wrap_angle(d[:, 2])
-    squared = np.einsum("ni,ni->n", d, np.linalg.solve(p, d[:, :, None])[:, :, 0]) / 3.0
-    return float(np.sqrt(squared.mean())), float(np.sqrt(np.mean(np.sum(d[:, :2] ** 2, axis=1))))
+    apart = pose_difference(poses, reference)[1:]
+    squared = squared_distance(apart, covariance[1:]) / 3.0
+    return float(np.sqrt(squared.mean())), rms(apart[:, :2])

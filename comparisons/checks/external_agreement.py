@@ -17,19 +17,18 @@ from comparisons.checks.agreement import (
     BlockAgreement,
     LandmarkAgreement,
 )
-from comparisons.checks.diagnosis.diagnosis import rms
 from comparisons.checks.grade import (
     MOST_LATE_S,
     eigenvalues,
     joint_rows,
     match_map,
-    pose_difference,
 )
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.trajectory_files import UNITS, in_seconds, retimed
+from comparisons.plane import pose_difference, rms, squared_distance
 from comparisons.shown import Brief
 from comparisons.statistics import chi2_quantile, eigenvalue_range
 
@@ -237,7 +236,7 @@ def compare_external(
     found = ExternalAgreement(
         time_s=given.time_s,
         rms_m=rms(difference[:, :2]),
-        rms_heading_rad=float(np.sqrt(np.square(difference[:, 2]).mean())),
+        rms_heading_rad=rms(difference[:, 2:]),
         outside=outside,
         last=end,
         landmark_id=smoothed.landmark_id[rows[1]],
@@ -334,8 +333,7 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[
     at, parts = peer.known, []
     own = peer.pose_covariance[at]
     difference = pose_difference(given.pose[at], peer.pose[at])
-    solved = np.linalg.solve(own, difference[..., None])[..., 0]
-    square = np.einsum("ki,ki->k", difference, solved) / 3.0
+    square = squared_distance(difference, own) / 3.0
     far = float(np.mean(square > LARGEST_DISTANCE**2))
     if far > _MOST_OUTSIDE:
         parts.append(
@@ -390,5 +388,4 @@ def _outside(difference: Array, covariance: Array) -> float:
     limit = float(chi2_quantile(_SURE, 3))
     positive = np.linalg.eigvalsh(covariance)[:, 0] > 0.0
     safe = np.where(positive[:, None, None], covariance, np.eye(3))
-    square = np.einsum("ki,ki->k", difference, np.linalg.solve(safe, difference[..., None])[..., 0])
-    return float(np.mean(~positive | (square > limit)))
+    return float(np.mean(~positive | (squared_distance(difference, safe) > limit)))

@@ -14,9 +14,9 @@ from comparisons.checks.accuracy import match_landmarks
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.stored_precision import stored_rounding
+from comparisons.plane import pose_difference
 from comparisons.shown import Brief
 from comparisons.statistics import ROUNDING
-from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.layout import Layout
 
 Grade = Literal["equal", "like", "plausible", "wrong"]
@@ -171,13 +171,6 @@ def in_sigma(difference: Array, covariance: Array) -> Array:
     """Return the largest entry (K,) of differences (K, n) in standard deviations."""
     found: Array = (np.abs(difference) / np.sqrt(np.diagonal(covariance, 0, 1, 2))).max(axis=1)
     return found
-
-
-def pose_difference(first: Array, second: Array) -> Array:
-    """Return first - second (K, 3), headings wrapped."""
-    difference: Array = first - second
-    difference[:, 2] = wrap_angle(difference[:, 2])
-    return difference
 
 
 def joint_rows(landmarks: Index) -> Index:

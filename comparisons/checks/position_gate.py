@@ -19,6 +19,7 @@ from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Poses
+from comparisons.plane import squared_distance
 from comparisons.words import Cause, Explanation
 from ekf_reference.models.position import PositionFixes, PositionModel
 
@@ -144,10 +145,8 @@ def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
         (smoothed.pose[at], smoothed.pose_covariance[at]),
         (given.position_m[number], given.covariance[number]),
     )
-    squared = np.einsum(
-        "ni,ni->n", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0]
-    )
-    found = RejectedFixes(count, number, streaks(number), squared > PositionFixes().gate)
+    unfit = squared_distance(residual, spread) > PositionFixes().gate
+    found = RejectedFixes(count, number, streaks(number), unfit)
     if not found.contradict:
         return found
     from comparisons.checks.position_fit import Seen, position_fit

@@ -18,9 +18,9 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.figures import rounded
 from comparisons.innovations import InnovationLog, SensorInnovations, whiten_alone
 from comparisons.logs.log import Log
+from comparisons.plane import pose_difference
 from comparisons.shown import Brief
 from comparisons.statistics import WORDS, Band, BlockDeparture, Nis
-from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 
 if TYPE_CHECKING:
@@ -179,8 +179,6 @@ def external_consistency(known: Known, judged: Given) -> ExternalConsistency:
         estimate = replace(
             estimate, landmark_id=estimate.landmark_id[:0], landmark=estimate.landmark[:0]
         )
-    difference = given.pose - optimum.pose
-    difference[:, 2] = wrap_angle(difference[:, 2])
     return ExternalConsistency(
         against_truth(estimate, log, labelled=labelled),
         against_truth(known.smoothed, log, labelled=labelled),
@@ -188,7 +186,7 @@ def external_consistency(known: Known, judged: Given) -> ExternalConsistency:
         compared,
         not labelled,
         time_s=given.time_s,
-        difference=difference,
+        difference=pose_difference(given.pose, optimum.pose),
         unjudged=reason,
     )
 

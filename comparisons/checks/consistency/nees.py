@@ -13,9 +13,10 @@ from functools import cached_property
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.checks.accuracy import match_landmarks
+from comparisons.checks.accuracy import match_truth
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.logs.log import Log
+from comparisons.plane import pose_difference
 from comparisons.statistics import (
     BlockDeparture,
     Normalised,
@@ -115,8 +116,7 @@ def against_truth(estimate: Estimate, log: Log, *, labelled: bool) -> TruthConsi
 
 def pose_errors(time_s: Array, pose: Array, covariance: Array, true: Array) -> PoseErrors:
     """Poses (n, 3) with covariances (n, 3, 3) against true poses (n, 3)."""
-    error = pose - true
-    error[:, 2] = wrap_angle(error[:, 2])
+    error = pose_difference(pose, true)
     variance = np.einsum("nii->ni", covariance)
     sigma = np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     parts = (slice(0, 3), slice(0, 2), slice(2, 3))
@@ -193,9 +193,7 @@ def _map_errors(estimate: Estimate, log: Log, labelled: bool) -> MapErrors | Non
     table, poses, end_s = log.truth.landmarks, log.truth.poses, estimate.time_s[-1]
     if table is None:
         return None
-    ours, theirs = match_landmarks(
-        (estimate.landmark_id, estimate.landmark), (table.id, table.position_m), labelled=labelled
-    )
+    ours, theirs = match_truth(estimate, table, labelled=labelled)
     if not len(ours):
         return None
     with_pose = poses is not None and bool(poses.time_s[0] <= end_s <= poses.time_s[-1])

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
+from comparisons.plane import rms
 from comparisons.statistics import f_quantile
 from comparisons.words import Cause
 
@@ -242,11 +243,6 @@ def _of_frame(paths: Paths, moved: Moved) -> Motion:
         hint=_LEVER_HINT if moved.yaw_rad else _FRAME_HINT,
         moved=moved,
     )
-
-
-def rms(error: Array) -> float:
-    """Root mean square length of vectors (K, 2)."""
-    return float(np.sqrt(np.square(error).sum(axis=1).mean()))
 
 
 def _complex(points: Array) -> Complex:

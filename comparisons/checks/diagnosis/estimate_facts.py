@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import at_others
 from comparisons.checks.diagnosis import covariance_signatures as signatures
-from comparisons.checks.diagnosis.diagnosis import Diagnosis, Moved, Paths, diagnose, rms
+from comparisons.checks.diagnosis.diagnosis import Diagnosis, Moved, Paths, diagnose
 from comparisons.checks.grade import (
     LIKE_SIGMA,
     LIKE_VARIANCE,
@@ -20,11 +20,11 @@ from comparisons.checks.grade import (
     Part,
     in_sigma,
     joint_pair,
-    pose_difference,
 )
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.logs.stamps import at_instants
+from comparisons.plane import pose_difference, rms
 from comparisons.words import Cause
 
 _MAP_HINT = "supply the whole map, with the ids of the log's measurements"

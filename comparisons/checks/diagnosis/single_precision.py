@@ -18,7 +18,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
 from comparisons.estimates.stored_precision import SINGLE, restored
-from ekf_reference.core.geometry import wrap_angle
+from comparisons.plane import pose_difference
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
@@ -235,9 +235,7 @@ def computed_in_single(run: EkfRun, algebra: Gap, sigma: Array) -> str:
 def _grown(run: EkfRun, exact: Replay) -> tuple[float, float]:
     """The pose's gap, of mean in sigma or covariance, early and late."""
     sigma = np.sqrt(exact.covariance[:, (0, 1, 2), (0, 1, 2)])
-    apart = run.departed - exact.pose
-    apart[:, 2] = wrap_angle(apart[:, 2])
-    size = np.abs(apart / sigma).max(axis=1)
+    size = np.abs(pose_difference(run.departed, exact.pose) / sigma).max(axis=1)
     have = run.estimate.pose_covariance
     spread = np.abs(have - exact.covariance) / (sigma[:, :, None] * sigma[:, None, :])
     size = np.fmax(size, spread.max(axis=(1, 2)))
