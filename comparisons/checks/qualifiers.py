@@ -206,13 +206,12 @@ def truth_gap(
     if accuracy is None or (accuracy.ate_m is None and accuracy.landmarks_true is None):
         return None
     found = []
-    poses = None if consistency is None else consistency.poses
-    mapped = None if consistency is None else consistency.landmarks
+    pose, places = (None, None) if consistency is None else (consistency.pose, consistency.places)
     framed = accuracy.ate_m is not None  # else nothing tells where the log starts
     map_m = accuracy.landmark_rmse_m if framed else accuracy.landmark_rmse_aligned_m
     for what, errors, metres in (
-        ("poses", None if poses is None else poses.pose, accuracy.ate_m),
-        ("landmarks", mapped, map_m),
+        ("poses", pose, accuracy.ate_m),
+        ("landmarks", places, map_m),
     ):
         if errors is not None and errors.mean is not None and metres is not None:
             sigma = float(np.sqrt(errors.mean / errors.dof))
