@@ -60,14 +60,15 @@ class Coverage:
     """How much of the log's time an estimate speaks of.
 
     span_s: begin and end of the smoother's path. first_s, last_s: of the poses given within it.
-    holes_s: (H, 2) begin and end of what is not covered, in order. repeated: poses after last_s are
-    that one again.
+    holes_s: (H, 2) begin and end of what is not covered, in order. least: share of the log's time
+    that is required. repeated: poses after last_s are that one again.
     """
 
     span_s: tuple[float, float]
     first_s: float
     last_s: float
     holes_s: Array
+    least: float = 0.0
     repeated: bool = False
 
     @property
@@ -75,6 +76,11 @@ class Coverage:
         """Of the log's time; 1 of a log of one instant."""
         whole = self.span_s[1] - self.span_s[0]
         return 1.0 - self._missing_s / whole if whole > 0.0 else 1.0
+
+    @property
+    def short(self) -> bool:
+        """Whether it is too little."""
+        return self.share < self.least
 
     @property
     def _missing_s(self) -> float:
@@ -104,7 +110,10 @@ class Coverage:
 
 
 def coverage(
-    given: tuple[Array, Array], smoothed: tuple[Array, Array], observed_s: Array
+    given: tuple[Array, Array],
+    smoothed: tuple[Array, Array],
+    observed_s: Array,
+    least: float = 0.0,
 ) -> Coverage:
     """Return what an estimate's poses cover of the smoother's.
 
@@ -134,6 +143,7 @@ def coverage(
         first_s=float(t[0]),
         last_s=float(t[-1]),
         holes_s=holes,
+        least=least,
         repeated=not new[-1],
     )
 
