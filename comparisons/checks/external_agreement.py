@@ -11,18 +11,8 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import (
-    LARGEST_DISTANCE,
-    Band,
-    BlockAgreement,
-    LandmarkAgreement,
-)
-from comparisons.checks.grade import (
-    MOST_LATE_S,
-    eigenvalues,
-    joint_rows,
-    match_map,
-)
+from comparisons.checks.agreement import LARGEST_DISTANCE, Band, BlockAgreement, LandmarkAgreement
+from comparisons.checks.grade import MOST_LATE_S, eigenvalues, joint_rows, match_map
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
@@ -110,10 +100,7 @@ class Coverage:
 
 
 def coverage(
-    given: tuple[Array, Array],
-    smoothed: tuple[Array, Array],
-    observed_s: Array,
-    least: float = 0.0,
+    given: tuple[Array, Array], smoothed: tuple[Array, Array], observed_s: Array, least: float = 0.0
 ) -> Coverage:
     """Return what an estimate's poses cover of the smoother's.
 

@@ -84,9 +84,7 @@ def _motions(seen: Seen, path: Poses) -> list[_Motion]:
 
     return [
         _Motion(
-            2,
-            lambda p: own + p,
-            lambda p: f"an offset of {p[0]:.2f} m east, {p[1]:.2f} m north",
+            2, lambda p: own + p, lambda p: f"an offset of {p[0]:.2f} m east, {p[1]:.2f} m north"
         ),
         _Motion(2, lambda p: _antenna(poses, tuple(p + seen.antenna_m)), placed),
         _Motion(

@@ -209,10 +209,7 @@ def truth_gap(
     pose, places = (None, None) if consistency is None else (consistency.pose, consistency.places)
     framed = accuracy.ate_m is not None  # else nothing tells where the log starts
     map_m = accuracy.landmark_rmse_m if framed else accuracy.landmark_rmse_aligned_m
-    for what, errors, metres in (
-        ("poses", pose, accuracy.ate_m),
-        ("landmarks", places, map_m),
-    ):
+    for what, errors, metres in (("poses", pose, accuracy.ate_m), ("landmarks", places, map_m)):
         if errors is not None and errors.mean is not None and metres is not None:
             sigma = float(np.sqrt(errors.mean / errors.dof))
             found.append(Distance(what, sigma, limit(errors.dof), metres))

@@ -241,10 +241,7 @@ class Gaps(Brief):
 
 
 def optimum_of(
-    run: EkfRun,
-    options: SmootherOptions,
-    clock: Clock,
-    progress: Callable[[str, int, int], None],
+    run: EkfRun, options: SmootherOptions, clock: Clock, progress: Callable[[str, int, int], None]
 ) -> Solver:
     """Return what solves for S from where a filter was, among other starts."""
 
@@ -312,10 +309,7 @@ def solve_frozen(problem: SlamProblem, run: EkfRun) -> Frozen:
 
 
 def _start_frozen(
-    problem: SlamProblem,
-    run: EkfRun,
-    clock: Clock,
-    progress: Callable[[str, int, int], None],
+    problem: SlamProblem, run: EkfRun, clock: Clock, progress: Callable[[str, int, int], None]
 ) -> Beside[Frozen]:
     """Start F1 and F2 beside S, none of which needs another, where they take long."""
     size = problem.pose_count, len(problem.z), problem.landmark_count

@@ -127,9 +127,7 @@ def consistency_result(c: Consistency) -> ConsistencyResult:
 def external_consistency_result(c: ExternalConsistency) -> ExternalConsistencyResult:
     """An external estimate's."""
     return ExternalConsistencyResult(
-        truth=consistency_result(c).ekf,
-        filter_against_smoother=c.smoothed,
-        unjudged=c.unjudged,
+        truth=consistency_result(c).ekf, filter_against_smoother=c.smoothed, unjudged=c.unjudged
     )
 
 

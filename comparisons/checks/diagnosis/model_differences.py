@@ -110,10 +110,7 @@ def model_differences(
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
-        kind: (
-            _of_relations(_first(recorded.measurements[kind], len(seen.b))),
-            _of_relations(seen),
-        )
+        kind: (_of_relations(_first(recorded.measurements[kind], len(seen.b))), _of_relations(seen))
         for kind, seen in own.measurements.items()
     }
     positions = _of_positions(recorded.positions), _of_positions(own.positions)

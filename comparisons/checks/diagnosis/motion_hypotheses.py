@@ -25,12 +25,7 @@ from comparisons.checks.diagnosis.hypotheses import (
     times,
 )
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import (
-    Odometry,
-    RelativePoses,
-    SteeringOdometry,
-    VelocityOdometry,
-)
+from comparisons.logs.odometry import Odometry, RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.stamps import resolved
 from comparisons.plane import in_own_axes, turned
 from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
