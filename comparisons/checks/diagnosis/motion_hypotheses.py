@@ -291,28 +291,24 @@ def _other_displacements(drive: _Drive) -> Iterator[_Mistake]:
         yield control(
             f"the displacement is the {which} one", lambda lag=lag: np.roll(u, lag, axis=0)
         )
-    for name, part in (
-        ("the translation of the displacement", (1.0, 1.0, 0.0)),
-        ("the rotation of the displacement", (0.0, 0.0, 1.0)),
-        ("the forward displacement", (1.0, 0.0, 0.0)),
-        ("the leftward displacement", (0.0, 1.0, 0.0)),
-        ("the whole displacement", (1.0, 1.0, 1.0)),
-    ):
+    parts = {
+        "the translation of the displacement": np.array((1.0, 1.0, 0.0)),
+        "the rotation of the displacement": np.array((0.0, 0.0, 1.0)),
+        "the forward displacement": np.array((1.0, 0.0, 0.0)),
+        "the leftward displacement": np.array((0.0, 1.0, 0.0)),
+        "the whole displacement": np.array((1.0, 1.0, 1.0)),
+    }
+    for name, part in parts.items():
         yield control(
-            times(name, "the log's"),
-            lambda k, part=part: u * (1.0 + (k - 1.0) * np.array(part)),
-            1.0,
+            times(name, "the log's"), lambda k, part=part: u * (1.0 + (k - 1.0) * part), 1.0
         )
-    for name, column, unit in (
-        ("the forward displacement", 0, "m"),
-        ("the leftward displacement", 1, "m"),
-        ("the rotation of the displacement", 2, "rad"),
+    for name, unit in (
+        ("the forward displacement", "m"),
+        ("the leftward displacement", "m"),
+        ("the rotation of the displacement", "rad"),
     ):
-        yield control(
-            f"{name} has a bias of {{0:+.4g}} {unit}",
-            lambda b, column=column: u + b * np.eye(3)[column],
-            0.0,
-        )
+        said = f"{name} has a bias of {{0:+.4g}} {unit}"
+        yield control(said, lambda b, part=parts[name]: u + b * part, 0.0)
 
 
 def _bent(moves: Quantity, drive: _Drive) -> Iterator[Hypothesis]:
@@ -408,11 +404,23 @@ def _step_noise(
     wheels: Wheels, run: EkfRun, used: list[Array], moves: Quantity, rounding: float
 ) -> list[str]:
     """Q is B S B^T and what every step adds. used: B (N, 3, 2) by any control it may be of."""
-    quantities = [_control_noise(wheels, run, b, moves, rounding) for b in used]
-    quantity, b = min(
-        zip(quantities, used, strict=True), key=lambda pair: np.count_nonzero(pair[0].off())
-    )
-    return named(quantity, _of_step_noise(wheels, run, b))
+    noise, trace, s = wheels.noise, run.trace, run.timeline.step_duration_s[:, None, None]
+    place = s * np.diag((noise.variance_rate_position,) * 2 + (0.0,))
+    heading = s * np.diag((0.0, 0.0, noise.variance_rate_heading))
+    tolerance = EQUAL + 32.0 * rounding * max(1.0, np.abs(trace.departed).max())
+    by_each = []
+    for b in used:
+        full = _spread(b, run.timeline.control_covariance) + place + heading
+        by_each.append((_of_noise(moves, trace.q, full, tolerance), b))
+    quantity, b = min(by_each, key=lambda pair: np.count_nonzero(pair[0].off()))
+    turn = "steering angle" if isinstance(wheels, SteeringOdometry) else "yaw rate"
+    return named(quantity, _of_step_noise(run, b, (place, heading), turn))
+
+
+def _of_noise(moves: Quantity, q: Array, meant: Array, tolerance: Array | float) -> Quantity:
+    """Q (N, 3, 3), recorded and as it should be, over products of sigmas."""
+    size = _sizes(meant)
+    return replace(moves, have=q / size, meant=meant / size, tolerance=tolerance)
 
 
 def _sizes(full: Array) -> Array:
@@ -424,41 +432,20 @@ def _sizes(full: Array) -> Array:
     return size
 
 
-def _rates(wheels: Wheels, run: EkfRun) -> tuple[Array, Array]:
-    """What every step adds (N, 3, 3): to the position, to the heading."""
-    noise, s = wheels.noise, run.timeline.step_duration_s[:, None, None]
-    place: Array = s * np.diag((noise.variance_rate_position,) * 2 + (0.0,))
-    heading: Array = s * np.diag((0.0, 0.0, noise.variance_rate_heading))
-    return place, heading
-
-
 def _spread(b: Array, covariance: Array) -> Array:
     total: Array = b @ covariance @ b.transpose(0, 2, 1)
     return total
 
 
-def _control_noise(
-    wheels: Wheels, run: EkfRun, b: Array, moves: Quantity, rounding: float
-) -> Quantity:
-    place, heading = _rates(wheels, run)
-    full = _spread(b, run.timeline.control_covariance) + place + heading
-    size = _sizes(full)
-    return replace(
-        moves,
-        have=run.trace.q / size,
-        meant=full / size,
-        tolerance=EQUAL + 32.0 * rounding * max(1.0, np.abs(run.trace.departed).max()),
-    )
-
-
-def _of_step_noise(wheels: Wheels, run: EkfRun, b: Array) -> Iterator[Hypothesis]:
-    trace, stated = run.trace, run.timeline.control_covariance
-    place, heading = _rates(wheels, run)
+def _of_step_noise(
+    run: EkfRun, b: Array, rates: tuple[Array, Array], turn: str
+) -> Iterator[Hypothesis]:
+    """rates: what every step adds (N, 3, 3), to the position and to the heading."""
+    stated, (place, heading) = run.timeline.control_covariance, rates
     added, s = place + heading, run.timeline.step_duration_s[:, None, None]
     own = _spread(b, stated)
     full = own + added
     size = _sizes(full)
-    turn = "steering angle" if isinstance(wheels, SteeringOdometry) else "yaw rate"
 
     def other(text: str, control: Array, rates: Array = added) -> Hypothesis:
         return instead(text, (control + rates) / size)
@@ -492,7 +479,7 @@ def _of_step_noise(wheels: Wheels, run: EkfRun, b: Array) -> Iterator[Hypothesis
         lambda rows, k, j: k * split[0][rows] + j * split[1][rows] + rest[rows],
         (1.0, 1.0),
     )
-    middle = np.median(trace.q, axis=0)
+    middle = np.median(run.trace.q, axis=0)
     yield instead("Q is constant", np.broadcast_to(middle, full.shape) / size)
     at_rate = middle / float(np.median(s))
     yield instead("Q depends on the interval alone", at_rate * s / size)
@@ -551,10 +538,7 @@ def _displacement_noise(run: EkfRun, moves: Quantity) -> list[str]:
 
     meant = seen_from(arrived)
     size = _sizes(meant)
-    quantity = replace(
-        moves, have=trace.q / size, meant=meant / size,
-        tolerance=EQUAL + moves.tolerance,
-    )  # fmt: skip
+    quantity = _of_noise(moves, trace.q, meant, EQUAL + moves.tolerance)
     diagonal = stated * np.eye(3)
     parts = {
         name: stated * np.diag(mask)
