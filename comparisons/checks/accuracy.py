@@ -105,7 +105,7 @@ class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
 
     def __init__(self, each: Mapping[str, Accuracy | None], entries: Mapping[str, Any]) -> None:
         """each: by the name of the estimate. entries: as the job's result has them."""
-        self.value, self.entries = each, entries
+        super().__init__(each, entries=entries)
         self.line = accuracy_line(each)
 
     def rows(self) -> Sequence[Row]:

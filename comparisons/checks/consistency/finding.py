@@ -64,9 +64,8 @@ class ConsistencyFinding(Of[Consistency]):
 
     def __init__(self, found: Consistency, name: str = "EKF") -> None:
         """found: by truth, innovations and smoother. name: of what is judged, in rows."""
-        self.value, self.name, self.remarks = found, name, found.remarks
-        self.result = consistency_result(found)
-        self.entries = {"consistency": self.result}
+        self.name, self.result = name, consistency_result(found)
+        super().__init__(found, remarks=found.remarks, entries={"consistency": self.result})
         if isinstance(found, ExternalConsistency):
             self.entries = {"consistency": external_consistency_result(found)}
         self.line = consistency_line(inconsistencies(found), self.result)

@@ -29,15 +29,11 @@ from comparisons.plane import pose_difference, turned
 def explain(
     log: Log, run: EkfRun, rounding: float = 0.0, *, same_steps: bool = True
 ) -> tuple[str, ...]:
-    """Return what the filter seems to have done.
+    """Return what the filter of a run seems to have done to a log.
 
-    Nothing is said of filters of another state or observation.
-
-    Args:
-        log: what the filter was given.
-        run: what it recorded.
-        rounding: by how much, relative to their size, storing has rounded the records.
-        same_steps: whether its steps are the log's own, so that they can be compared.
+    Nothing is said of filters of another state or observation. rounding: by how much, relative to
+    their size, storing has rounded the records. same_steps: its steps are the log's own, so that
+    they can be compared.
     """
     if run.trace.prior_pose.shape != (3,) or run.own_axes:
         return ()

@@ -78,13 +78,9 @@ class _Suspicion(NamedTuple):
 
 
 def examine(log: Log) -> Examination:
-    """Return what is wrong with a log's units, signs, columns, clocks or sigmas.
+    """Return what is wrong with units, signs, columns, clocks or sigmas of a log with labels.
 
-    Args:
-        log: With labelled measurements.
-
-    Returns:
-        Nothing for a log that fits, or that no single change makes fit.
+    Nothing for a log that fits, or that no single change makes fit.
     """
     return _examined(log, numbers=True)
 
@@ -92,10 +88,8 @@ def examine(log: Log) -> Examination:
 def examine_run(log: Log, run: EkfRun, result: SmootherResult) -> Examination:
     """Return what makes not only a part of a log fit, but all that a run used of it.
 
-    Args:
-        log: As the estimators read it.
-        run: With the association.
-        result: The smoother's, whose chi-square is too high, and which no number explains.
+    log: as the estimators read it. result: the smoother's, whose chi-square is too high, and which
+    no number explains.
     """
     of_part, chi2_of = _examined(log, numbers=False), chi2_by_run(run, result)
 

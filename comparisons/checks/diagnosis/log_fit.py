@@ -133,12 +133,9 @@ def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
 def fitted_numbers(
     log: Log, chi2_of: Callable[[Log, bool], float], test: ChiSquareTest
 ) -> list[LogFit]:
-    """Return the numbers that make a log fit, the best first.
+    """Return the numbers that make a log fit whose chi-square is too high, the best first.
 
-    Args:
-        log: Whose chi-square is too high.
-        chi2_of: The smoother's chi-square of a changed log; afresh where it may lie elsewhere.
-        test: Of the log as it is.
+    chi2_of: as of `chi2_by_run`. test: of the log as it is.
     """
     rough = []
     for one in _numbers(log):
@@ -163,11 +160,7 @@ def explains(test: ChiSquareTest, chi2: float, numbers: int) -> bool:
     """Whether a fitted number explains a chi-square that is too high.
 
     What makes chi-square too low instead, as a scale that shrinks all residuals, explains nothing.
-
-    Args:
-        test: Without the number.
-        chi2: With it.
-        numbers: How many were tried.
+    test: without the number. chi2: with it. numbers: how many were tried.
     """
     removed = test.chi2 - chi2
     if chi2 < test.lower or removed < LEAST_SHARE * (test.chi2 - test.dof):
