@@ -11,7 +11,7 @@ benchmarks/trust_association.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -191,10 +191,11 @@ def check_association(
         replace(one, against=one.elsewhere and (several or one.excess <= 0.0)) for one in found
     )
     disputes = [
-        dispute
+        Dispute(one.name, max(landmark, -1), len(at), float(at.min()), float(at.max()))
         for one, rows in zip(variants, disputed, strict=True)
         if one.against
-        for dispute in _disputes(one.name, landmark_index[rows], time_s[rows])
+        for landmark in np.unique(landmark_index[rows]).tolist()
+        for at in [time_s[rows][landmark_index[rows] == landmark]]
     ]
     return AssociationCheck(
         verified=not any(one.against for one in variants),
@@ -203,19 +204,11 @@ def check_association(
     )
 
 
-def _disputes(variant: str, landmark_index: LandmarkIndices, time_s: Array) -> Iterator[Dispute]:
-    """The measurements (D,) in dispute, by landmark."""
-    for landmark in np.unique(landmark_index).tolist():
-        at = time_s[landmark_index == landmark]
-        yield Dispute(variant, max(landmark, -1), len(at), float(at.min()), float(at.max()))
-
-
 def _cost(landmark_index: LandmarkIndices, chi2: float, scale: float) -> float:
     """What an association leaves unexplained; scale: by which the noise is larger than stated."""
+    unused = float(np.sum(landmark_index < 0))
     landmarks = len(np.unique(landmark_index[landmark_index >= 0]))
-    return (
-        chi2 / scale + UNUSED_COST * float(np.sum(landmark_index < 0)) + LANDMARK_COST * landmarks
-    )
+    return chi2 / scale + UNUSED_COST * unused + LANDMARK_COST * landmarks
 
 
 def poses_apart(poses: Array, reference: Array, covariance: Array) -> tuple[float, float]:

@@ -93,23 +93,18 @@ class CheckConsistency(Check):
         """Return the statistics that the log allows; they have no say in the verdict."""
         if known.given is not None:
             return ConsistencyFinding(external_consistency(known, known.given), "estimate")
-        if known.run is None:
-            return _of_smoother(known)
         log, labelled = known.prepared.log, known.prepared.labelled
+        if known.run is None:
+            truth = against_truth(known.smoothed, log, labelled=labelled)
+            if truth is None:
+                return Absent(f"the log has no truth, and {known.without}")
+            return ConsistencyFinding(Consistency(None, truth, (), None, gated=not labelled))
         smoothed, robust = None, "none"
         if known.solved is not None:
             smoothed, robust = known.smoothed, known.result.options.robust
         return ConsistencyFinding(
             check_consistency(log, known.ekf, smoothed, labelled=labelled, robust=robust)
         )
-
-
-def _of_smoother(known: Known) -> ConsistencyFinding | Absent:
-    labelled = known.prepared.labelled
-    truth = against_truth(known.smoothed, known.prepared.log, labelled=labelled)
-    if truth is None:
-        return Absent(f"the log has no truth, and {known.without}")
-    return ConsistencyFinding(Consistency(None, truth, (), None, gated=not labelled))
 
 
 def consistency_result(c: Consistency) -> ConsistencyResult:
