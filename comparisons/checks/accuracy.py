@@ -328,10 +328,9 @@ def match_landmarks(
 
     labelled: by id, else one to one by distance.
     """
-    if not labelled:
-        return match_by_distance(ours[1], theirs[1])
-    _, first, second = np.intersect1d(ours[0], theirs[0], return_indices=True)
-    return first, second
+    if labelled:
+        return np.intersect1d(ours[0], theirs[0], return_indices=True)[1:]
+    return match_by_distance(ours[1], theirs[1])
 
 
 def match_truth(estimate: Estimate, table: Landmarks, *, labelled: bool) -> tuple[Index, Index]:

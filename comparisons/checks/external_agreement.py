@@ -254,11 +254,8 @@ def compare_external(
 
 def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> BlockAgreement | None:
     """A reference's map against the optimum's; None where they share no landmark."""
-    ours, theirs = match_landmarks(
-        (peer.landmark_id, peer.landmark),
-        (smoothed.landmark_id, smoothed.landmark),
-        labelled=labelled,
-    )
+    maps = (peer.landmark_id, peer.landmark), (smoothed.landmark_id, smoothed.landmark)
+    ours, theirs = match_landmarks(*maps, labelled=labelled)
     rows, own = (joint_rows(which)[3:] for which in (ours, theirs))
     difference = (peer.landmark[ours] - smoothed.landmark[theirs]).ravel()
     if not len(difference):
@@ -270,11 +267,9 @@ def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> BlockAgre
 def _widened(band: Band, peer: BlockAgreement | None) -> Band:
     """Linearisation may change variances by as much as it does in the reference filter."""
     widest = Band()
-    if peer is None or peer.variance_ratio_least is None or peer.variance_ratio_largest is None:
+    if peer is None or not peer.ratios or not np.isfinite(peer.ratios[0]):
         return widest
-    least, largest = peer.variance_ratio_least, peer.variance_ratio_largest
-    if not np.isfinite(least):
-        return widest
+    least, largest = peer.ratios
     return Band(
         max(widest.least, min(band.least, _NARROW * least)),
         min(widest.largest, max(band.largest, largest / _NARROW)),
@@ -335,8 +330,7 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[
     if far > _MOST_OUTSIDE:
         parts.append(
             f"{100.0 * far:.0f} % of the poses differ by more than 1 sigma from those of "
-            f"{peer.name}, by "
-            f"{rms(difference[:, :2]):.2f} m and "
+            f"{peer.name}, by {rms(difference[:, :2]):.2f} m and "
             f"{np.degrees(rms(difference[:, 2:])):.2f} degrees (RMS)"
         )
     if given.pose_covariance is not None:
@@ -352,20 +346,18 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[
 
 def _path_alone(found: ExternalAgreement, peer_rms_m: float) -> list[str]:
     """What is not plausible of a path where no right estimate of its kind is a measure."""
-    if found.outside is not None:
-        if found.outside <= _MOST_OUTSIDE:
-            return []
+    expected_m = _GENEROUS * peer_rms_m + _FLOOR_M
+    if found.outside is not None and found.outside > _MOST_OUTSIDE:
         return [
             f"{100.0 * found.outside:.0f} % of the poses lie outside their own 99.9 % region; "
             f"their RMS difference from the optimum is {found.rms_m:.2f} m"
         ]
-    expected_m = _GENEROUS * peer_rms_m + _FLOOR_M
-    if found.rms_m <= expected_m:
-        return []
-    return [
-        f"the RMS difference of the poses from the optimum is {found.rms_m:.2f} m, expected at "
-        f"most {expected_m:.2f} m"
-    ]
+    if found.outside is None and found.rms_m > expected_m:
+        return [
+            f"the RMS difference of the poses from the optimum is {found.rms_m:.2f} m, expected at "
+            f"most {expected_m:.2f} m"
+        ]
+    return []
 
 
 def _landmark_blocks(

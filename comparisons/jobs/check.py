@@ -13,7 +13,7 @@ from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
-from comparisons.checks.agreement import Gap
+from comparisons.checks.agreement import Allowed, Gap
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import ExternalConsistency
@@ -559,6 +559,13 @@ def check_external(
         own = tuple(one for one in causes if one.gap in FILTER_FAULTS)
         rest = tuple(one for one in causes if one.gap not in FILTER_FAULTS)
         causes = (*own, _short(given, inside, covered), *rest)
+    judged = Given(
+        estimate=given,
+        inside=inside,
+        optimum=references.optimum,
+        information=_information(given, near),
+        sensors=traced.sensors if traced else (),
+    )
     return ExternalCheck(
         given=given,
         solution=solution,
@@ -572,20 +579,7 @@ def check_external(
         outcome=outcome,
         causes=causes,
         remarks=remarks,
-        answers=Answers(
-            _known(
-                solution,
-                traced,
-                Given(
-                    estimate=given,
-                    inside=inside,
-                    optimum=references.optimum,
-                    information=_information(given, near),
-                    sensors=traced.sensors if traced else (),
-                ),
-            ),
-            CHECKS,
-        ),
+        answers=Answers(_known(solution, traced, judged), CHECKS),
     )
 
 
@@ -666,9 +660,8 @@ def _variants(
     if references.clues.before is None:
         return ()
     found = [likeness(given, one, labelled=solution.prepared.labelled) for one in references.peers]
-    if "equal" in (one.grade for one in found):
-        return ()
-    if not ROUNDING < found[0].sigma < _HOPELESS_SIGMA:
+    equal = any(one.grade == "equal" for one in found)
+    if equal or not ROUNDING < found[0].sigma < _HOPELESS_SIGMA:
         return ()
     return tuple(variants(solution.prepared, given.time_s))
 
@@ -733,12 +726,10 @@ def by_trace(grade: Graded, traced: TraceCheck) -> Graded:
     if grade.value in ("like", "equal"):
         return grade
     gaps: dict[str, Gap] = {"algebra": traced.agreement.algebra, "model": traced.agreement.model}
-    for one in traced.verdict.causes:
-        gap = gaps.get(one.gap)
-        small = gap is not None and gap.sigma <= LIKE_SIGMA and gap.covariance <= LIKE_VARIANCE
-        if one.gap in FILTER_FAULTS and not small:
-            return replace(grade, value="wrong")
-    return grade
+    like = Allowed(LIKE_SIGMA, LIKE_VARIANCE)
+    small = {name for name, gap in gaps.items() if gap.explained_by(like)}
+    faults = {one.gap for one in traced.verdict.causes} & FILTER_FAULTS
+    return replace(grade, value="wrong") if faults - small else grade
 
 
 def outcome_of(grade: Graded, *, verified: bool, association_known: bool = True) -> Outcome:
@@ -763,7 +754,7 @@ def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Ca
     """
     kept = tuple(one for one in traced if one.gap in (*FILTER_FAULTS, "linearisation"))
     explained = ("estimate", "covariance", "optimum") if kept else ()
-    first = found[:1] if found and found[0].gap in MOTIONS else ()
+    first = tuple(one for one in found[:1] if one.gap in MOTIONS)
     rest = tuple(one for one in found[len(first) :] if one.gap not in explained)
     return first + kept + rest
 
