@@ -96,22 +96,20 @@ def _covered(name: str, figures: Sequence[Figure]) -> Coverage:
 
 
 def _of_truth(truth: TruthConsistency) -> Iterator[tuple[str, Figure]]:
-    if truth.poses is not None:
-        for name in ("pose", "position", "heading"):
-            yield from _of_many(name, getattr(truth.poses, name), epochs=True)
-    if truth.map is not None:
-        for name in ("landmarks", "distance"):
-            yield from _of_many(name, getattr(truth.map, name), epochs=False)
-        for name in ("map", "whole", "distances"):
-            joint: Normalised | None = getattr(truth.map, name)
-            if joint is not None and joint.dof and len(joint.squared):
-                value = float(joint.squared[0])
-                yield name, _band(joint.single_band.holds(value))
-                yield f"{name}, mean per dof", _average(1.0, value / joint.dof)
+    for name in ("pose", "position", "heading"):
+        yield from _of_many(name, getattr(truth, name), epochs=True)
+    for name in ("landmarks", "distance"):
+        yield from _of_many(name, getattr(truth, name), epochs=False)
+    for name in ("map", "whole", "distances"):
+        joint: Normalised | None = getattr(truth, name)
+        if joint is not None and len(joint.squared):
+            value = float(joint.squared[0])
+            yield name, _band(joint.single_band.holds(value))
+            yield f"{name}, mean per dof", _average(1.0, value / joint.dof)
 
 
-def _of_many(name: str, n: Normalised, *, epochs: bool) -> Iterator[tuple[str, Figure]]:
-    if n.mean is None or n.inside is None:
+def _of_many(name: str, n: Normalised | None, *, epochs: bool) -> Iterator[tuple[str, Figure]]:
+    if n is None or n.mean is None or n.inside is None:
         return
     if epochs:
         for when, k in (("halfway", len(n.squared) // 2), ("at the end", -1)):

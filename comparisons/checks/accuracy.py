@@ -15,7 +15,8 @@ from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import METRES, Count, Less, More, Named, percent, rows_of
-from comparisons.logs.log import Log
+from comparisons.logs.log import Landmarks, Log
+from comparisons.plane import in_own_axes, rms
 from comparisons.words import Row
 from ekf_reference.core.geometry import wrap_angle
 
@@ -104,7 +105,7 @@ class AccuracyFinding(Of[Mapping[str, Accuracy | None]]):
 
     def __init__(self, each: Mapping[str, Accuracy | None], entries: Mapping[str, Any]) -> None:
         """each: by the name of the estimate. entries: as the job's result has them."""
-        self.value, self.entries = each, entries
+        super().__init__(each, entries=entries)
         self.lines = accuracy_lines(each)
 
     def rows(self) -> Sequence[Row]:
@@ -179,16 +180,12 @@ def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
     figures = _of_trajectory(estimate.time_s, estimate.pose, log)
     if log.truth.landmarks is not None:
         table = log.truth.landmarks
-        ours, theirs = match_landmarks(
-            (estimate.landmark_id, estimate.landmark),
-            (table.id, table.position_m),
-            labelled=labelled,
-        )
+        ours, theirs = match_truth(estimate, table, labelled=labelled)
         found, true = estimate.landmark[ours], table.position_m[theirs]
         figures["landmarks_found"], figures["landmarks_true"] = len(found), len(table.id)
         if len(found):
-            figures["landmark_rmse_m"] = _rms(found - true)
-            figures["landmark_rmse_aligned_m"] = _rms(aligned(found, true) - true)
+            figures["landmark_rmse_m"] = rms(found - true)
+            figures["landmark_rmse_aligned_m"] = rms(aligned(found, true) - true)
     return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
 
 
@@ -206,9 +203,7 @@ def exchanged_labels(estimate: Estimate, log: Log, *, labelled: bool) -> str:
     table = log.truth.landmarks
     if table is None or not labelled:
         return ""
-    ours, theirs = match_landmarks(
-        (estimate.landmark_id, estimate.landmark), (table.id, table.position_m), labelled=True
-    )
+    ours, theirs = match_truth(estimate, table, labelled=True)
     if len(ours) < _FEWEST_LABELS:
         return ""
     true, names = table.position_m[theirs], [estimate.names[i] for i in ours]
@@ -252,21 +247,21 @@ def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, float | in
         if len(at):
             figures["gps_median_m"] = _median(at - fixes)
             figures["gps_median_aligned_m"] = _median(aligned(at, fixes, robust=True) - fixes)
-            figures["gps_rms_aligned_m"] = _rms(aligned(at, fixes) - fixes)
+            figures["gps_rms_aligned_m"] = rms(aligned(at, fixes) - fixes)
     if truth.poses is not None:
         at, true, figures["coverage"] = _at_times(
             time_s, pose, truth.poses.time_s, truth.poses.pose[:, :2]
         )
         if len(at):
-            figures["ate_m"] = _rms(at - true)
-            figures["ate_aligned_m"] = _rms(aligned(at, true) - true)
+            figures["ate_m"] = rms(at - true)
+            figures["ate_aligned_m"] = rms(aligned(at, true) - true)
         inside = (truth.poses.time_s >= time_s[0]) & (truth.poses.time_s <= time_s[-1])
         clock, true_pose = truth.poses.time_s[inside], truth.poses.pose[inside]
         poses = np.column_stack([np.interp(clock, time_s, column) for column in pose.T])
         apart, turned = relative_errors(poses, true_pose)
         if len(apart):
-            figures["rpe_10m_m"] = float(np.sqrt(np.mean(apart**2)))
-            figures["rpe_10m_rad"] = float(np.sqrt(np.mean(turned**2)))
+            figures["rpe_10m_m"] = rms(apart[:, None])
+            figures["rpe_10m_rad"] = rms(turned[:, None])
     return figures
 
 
@@ -278,7 +273,7 @@ def relative_errors(pose: Array, true: Array, way_m: float = RPE_M) -> tuple[Arr
     RPE of evo over metres with all pairs, these taken from the reference.
     """
     first, second = _pairs(true[:, :2], way_m)
-    moved = [_relative(path[first], path[second]) for path in (pose, true)]
+    moved = [in_own_axes(path[first], path[second]) for path in (pose, true)]
     error = moved[0] - moved[1]
     return np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))
 
@@ -293,13 +288,6 @@ def _pairs(path: Array, way_m: float) -> tuple[Index, Index]:
     second = np.where(nearer, short, beyond)
     found = np.abs(gone[second] - gone - way_m) <= _RPE_SHARE * way_m
     return np.flatnonzero(found), second[found]
-
-
-def _relative(first: Array, second: Array) -> Array:
-    """Poses (P, 3) as seen from others (P, 3)."""
-    x, y, turn = (second - first).T
-    cos, sin = np.cos(first[:, 2]), np.sin(first[:, 2])
-    return np.column_stack((cos * x + sin * y, cos * y - sin * x, turn))
 
 
 def aligned(points: Array, reference: Array, *, robust: bool = False) -> Array:
@@ -340,10 +328,16 @@ def match_landmarks(
 
     labelled: by id, else one to one by distance.
     """
-    if not labelled:
-        return match_by_distance(ours[1], theirs[1])
-    _, first, second = np.intersect1d(ours[0], theirs[0], return_indices=True)
-    return first, second
+    if labelled:
+        return np.intersect1d(ours[0], theirs[0], return_indices=True)[1:]
+    return match_by_distance(ours[1], theirs[1])
+
+
+def match_truth(estimate: Estimate, table: Landmarks, *, labelled: bool) -> tuple[Index, Index]:
+    """Rows of the landmarks that an estimate and the truth have, as of `match_landmarks`."""
+    return match_landmarks(
+        (estimate.landmark_id, estimate.landmark), (table.id, table.position_m), labelled=labelled
+    )
 
 
 def match_by_distance(points: Array, reference: Array) -> tuple[Index, Index]:
@@ -373,10 +367,6 @@ def _at_times(
     cos, sin = np.cos(heading), np.sin(heading)
     at = np.column_stack((x + cos * forward - sin * left, y + sin * forward + cos * left))
     return at, reference[inside], float(np.mean(inside)) if len(inside) else 0.0
-
-
-def _rms(error: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def _median(error: Array) -> float:

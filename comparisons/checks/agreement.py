@@ -18,13 +18,7 @@ from scipy.linalg import LinAlgError, eigvalsh
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Aside, Figure, LeftOut, Less, Mark, Nominal, at, number
-from comparisons.statistics import (
-    ROUNDING,
-    chi2_quantile,
-    covariance_gap,
-    eigenvalue_range,
-    units,
-)
+from comparisons.statistics import ROUNDING, chi2_quantile, covariance_gap, eigenvalue_range, units
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import KINDS, POINT, POSE, LandmarkKind
 from ekf_reference.core.layout import Layout
@@ -118,12 +112,8 @@ EXACT = Allowed()
 def rounding_of(prior: Array, last: Gaussian) -> Allowed:
     """What double precision explains where numbers far apart stand side by side.
 
-    A filter subtracts from variances as large as the prior's, see `lost_of`. Positions lose as much
-    of their distance from the origin.
-
-    Args:
-        prior: (3, 3) of the first pose.
-        last: S, the last pose and all landmarks.
+    A filter subtracts from variances as large as the prior's (3, 3), see `lost_of`. Positions lose
+    as much of their distance from the origin. last: S, the last pose and all landmarks.
     """
     places = np.ones(len(last.mean), dtype=bool)
     places[last.layout.angles] = False
@@ -136,13 +126,9 @@ def rounding_of(prior: Array, last: Gaussian) -> Allowed:
 def lost_of(position: float, heading: float, last: Array) -> float:
     """What a filter loses of what it knows best, relative, once it knew as little as this.
 
-    It loses `LOST` of the variances that it subtracts from, and is left with that error: of each
-    state this is its variance over what is left of it once all others are known.
-
-    Args:
-        position: Variance.
-        heading: Variance.
-        last: (n, n) of the last pose and all landmarks, S's.
+    It loses `LOST` of the variances that it subtracts from, those of position and heading, and is
+    left with that error: of each state this is its variance over what is left of it once all others
+    are known. last: (n, n) of the last pose and all landmarks, S's.
     """
     large = np.maximum(np.diag(last), position)
     large[2] = max(last[2, 2], heading)
@@ -172,7 +158,7 @@ class Gap:
 
     def within(self, tolerance: float) -> bool:
         """Both are at most the tolerance; never true for NaN."""
-        return self.sigma <= tolerance and self.covariance <= tolerance
+        return self.explained_by(Allowed(tolerance, tolerance))
 
     def explained_by(self, allowed: Allowed) -> bool:
         """Neither is more than allowed; never true for NaN."""
@@ -480,9 +466,7 @@ def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian
         **gap_figures(*gaps),
         optimism=whole.ratios[0],
         pessimism=whole.ratios[1],
-        landmark_difference_rms_m=float(np.sqrt(np.mean([d**2 for d in distances])))
-        if distances
-        else 0.0,
+        landmark_difference_rms_m=float(np.sqrt(np.mean([d**2 for d in distances or [0.0]]))),
         pose=BlockAgreement.of(*_parts(ekf, smoother, difference, slice(0, 3))),
         map=whole,
         landmarks=landmarks,

@@ -57,10 +57,7 @@ def _conservative(gap: Gap, allowed: Allowed) -> bool:
 
 
 def algebra_cause(
-    gap: Gap,
-    operations: Sequence[str],
-    allowed: Allowed = EXACT,
-    hint: str = HINT,
+    gap: Gap, operations: Sequence[str], allowed: Allowed = EXACT, hint: str = HINT
 ) -> Cause:
     """E against F1. operations: what is wrong with which, the first first.
 

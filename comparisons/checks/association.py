@@ -74,8 +74,8 @@ class AssociationFinding(Of[AssociationScore]):
 
     def __init__(self, score: AssociationScore, whose: str) -> None:
         """whose: the filter's or the smoother's, in words."""
-        self.value, self.whose = score, whose
-        self.entries = {"association": score}
+        super().__init__(score, entries={"association": score})
+        self.whose = whose
 
     def rows(self) -> Sequence[Row]:
         """Return its figures."""
@@ -100,9 +100,7 @@ class CheckAssociation(Check):
             run, whose = known.ekf, "the filter"
             index, places = run.landmark_index, run.estimate.landmark
         score = score_association(index, places, known.prepared.log)
-        return (
-            Absent("the log has no labels") if score is None else AssociationFinding(score, whose)
-        )
+        return AssociationFinding(score, whose) if score else Absent("the log has no labels")
 
 
 def score_association(
@@ -182,10 +180,7 @@ def compare_partitions(first: NDArray[np.intp], second: NDArray[np.intp]) -> Par
     """Landmark indices (M,) of the same measurements by two associations, negative for unused."""
     table = _shared(first, second)
     together = _pairs(table.ravel())
-    own = [
-        _pairs(np.bincount(landmark_index[landmark_index >= 0]))
-        for landmark_index in (first, second)
-    ]
+    own = [_pairs(np.bincount(one[one >= 0])) for one in (first, second)]
     return PartitionAgreement(
         pairs_both=together,
         pairs_first=own[0] - together,

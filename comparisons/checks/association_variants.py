@@ -11,7 +11,7 @@ benchmarks/trust_association.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -25,8 +25,8 @@ from comparisons.checks.association import (
     differing_measurements,
 )
 from comparisons.figures import Figure, in_sigma
+from comparisons.plane import pose_difference, rms, squared_distance
 from comparisons.words import Row
-from ekf_reference.core.geometry import wrap_angle
 
 if TYPE_CHECKING:
     from comparisons.adapters.smoother_association import Alternative
@@ -191,10 +191,11 @@ def check_association(
         replace(one, against=one.elsewhere and (several or one.excess <= 0.0)) for one in found
     )
     disputes = [
-        dispute
+        Dispute(one.name, max(landmark, -1), len(at), float(at.min()), float(at.max()))
         for one, rows in zip(variants, disputed, strict=True)
         if one.against
-        for dispute in _disputes(one.name, landmark_index[rows], time_s[rows])
+        for landmark in np.unique(landmark_index[rows]).tolist()
+        for at in [time_s[rows][landmark_index[rows] == landmark]]
     ]
     return AssociationCheck(
         verified=not any(one.against for one in variants),
@@ -203,19 +204,11 @@ def check_association(
     )
 
 
-def _disputes(variant: str, landmark_index: LandmarkIndices, time_s: Array) -> Iterator[Dispute]:
-    """The measurements (D,) in dispute, by landmark."""
-    for landmark in np.unique(landmark_index).tolist():
-        at = time_s[landmark_index == landmark]
-        yield Dispute(variant, max(landmark, -1), len(at), float(at.min()), float(at.max()))
-
-
 def _cost(landmark_index: LandmarkIndices, chi2: float, scale: float) -> float:
     """What an association leaves unexplained; scale: by which the noise is larger than stated."""
+    unused = float(np.sum(landmark_index < 0))
     landmarks = len(np.unique(landmark_index[landmark_index >= 0]))
-    return (
-        chi2 / scale + UNUSED_COST * float(np.sum(landmark_index < 0)) + LANDMARK_COST * landmarks
-    )
+    return chi2 / scale + UNUSED_COST * unused + LANDMARK_COST * landmarks
 
 
 def poses_apart(poses: Array, reference: Array, covariance: Array) -> tuple[float, float]:
@@ -225,7 +218,6 @@ def poses_apart(poses: Array, reference: Array, covariance: Array) -> tuple[floa
     """
     if len(poses) < _FEWEST_EPOCHS:
         return 0.0, 0.0
-    d, p = (poses - reference)[1:], covariance[1:]
-    d[:, 2] = wrap_angle(d[:, 2])
-    squared = np.einsum("ni,ni->n", d, np.linalg.solve(p, d[:, :, None])[:, :, 0]) / 3.0
-    return float(np.sqrt(squared.mean())), float(np.sqrt(np.mean(np.sum(d[:, :2] ** 2, axis=1))))
+    apart = pose_difference(poses, reference)[1:]
+    squared = squared_distance(apart, covariance[1:]) / 3.0
+    return float(np.sqrt(squared.mean())), rms(apart[:, :2])

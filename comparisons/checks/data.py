@@ -27,18 +27,12 @@ class CheckData(Check):
 
     def find(self, known: Known) -> DataFinding:
         """Return what it did to the data; the gaps that follow are a consequence."""
-        records, prepared = known.records, known.prepared
-        untimely = records.untimely()
-        found = data_faults(
-            prepared.log,
-            known.ekf,
-            known.gaps.smoothed,
-            labelled=prepared.labelled,
-            timed=not untimely,
-        )
+        prepared, untimely = known.prepared, known.records.untimely()
+        log, labelled, smoothed = prepared.log, prepared.labelled, known.gaps.smoothed
+        found = data_faults(log, known.ekf, smoothed, labelled=labelled, timed=not untimely)
         faults = (*untimely, *found)
         causes = [Cause("data", one.evidence, one.hint) for one in faults]
-        return DataFinding(faults, causes, records.left_out())
+        return DataFinding(faults, causes, known.records.left_out())
 
 
 class CheckBreakdown(Check):
@@ -52,7 +46,7 @@ class CheckBreakdown(Check):
         """Return what stopped it, which is a cause where no other explains it."""
         breakdown = known.ekf.breakdown
         if not breakdown or faulty(known):
-            return OfFilter(breakdown, ())
+            return OfFilter(breakdown)
         hint = (
             "check the measurements and their sigmas at that time; the gaps are computed up to it"
         )

@@ -108,14 +108,12 @@ def noise(test: ChiSquareTest, consistency: Consistency | None) -> list[Cause]:
     if not off:
         return []
     worst, of = max(off, key=lambda pair: pair[0].mean)
+    listed = ", ".join(f"{name}' {n.name} {n.mean:.3g} (expected {n.dof})" for n, name in off)
     return [
         Cause(
             "noise",
             f"the smoother's chi-square is too high, {test.chi2:.0f} for {test.dof} degrees of "
-            "freedom; these mean NIS are too high as well: "
-            + ", ".join(
-                f"{name}' {nis.name} {nis.mean:.3g} (expected {nis.dof})" for nis, name in off
-            ),
+            f"freedom; these mean NIS are too high as well: {listed}",
             f"check the sigma of the {of}' {worst.name}: if nothing else is wrong, it is about "
             f"{worst.mean**0.5:.2g} times too small; also check the association",
         )

@@ -11,25 +11,14 @@ from numpy.typing import NDArray
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import (
-    LARGEST_DISTANCE,
-    Band,
-    BlockAgreement,
-    LandmarkAgreement,
-)
-from comparisons.checks.diagnosis.diagnosis import rms
-from comparisons.checks.grade import (
-    MOST_LATE_S,
-    eigenvalues,
-    joint_rows,
-    match_map,
-    pose_difference,
-)
+from comparisons.checks.agreement import LARGEST_DISTANCE, Band, BlockAgreement, LandmarkAgreement
+from comparisons.checks.grade import MOST_LATE_S, eigenvalues, joint_rows, match_map
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.trajectory_files import UNITS, in_seconds, retimed
+from comparisons.plane import pose_difference, rms, squared_distance
 from comparisons.shown import Brief
 from comparisons.statistics import chi2_quantile, eigenvalue_range
 
@@ -61,14 +50,15 @@ class Coverage:
     """How much of the log's time an estimate speaks of.
 
     span_s: begin and end of the smoother's path. first_s, last_s: of the poses given within it.
-    holes_s: (H, 2) begin and end of what is not covered, in order. repeated: poses after last_s are
-    that one again.
+    holes_s: (H, 2) begin and end of what is not covered, in order. least: share of the log's time
+    that is required. repeated: poses after last_s are that one again.
     """
 
     span_s: tuple[float, float]
     first_s: float
     last_s: float
     holes_s: Array
+    least: float = 0.0
     repeated: bool = False
 
     @property
@@ -76,6 +66,11 @@ class Coverage:
         """Of the log's time; 1 of a log of one instant."""
         whole = self.span_s[1] - self.span_s[0]
         return 1.0 - self._missing_s / whole if whole > 0.0 else 1.0
+
+    @property
+    def short(self) -> bool:
+        """Whether it is too little."""
+        return self.share < self.least
 
     @property
     def _missing_s(self) -> float:
@@ -105,7 +100,7 @@ class Coverage:
 
 
 def coverage(
-    given: tuple[Array, Array], smoothed: tuple[Array, Array], observed_s: Array
+    given: tuple[Array, Array], smoothed: tuple[Array, Array], observed_s: Array, least: float = 0.0
 ) -> Coverage:
     """Return what an estimate's poses cover of the smoother's.
 
@@ -135,6 +130,7 @@ def coverage(
         first_s=float(t[0]),
         last_s=float(t[-1]),
         holes_s=holes,
+        least=least,
         repeated=not new[-1],
     )
 
@@ -237,7 +233,7 @@ def compare_external(
     found = ExternalAgreement(
         time_s=given.time_s,
         rms_m=rms(difference[:, :2]),
-        rms_heading_rad=float(np.sqrt(np.square(difference[:, 2]).mean())),
+        rms_heading_rad=rms(difference[:, 2:]),
         outside=outside,
         last=end,
         landmark_id=smoothed.landmark_id[rows[1]],
@@ -258,11 +254,8 @@ def compare_external(
 
 def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> BlockAgreement | None:
     """A reference's map against the optimum's; None where they share no landmark."""
-    ours, theirs = match_landmarks(
-        (peer.landmark_id, peer.landmark),
-        (smoothed.landmark_id, smoothed.landmark),
-        labelled=labelled,
-    )
+    maps = (peer.landmark_id, peer.landmark), (smoothed.landmark_id, smoothed.landmark)
+    ours, theirs = match_landmarks(*maps, labelled=labelled)
     rows, own = (joint_rows(which)[3:] for which in (ours, theirs))
     difference = (peer.landmark[ours] - smoothed.landmark[theirs]).ravel()
     if not len(difference):
@@ -274,11 +267,9 @@ def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> BlockAgre
 def _widened(band: Band, peer: BlockAgreement | None) -> Band:
     """Linearisation may change variances by as much as it does in the reference filter."""
     widest = Band()
-    if peer is None or peer.variance_ratio_least is None or peer.variance_ratio_largest is None:
+    if peer is None or not peer.ratios or not np.isfinite(peer.ratios[0]):
         return widest
-    least, largest = peer.variance_ratio_least, peer.variance_ratio_largest
-    if not np.isfinite(least):
-        return widest
+    least, largest = peer.ratios
     return Band(
         max(widest.least, min(band.least, _NARROW * least)),
         min(widest.largest, max(band.largest, largest / _NARROW)),
@@ -334,14 +325,12 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[
     at, parts = peer.known, []
     own = peer.pose_covariance[at]
     difference = pose_difference(given.pose[at], peer.pose[at])
-    solved = np.linalg.solve(own, difference[..., None])[..., 0]
-    square = np.einsum("ki,ki->k", difference, solved) / 3.0
+    square = squared_distance(difference, own) / 3.0
     far = float(np.mean(square > LARGEST_DISTANCE**2))
     if far > _MOST_OUTSIDE:
         parts.append(
             f"{100.0 * far:.0f} % of the poses differ by more than 1 sigma from those of "
-            f"{peer.name}, by "
-            f"{rms(difference[:, :2]):.2f} m and "
+            f"{peer.name}, by {rms(difference[:, :2]):.2f} m and "
             f"{np.degrees(rms(difference[:, 2:])):.2f} degrees (RMS)"
         )
     if given.pose_covariance is not None:
@@ -357,20 +346,18 @@ def _path_by_peer(given: ExternalEstimate, peer: Reference, band: Band) -> list[
 
 def _path_alone(found: ExternalAgreement, peer_rms_m: float) -> list[str]:
     """What is not plausible of a path where no right estimate of its kind is a measure."""
-    if found.outside is not None:
-        if found.outside <= _MOST_OUTSIDE:
-            return []
+    expected_m = _GENEROUS * peer_rms_m + _FLOOR_M
+    if found.outside is not None and found.outside > _MOST_OUTSIDE:
         return [
             f"{100.0 * found.outside:.0f} % of the poses lie outside their own 99.9 % region; "
             f"their RMS difference from the optimum is {found.rms_m:.2f} m"
         ]
-    expected_m = _GENEROUS * peer_rms_m + _FLOOR_M
-    if found.rms_m <= expected_m:
-        return []
-    return [
-        f"the RMS difference of the poses from the optimum is {found.rms_m:.2f} m, expected at "
-        f"most {expected_m:.2f} m"
-    ]
+    if found.outside is None and found.rms_m > expected_m:
+        return [
+            f"the RMS difference of the poses from the optimum is {found.rms_m:.2f} m, expected at "
+            f"most {expected_m:.2f} m"
+        ]
+    return []
 
 
 def _landmark_blocks(
@@ -390,5 +377,4 @@ def _outside(difference: Array, covariance: Array) -> float:
     limit = float(chi2_quantile(_SURE, 3))
     positive = np.linalg.eigvalsh(covariance)[:, 0] > 0.0
     safe = np.where(positive[:, None, None], covariance, np.eye(3))
-    square = np.einsum("ki,ki->k", difference, np.linalg.solve(safe, difference[..., None])[..., 0])
-    return float(np.mean(~positive | (square > limit)))
+    return float(np.mean(~positive | (squared_distance(difference, safe) > limit)))

@@ -66,15 +66,19 @@ class Finding:
 class Of(Finding, Generic[V]):
     """A finding of a value, which other checks and `Comparison` may read."""
 
-    value: V
+    def __init__(
+        self,
+        value: V,
+        causes: Sequence[Cause] = (),
+        remarks: Sequence[str] = (),
+        entries: Mapping[str, Any] | None = None,
+    ) -> None:
+        """value: what was looked at. The rest is as of `Finding`."""
+        self.value, self.causes, self.remarks, self.entries = value, causes, remarks, entries or {}
 
 
 class OfFilter(Of[V]):
     """What is found of a filter by itself, and first decides about it; its remarks come first."""
-
-    def __init__(self, value: V, causes: Sequence[Cause], remarks: Sequence[str] = ()) -> None:
-        """value: what was looked at."""
-        self.value, self.causes, self.remarks = value, causes, remarks
 
 
 class Absent(NamedTuple):

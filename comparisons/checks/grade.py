@@ -14,9 +14,9 @@ from comparisons.checks.accuracy import match_landmarks
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.estimates.stored_precision import stored_rounding
+from comparisons.plane import pose_difference
 from comparisons.shown import Brief
 from comparisons.statistics import ROUNDING
-from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.layout import Layout
 
 Grade = Literal["equal", "like", "plausible", "wrong"]
@@ -55,8 +55,7 @@ class Part(NamedTuple):
         by_mean, by_variance = self.rounding
         near = self.sigma <= sigma + by_mean
         spread = np.maximum(np.abs(self.least - 1.0), np.abs(self.largest - 1.0))
-        alike = np.isnan(spread) | (spread <= variance + by_variance)
-        return bool(near.all() and alike.all())
+        return bool(near.all() and not (spread > variance + by_variance).any())
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -109,21 +108,17 @@ def likeness(given: ExternalEstimate, reference: Reference, *, labelled: bool) -
 
     given: its poses at the reference's times, and no others. labelled: ids are the log's.
     """
-    ours, theirs = match_map(given, reference, labelled=labelled)
+    rows = ours, theirs = match_map(given, reference, labelled=labelled)
     missing, unmapped = _missing(reference), _unmapped(given, reference, ours)
     parts = [pose_part(given, reference)]
     if given.landmark is not None:
-        parts.append(_landmarks(given, reference, (ours, theirs)))
+        parts.append(_landmarks(given, reference, rows))
     if given.joint_covariance is not None:
-        parts.append(_joint(given, reference, (ours, theirs)))
+        parts.append(_joint(given, reference, rows))
+    like = all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in parts)
     grade: Literal["equal", "like"] | None = None
-    if (
-        not missing
-        and not unmapped
-        and all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in parts)
-    ):
-        equal = all(part.within(ROUNDING, ROUNDING) for part in parts)
-        grade = "equal" if equal else "like"
+    if like and not (missing or unmapped):
+        grade = "equal" if all(part.within(ROUNDING, ROUNDING) for part in parts) else "like"
     return Likeness(
         reference=reference,
         grade=grade,
@@ -149,20 +144,24 @@ def match_map(
     )
 
 
-def eigenvalues(first: Array, second: Array) -> tuple[Array, Array]:
+def eigenvalues(first: Array | None, second: Array) -> tuple[Array, Array]:
     """Return least and largest generalised eigenvalues (K,) of covariance pairs (K, n, n).
 
-    (-inf, inf) where the second are not all positive definite, for no such comparison may pass.
-    Asymmetry of the first, in the second's sigma squared, counts as if it were an eigenvalue
-    beyond one.
+    NaN where there are none of the first. (-inf, inf) where the second are not all positive
+    definite, for no such comparison may pass. Asymmetry of the first, in the second's sigma
+    squared, counts as if it were an eigenvalue beyond one.
     """
+    count = len(second)
+    if first is None:
+        return np.full(count, np.nan), np.full(count, np.nan)
     try:
         inverse = np.linalg.inv(np.linalg.cholesky(second))
     except np.linalg.LinAlgError:
-        return np.full(len(first), -np.inf), np.full(len(first), np.inf)
+        return np.full(count, -np.inf), np.full(count, np.inf)
     whitened = inverse @ first @ inverse.transpose(0, 2, 1)
-    values = np.linalg.eigvalsh(0.5 * (whitened + whitened.transpose(0, 2, 1)))
-    skew = np.abs(whitened - whitened.transpose(0, 2, 1)).max(axis=(1, 2))
+    turned = whitened.transpose(0, 2, 1)
+    values = np.linalg.eigvalsh(0.5 * (whitened + turned))
+    skew = np.abs(whitened - turned).max(axis=(1, 2))
     least, largest = np.asarray(values[:, 0], dtype=float), np.asarray(values[:, -1], dtype=float)
     return least, np.where(skew > ROUNDING, np.fmax(largest, 1.0 + skew), largest)
 
@@ -171,13 +170,6 @@ def in_sigma(difference: Array, covariance: Array) -> Array:
     """Return the largest entry (K,) of differences (K, n) in standard deviations."""
     found: Array = (np.abs(difference) / np.sqrt(np.diagonal(covariance, 0, 1, 2))).max(axis=1)
     return found
-
-
-def pose_difference(first: Array, second: Array) -> Array:
-    """Return first - second (K, 3), headings wrapped."""
-    difference: Array = first - second
-    difference[:, 2] = wrap_angle(difference[:, 2])
-    return difference
 
 
 def joint_rows(landmarks: Index) -> Index:
@@ -210,7 +202,7 @@ def pose_part(given: ExternalEstimate, reference: Reference) -> Part:
     own = reference.pose_covariance[at]
     difference = pose_difference(given.pose[at], reference.pose[at])
     cover = None if given.pose_covariance is None else given.pose_covariance[at]
-    ratios = _ratios(None if cover is None else _started(cover, own), own)
+    ratios = eigenvalues(None if cover is None else _started(cover, own), own)
     rounding = (
         _mean_rounding(given.pose[:, :2], reference.pose[at], own),
         _covariance_rounding(cover, own),
@@ -233,7 +225,7 @@ def _landmarks(given: ExternalEstimate, reference: Reference, rows: tuple[Index,
     at = np.zeros((0, 2)) if given.landmark is None else given.landmark[ours]
     cover = None if given.landmark_covariance is None else given.landmark_covariance[ours]
     rounding = _mean_rounding(at, theirs_at, own), _covariance_rounding(cover, own)
-    return Part("landmarks", in_sigma(at - theirs_at, own), *_ratios(cover, own), rounding)
+    return Part("landmarks", in_sigma(at - theirs_at, own), *eigenvalues(cover, own), rounding)
 
 
 def _joint(given: ExternalEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
@@ -244,13 +236,6 @@ def _joint(given: ExternalEstimate, reference: Reference, rows: tuple[Index, Ind
     first, second = pair[0][None], pair[1][None]
     rounding = 0.0, _covariance_rounding(first, second)
     return Part("last pose and landmarks", np.zeros(1), *eigenvalues(first, second), rounding)
-
-
-def _ratios(given: Array | None, own: Array) -> tuple[Array, Array]:
-    if given is None:
-        none = np.full(len(own), np.nan)
-        return none, none
-    return eigenvalues(given, own)
 
 
 def _mean_rounding(stored: Array, mean: Array, covariance: Array) -> float:
@@ -275,15 +260,11 @@ def _rounded(array: Array) -> Array:
 
 def _missing(reference: Reference) -> Sequence[str]:
     """What of the path the estimate has not, whose times the reference's are."""
-    (begin, end), missing = reference.span_s, []
-    if reference.time_s[0] - begin > max(MOST_LATE_S, 0.05 * (end - begin)):
-        missing.append(
-            f"the trajectory starts at {reference.time_s[0]:.1f} s, the log at {begin:.1f} s"
-        )
-    if end - reference.time_s[-1] > MOST_LATE_S:
-        missing.append(
-            f"the trajectory ends at {reference.time_s[-1]:.1f} s, the log at {end:.1f} s"
-        )
+    (begin, end), (first, last), missing = reference.span_s, reference.time_s[[0, -1]], []
+    if first - begin > max(MOST_LATE_S, 0.05 * (end - begin)):
+        missing.append(f"the trajectory starts at {first:.1f} s, the log at {begin:.1f} s")
+    if end - last > MOST_LATE_S:
+        missing.append(f"the trajectory ends at {last:.1f} s, the log at {end:.1f} s")
     if not reference.known.any():
         missing.append("no pose has the time of a measurement of the log")
     return missing
@@ -295,10 +276,8 @@ def _unmapped(given: ExternalEstimate, reference: Reference, ours: Index) -> Seq
     if given.landmark is not None:
         lacking, more = len(reference.landmark) - len(ours), len(given.landmark) - len(ours)
         if lacking:
-            missing.append(
-                f"{lacking} of {len(reference.landmark)} landmarks of the log are missing in "
-                "the map"
-            )
+            of = len(reference.landmark)
+            missing.append(f"{lacking} of {of} landmarks of the log are missing in the map")
         if more:
             missing.append(f"{more} landmarks of the map are unknown to {reference.name}")
     return missing

@@ -10,6 +10,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
 from comparisons.estimates.estimate import Estimate
 from comparisons.figures import Less
+from comparisons.plane import rms, squared_distance
 from comparisons.statistics import chi2_quantile
 
 _CHI2_2_99 = float(chi2_quantile(0.99, 2))
@@ -64,10 +65,10 @@ def compare_maps(first: Estimate, second: Estimate) -> Pair:
         raise ValueError("the maps share no landmark")
     a, b = first.landmark[i], second.landmark[j]
     total = first.landmark_covariances()[i] + second.landmark_covariances()[j]
-    squared = np.einsum("ni,ni->n", a - b, np.linalg.solve(total, (a - b)[:, :, None])[:, :, 0])
+    squared = squared_distance(a - b, total)
     return Pair.of(
-        float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1)))),
-        float(np.sqrt(np.mean(np.sum((aligned(a, b) - b) ** 2, axis=1)))),
+        rms(a - b),
+        rms(aligned(a, b) - b),
         squared,
         2,
         int(np.count_nonzero(~(squared <= _CHI2_2_99))),  # what is no number lies nowhere

@@ -14,8 +14,6 @@ def squared_misfit(seen: LandmarkMeasurements, rows: Index, pose: Array, landmar
     model = RangeBearing()
     z = np.column_stack((seen.range_m, seen.bearing_rad))[rows]
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[rows]
-    # The heading turns the bearing only.
-    expected = model.predict(np.zeros(3), landmark - pose[:, :2]).z
-    expected[:, 1] -= pose[:, 2]
-    squared: Array = np.sum((model.innovation(z, expected) / sigma) ** 2, axis=1)
+    innovation = model.innovation(z, model.predict(pose.T, landmark).z)
+    squared: Array = np.sum((innovation / sigma) ** 2, axis=1)
     return squared

@@ -26,7 +26,8 @@ class CheckOptimum(Check):
         """Return the evidence for S."""
         optimality, records, causes = known.result.optimality, known.kept, []
         if records is not None and records.untold:
-            causes = [_untold(records.precision)]
+            hint = "narrow the prior, end the log before its longest gap, or move the origin nearer"
+            causes = [Cause("oracle", records.precision, hint)]  # rounding hides the verdict
         elif not optimality.verified:
             causes = [unverified(optimality)]
         remarks = misfit_remarks(optimality)
@@ -41,18 +42,11 @@ def unverified(optimality: Optimality) -> Cause:
     elif optimality.chi_square.reading == "too high":
         hint = (
             "check the stated noise and the association; --accept-misfit accepts the lowest "
-            "minimum "
-            "despite its chi-square"
+            "minimum despite its chi-square"
         )
     else:
         hint = "check the stated noise and the association: the smoother may be in a local minimum"
     return Cause("oracle", optimality.lacks, hint)
-
-
-def _untold(precision: str) -> Cause:
-    """Rounding hides what a verdict would be about."""
-    hint = "narrow the prior, end the log before its longest gap, or move the origin nearer"
-    return Cause("oracle", precision, hint)
 
 
 def doubted_association(against: int, variants: int) -> Cause:

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.checks.diagnosis.diagnosis import rms
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.logs.stamps import at_instants
+from comparisons.plane import pose_difference, rms, squared_distance
 from comparisons.shown import render
-from ekf_reference.core.geometry import wrap_angle
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -55,7 +54,7 @@ class EstimateComparison:
     @property
     def rms_heading_rad(self) -> float:
         """Root mean square of the headings' differences."""
-        return float(np.sqrt(np.mean(self.difference[:, 2] ** 2)))
+        return rms(self.difference[:, 2:])
 
     @property
     def nees_mean(self) -> float:
@@ -114,8 +113,7 @@ def compare_pair(
             f"{first.time_s[-1]:.3f} s, the other from {second.time_s[0]:.3f} to "
             f"{second.time_s[-1]:.3f} s"
         )
-    difference = first.pose[a] - second.pose[b]
-    difference[:, 2] = wrap_angle(difference[:, 2])
+    difference = pose_difference(first.pose[a], second.pose[b])
     names, rows = _landmarks(first, second)
     apart = np.zeros((0, 2))
     if first.landmark is not None and second.landmark is not None:
@@ -172,6 +170,5 @@ def _nees(difference: Array, spread: Array) -> Array:
     """(N,) NaN where the covariance of the difference is."""
     found: Array = np.full(len(difference), np.nan)
     good = np.isfinite(spread).all(axis=(1, 2))
-    solved = np.linalg.solve(spread[good], difference[good][:, :, None])[:, :, 0]
-    found[good] = np.einsum("ni,ni->n", difference[good], solved)
+    found[good] = squared_distance(difference[good], spread[good])
     return found

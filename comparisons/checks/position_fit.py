@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from comparisons.arrays import Array
 from comparisons.logs.log import Poses
-from ekf_reference.models.position import PositionModel
+from comparisons.plane import turned
 
 _LEFT = 0.05
 """Share of the chi-square that a motion may leave."""
@@ -45,11 +45,7 @@ def position_fit(seen: Seen, path: Poses) -> str:
 
     By weighted least squares, each motion alone. One explains them that leaves 5 % of their
     chi-square at most; those that leave about as little as the best are named, the one with the
-    fewest parameters first. Empty where none explains them.
-
-    Args:
-        seen: Positions that do not fit.
-        path: What odometry and landmarks say.
+    fewest parameters first. Empty where none explains them. path: by odometry and landmarks.
     """
     if len(seen.time_s) < _FEWEST:
         return ""
@@ -84,9 +80,7 @@ def _motions(seen: Seen, path: Poses) -> list[_Motion]:
 
     return [
         _Motion(
-            2,
-            lambda p: own + p,
-            lambda p: f"an offset of {p[0]:.2f} m east, {p[1]:.2f} m north",
+            2, lambda p: own + p, lambda p: f"an offset of {p[0]:.2f} m east, {p[1]:.2f} m north"
         ),
         _Motion(2, lambda p: _antenna(poses, tuple(p + seen.antenna_m)), placed),
         _Motion(
@@ -106,5 +100,4 @@ def _motions(seen: Seen, path: Poses) -> list[_Motion]:
 
 
 def _antenna(poses: Array, antenna_m: tuple[float, ...]) -> Array:
-    model = PositionModel((float(antenna_m[0]), float(antenna_m[1])))
-    return np.array([model.predict(pose)[0] for pose in poses])
+    return poses[:, :2] + turned(np.array(antenna_m), poses[:, 2])

@@ -19,6 +19,7 @@ from comparisons.checks.check import Check
 from comparisons.checks.finding import Absent, Of
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Poses
+from comparisons.plane import squared_distance
 from comparisons.words import Cause, Explanation
 from ekf_reference.models.position import PositionFixes, PositionModel
 
@@ -58,11 +59,9 @@ class RejectedFixes:
             f"{self.unfit_count} of {self.given} positions contradict what odometry and landmarks "
             "say, and were rejected"
         )
-        if self.fit:
-            return [
-                Cause("positions", f"{evidence}; they fit {self.fit}", "correct this in the log")
-            ]
         hint = "check the positions' frame, antenna, clock and sigma, and the start"
+        if self.fit:
+            evidence, hint = f"{evidence}; they fit {self.fit}", "correct this in the log"
         return [Cause("positions", evidence, hint)]
 
     @property
@@ -98,11 +97,6 @@ class RejectedFixes:
 class PositionsFinding(Of[RejectedFixes]):
     """What the gate rejected; its counts stand in the result's part of the filter."""
 
-    def __init__(self, fixes: RejectedFixes) -> None:
-        """fixes: with what the smoother says of them."""
-        self.value = fixes
-        self.causes, self.remarks = fixes.causes, fixes.remarks
-
 
 class CheckPositions(Check):
     """Do the positions that the filter's gate rejected fit the smoother's optimum?"""
@@ -126,7 +120,7 @@ class CheckPositions(Check):
         fixes = rejected_fixes(known.ekf, known.gaps.smoothed)
         if fixes is None:
             return Absent("the filter was given no absolute positions")
-        return PositionsFinding(fixes)
+        return PositionsFinding(fixes, fixes.causes, fixes.remarks)
 
 
 def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
@@ -144,10 +138,8 @@ def rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
         (smoothed.pose[at], smoothed.pose_covariance[at]),
         (given.position_m[number], given.covariance[number]),
     )
-    squared = np.einsum(
-        "ni,ni->n", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0]
-    )
-    found = RejectedFixes(count, number, streaks(number), squared > PositionFixes().gate)
+    unfit = squared_distance(residual, spread) > PositionFixes().gate
+    found = RejectedFixes(count, number, streaks(number), unfit)
     if not found.contradict:
         return found
     from comparisons.checks.position_fit import Seen, position_fit

@@ -115,14 +115,14 @@ class TruthGap:
         """Why it stands, None where it does not."""
         if not self.stands:
             return None
-        parts = [
+        parts = list(self.found)
+        parts += [
             f"the RMS error of its {d.what} is {d.error_m:.2g} m, {d.sigma:.1f} times what its "
             "covariance states"
             + (f" (with the log's labels {d.labels_m:.2g} m)" if d.labels_m is not None else "")
             for d in self.distances
             if d.off
         ]
-        parts = [*self.found, *parts]
         if self.lost:
             parts.append("none of its landmarks lies near a true landmark")
         hint = "check the stated noise, the models and the start pose, which EKF and smoother share"
@@ -146,12 +146,7 @@ class TruthGap:
 
 
 class TruthGapFinding(Of[TruthGap]):
-    """The smoother against truth, or against itself with the log's labels."""
-
-    def __init__(self, gap: TruthGap) -> None:
-        """gap: whether it stands is a qualifier of the verdict."""
-        self.value = gap
-        self.entries = {"truth_gap": gap}
+    """The smoother against truth, or itself by the log's labels: a qualifier where it stands."""
 
 
 class CheckTruthGap(Check):
@@ -192,7 +187,7 @@ class CheckTruthGap(Check):
             rows = rows_by_truth(log.prior, log.truth.poses)
             labels = exchanged_labels(smoothed, log, labelled=prepared.labelled)
             gap = replace(gap, found=tuple(filter(None, (rows, labels))))
-        return TruthGapFinding(gap)
+        return TruthGapFinding(gap, entries={"truth_gap": gap})
 
 
 def truth_gap(
@@ -206,14 +201,10 @@ def truth_gap(
     if accuracy is None or (accuracy.ate_m is None and accuracy.landmarks_true is None):
         return None
     found = []
-    poses = None if consistency is None else consistency.poses
-    mapped = None if consistency is None else consistency.landmarks
+    pose, places = (None, None) if consistency is None else (consistency.pose, consistency.places)
     framed = accuracy.ate_m is not None  # else nothing tells where the log starts
     map_m = accuracy.landmark_rmse_m if framed else accuracy.landmark_rmse_aligned_m
-    for what, errors, metres in (
-        ("poses", None if poses is None else poses.pose, accuracy.ate_m),
-        ("landmarks", mapped, map_m),
-    ):
+    for what, errors, metres in (("poses", pose, accuracy.ate_m), ("landmarks", places, map_m)):
         if errors is not None and errors.mean is not None and metres is not None:
             sigma = float(np.sqrt(errors.mean / errors.dof))
             found.append(Distance(what, sigma, limit(errors.dof), metres))
@@ -281,6 +272,5 @@ def _rough(gap: TruthGap) -> str:
     return (
         f"the RMS error of the smoother's {worst.what} is {worst.error_m:.2g} m: less than the "
         f"sigma of a single measurement ({gap.measurement_m:.2g} m), but {worst.sigma:.1f} times "
-        "what "
-        "its covariance states, so the stated sigmas are too small"
+        "what its covariance states, so the stated sigmas are too small"
     )

@@ -18,12 +18,9 @@ def within_spread(near: Likeness, sound: Sequence[Reference], *, labelled: bool)
     """Return whether no part of an estimate is beyond what the sound filters differ by.
 
     Each pose, each landmark, and the last pose and map together must be no farther from the nearest
-    filter than some other filter is, or than `like` allows, in mean and in covariance.
-
-    Args:
-        near: The estimate against the nearest of the filters.
-        sound: All of them, at the same times.
-        labelled: Whether ids are the log's.
+    filter than some other filter is, or than `like` allows, in mean and in covariance. near: the
+    estimate against the nearest. sound: all filters, at the same times. labelled: ids are the
+    log's.
     """
     if near.missing or near.unmapped:
         return False

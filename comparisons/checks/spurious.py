@@ -63,8 +63,8 @@ class SpuriousFinding(Of[Learnt]):
 
     def __init__(self, found: Learnt) -> None:
         """found: of all directions."""
-        self.value, self.result = found, spurious_heading_result(found)
-        self.entries = {"spurious_heading": self.result}
+        self.result = spurious_heading_result(found)
+        super().__init__(found, entries={"spurious_heading": self.result})
 
     def rows(self) -> Sequence[Row]:
         """Return what was learnt of the heading."""

@@ -66,9 +66,9 @@ class StatedNoiseFinding(Of[tuple[StatedNoise, ...]]):
 
     def __init__(self, components: Sequence[Component]) -> None:
         """components: of the smoother's residuals."""
-        self.value = tuple(_noise(one) for one in components)
-        self.entries = {"stated_noise": self.value}
-        self.remarks = [remark for one in components for remark in _remark(one)]
+        value = tuple(_noise(one) for one in components)
+        remarks = [remark for one in components for remark in _remark(one)]
+        super().__init__(value, remarks=remarks, entries={"stated_noise": value})
 
     def rows(self) -> Sequence[Row]:
         """Return a row for every sensor."""
@@ -114,9 +114,8 @@ def _noise(one: Component) -> StatedNoise:
 def _remark(one: Component) -> list[str]:
     """Of odometry alone: the innovations of all others have bands of their own."""
     low, high = one.interval(WORDS)
-    if one.name != "odometry" or not one.settled or low <= 1.0 <= high:
-        return []
-    if 1.0 / _WORTH < one.factor < _WORTH:
+    near = low <= 1.0 <= high or 1.0 / _WORTH < one.factor < _WORTH
+    if one.name != "odometry" or not one.settled or near:
         return []
     return [
         f"the noise of the odometry is {one.factor:.2g} times the stated ({low:.2g} to {high:.2g} "

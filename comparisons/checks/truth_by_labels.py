@@ -16,6 +16,7 @@ from comparisons.checks.association_variants import poses_apart
 from comparisons.checks.consistency.nees import limit
 from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
 from comparisons.logs.transforms.known_landmarks import indices_by_label
+from comparisons.plane import rms
 from graphslam.graph_builder import build_graph, from_values
 from graphslam.initialisation import track
 from graphslam.optimisers import optimise
@@ -45,7 +46,7 @@ def with_labels(known: Known, gap: TruthGap) -> TruthGap:
         ours, theirs = match_landmarks((ids, places), true, labelled=True)
         apart = places[ours] - table.position_m[theirs]
         if len(apart):
-            errors["landmarks"] = float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
+            errors["landmarks"] = rms(apart)
     distances = tuple(replace(d, labels_m=errors.get(d.what)) for d in gap.distances)
     return replace(gap, distances=distances)
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from comparisons.adapters.filter_loop import FilterObserver, FilterObservers
 from comparisons.arrays import Array
-from comparisons.checks.grade import Likeness, in_sigma, pose_difference
+from comparisons.checks.grade import Likeness, in_sigma
 from comparisons.errors import InputError
 from comparisons.estimates.external import ExternalEstimate
+from comparisons.plane import pose_difference
 from ekf_reference.core.ekf import Ekf
 
 EXPLAINED = 0.99

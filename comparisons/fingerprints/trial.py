@@ -100,11 +100,7 @@ class Trial:
     """
 
     def __init__(
-        self,
-        given: ExternalEstimate,
-        prepared: Prepared[SolveConfig],
-        sound: Likeness,
-        way: Way,
+        self, given: ExternalEstimate, prepared: Prepared[SolveConfig], sound: Likeness, way: Way
     ) -> None:
         """sound: as of `fingerprints`."""
         self.given, self.prepared, self.sound, self.way = given, prepared, sound, way

@@ -38,11 +38,7 @@ def unscented_filters(
 
     Of each form: whether sigma points lie by kappa 0 or 3 - n, along Cholesky's root or the
     symmetric one, whether the control has some, and whether new landmarks are placed by them.
-
-    Args:
-        given: Its poses at the reference's times, and no others.
-        prepared: The log.
-        ekf: The estimate against the reference EKF.
+    given: its poses at the reference's times, and no others. ekf: it against the reference EKF.
     """
     fit = _Fit(given, prepared, ekf)
     both = (True, False)

@@ -13,7 +13,7 @@ from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, AccuracyFinding
-from comparisons.checks.agreement import Gap
+from comparisons.checks.agreement import Allowed, Gap
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
 from comparisons.checks.consistency.consistency import ExternalConsistency
@@ -316,12 +316,10 @@ class _Job:
         """The same once a fault reproduces the estimate, or it is sound; None where neither is."""
         if first.outcome == "agree":
             return first
-        least = self.config.min_coverage
-        found = _of_sigma_points(first, least) or _named(first, self.progress)
-        found = found or _within_spread(first, least)
+        found = _of_sigma_points(first) or _named(first, self.progress) or _within_spread(first)
         if found is None and first.variants:
             other = self.integrated(first, FILTERS)
-            found = other if other.outcome == "agree" else _within_spread(other, least)
+            found = other if other.outcome == "agree" else _within_spread(other)
         return found
 
     def moved_back(self, first: ExternalCheck) -> ExternalCheck | None:
@@ -425,25 +423,22 @@ def _named(found: ExternalCheck, progress: Progress) -> ExternalCheck | None:
     return replace(found, causes=(fault_cause(known, sound), *others))
 
 
-def _filter_like(found: ExternalCheck, least: float) -> Likeness | None:
+def _filter_like(found: ExternalCheck) -> Likeness | None:
     """What an estimate is most like, if that is a filter, and nothing else speaks against it.
 
-    None where its trace has a fault. least: share of the time to be covered.
+    None where its trace has a fault, or too little is covered.
     """
     near, traced = found.grade.by, found.trace
     faulty = traced is not None and any(one.gap in FILTER_FAULTS for one in traced.verdict.causes)
     if faulty or near is None or near.reference.smoothed or not found.variants:
         return None
-    return near if found.coverage.share >= least else None
+    return None if found.coverage.short else near
 
 
-def _of_sigma_points(found: ExternalCheck, least: float) -> ExternalCheck | None:
-    """The check of an estimate beside the unscented filter of its own sigma points, if it is one.
-
-    least: as of _filter_like.
-    """
+def _of_sigma_points(found: ExternalCheck) -> ExternalCheck | None:
+    """The check beside the unscented filter of the estimate's own sigma points, if it is one."""
     prepared, inside = found.solution.prepared, found.inside
-    if _filter_like(found, least) is None:
+    if _filter_like(found) is None:
         return None
     ekf = likeness(inside, found.peers[0], labelled=prepared.labelled)
     best = None
@@ -464,12 +459,9 @@ def _sound(found: ExternalCheck, near: Likeness, grade: Literal["equal", "like"]
     return replace(found, grade=graded, outcome=outcome, causes=causes)
 
 
-def _within_spread(found: ExternalCheck, least: float) -> ExternalCheck | None:
-    """The check of an estimate that is as near to a filter as other sound filters are.
-
-    None where it is not. least: as of _filter_like.
-    """
-    near = _filter_like(found, least)
+def _within_spread(found: ExternalCheck) -> ExternalCheck | None:
+    """The check of an estimate that is as near to a filter as other sound filters are, if it is."""
+    near = _filter_like(found)
     if near is None:
         return None
     filters = (*found.peers, *found.variants)
@@ -508,11 +500,14 @@ def check_external(
         progress("references", 0, 0)
         references = _references(inside, solution)
         others = _variants(inside, references, solution)
-        near = _nearest(inside, (*references.peers, *others), labelled=labelled)
+        near = None
+        for one in (*references.peers, *others):
+            near = _better(near, likeness(inside, one, labelled=labelled))
     progress("check", 0, 0)
     found = compare_external(inside, references.optimum, references.peers, labelled=labelled)
     verified = solution.verified
-    grade = _grade(require or _expected(given), near, found, verified=verified)
+    expected: RequiredGrade = "like" if given.estimator == "ekf" else "plausible"
+    grade = _grade(require or expected, near, found, verified=verified)
     first = near and likeness(inside, references.peers[0], labelled=labelled)
     known = facts(inside, first, references.clues) if first else []
     smoothed = solution.estimate
@@ -520,9 +515,9 @@ def check_external(
         (inside.time_s, inside.pose),
         (smoothed.time_s, smoothed.pose),
         solution.prepared.timeline.observed_s(),
+        min_coverage,
     )
-    short = covered.share < min_coverage
-    if short:
+    if covered.short:
         known = [one for one in known if one.gap != "coverage"]
     traced, causes = None, _causes(grade, known, found)
     if given.trace is not None and unsound:
@@ -534,17 +529,24 @@ def check_external(
         traced = check_trace(given, followed, solution.prepared, solved[0].options, solved)
         grade = by_trace(_by_equations(grade, traced, inside, labelled=labelled), traced)
         causes = _with_trace(causes, traced.verdict.causes)
-    if short:
+    if covered.short:
         grade = replace(grade, value=None)
-    doubted = solution.association_check is not None and not solution.association_check.verified
-    outcome = (
-        "disagree" if short else outcome_of(grade, verified=verified, association_known=not doubted)
+    checked = solution.association_check
+    outcome = outcome_of(
+        grade, verified=verified, association_known=checked is None or checked.verified
     )
+    if covered.short:
+        outcome = "disagree"
     if outcome == "unverified":
         causes = _left_open(solution, causes)
     small = []
     if outcome == "agree":
-        small, causes = [_small(one) for one in causes if one.gap in FILTER_FAULTS], ()
+        small = [
+            f"{one.gap}, though the grade suffices: {one.evidence}"
+            for one in causes
+            if one.gap in FILTER_FAULTS
+        ]
+        causes = ()
     remarks = (
         *small,
         *_remarks(given, found),
@@ -552,11 +554,18 @@ def check_external(
         *solution.doubts,
         *solution.notes,
     )
-    if short:
+    if covered.short:
         # A wrong filter may have broken down.
         own = tuple(one for one in causes if one.gap in FILTER_FAULTS)
         rest = tuple(one for one in causes if one.gap not in FILTER_FAULTS)
-        causes = (*own, _short(given, inside, covered, min_coverage), *rest)
+        causes = (*own, _short(given, inside, covered), *rest)
+    judged = Given(
+        estimate=given,
+        inside=inside,
+        optimum=references.optimum,
+        information=_information(given, near),
+        sensors=traced.sensors if traced else (),
+    )
     return ExternalCheck(
         given=given,
         solution=solution,
@@ -570,20 +579,7 @@ def check_external(
         outcome=outcome,
         causes=causes,
         remarks=remarks,
-        answers=Answers(
-            _known(
-                solution,
-                traced,
-                Given(
-                    estimate=given,
-                    inside=inside,
-                    optimum=references.optimum,
-                    information=_information(given, near),
-                    sensors=traced.sensors if traced else (),
-                ),
-            ),
-            CHECKS,
-        ),
+        answers=Answers(_known(solution, traced, judged), CHECKS),
     )
 
 
@@ -614,20 +610,18 @@ def _left_open(solution: Solution, causes: tuple[Cause, ...]) -> tuple[Cause, ..
     return (doubt, *lacking, *(one for one in causes if one.gap in FILTER_FAULTS))
 
 
-def _short(
-    given: ExternalEstimate, inside: ExternalEstimate, covered: Coverage, least: float
-) -> Cause:
+def _short(given: ExternalEstimate, inside: ExternalEstimate, covered: Coverage) -> Cause:
     """Too little is covered, which may be the clock's fault."""
     outside, (first, last) = len(given.time_s) - len(inside.time_s), covered.span_s
-    if outside <= (1.0 - least) * len(given.time_s):
-        return cause.coverage(covered.evidence, least)
+    if outside <= (1.0 - covered.least) * len(given.time_s):
+        return cause.coverage(covered.evidence, covered.least)
     evidence = (
         f"{outside} of {len(given.time_s)} poses lie outside the log's time: the estimate's times "
         f"are {given.time_s[0]:.1f} to {given.time_s[-1]:.1f} s, the log's {first:.1f} to "
-        f"{last:.1f} s"
-        f"{clock_words(given.time_s, covered.span_s)}; so {covered.evidence}"
+        f"{last:.1f} s{clock_words(given.time_s, covered.span_s)}; so {covered.evidence}"
     )
-    return cause.coverage(evidence, least, "check the clock of the estimate before any other cause")
+    hint = "check the clock of the estimate before any other cause"
+    return cause.coverage(evidence, covered.least, hint)
 
 
 def _information(given: ExternalEstimate, near: Likeness | None) -> Information | None:
@@ -638,11 +632,6 @@ def _information(given: ExternalEstimate, near: Likeness | None) -> Information 
     if near is None or near.grade is None:
         return None
     return "smoothed" if near.reference.smoothed else "filtered"
-
-
-def _expected(given: ExternalEstimate) -> RequiredGrade:
-    """What is asked of an estimate by what it calls itself."""
-    return "like" if given.estimator == "ekf" else "plausible"
 
 
 def _references(given: ExternalEstimate, solution: Solution) -> _References:
@@ -671,21 +660,10 @@ def _variants(
     if references.clues.before is None:
         return ()
     found = [likeness(given, one, labelled=solution.prepared.labelled) for one in references.peers]
-    if "equal" in (one.grade for one in found):
-        return ()
-    if not ROUNDING < found[0].sigma < _HOPELESS_SIGMA:
+    equal = any(one.grade == "equal" for one in found)
+    if equal or not ROUNDING < found[0].sigma < _HOPELESS_SIGMA:
         return ()
     return tuple(variants(solution.prepared, given.time_s))
-
-
-def _nearest(
-    given: ExternalEstimate, references: Iterable[Reference], *, labelled: bool
-) -> Likeness | None:
-    """The best of all likenesses."""
-    best = None
-    for one in references:
-        best = _better(best, likeness(given, one, labelled=labelled))
-    return best
 
 
 def _better(first: Likeness | None, second: Likeness) -> Likeness:
@@ -748,17 +726,10 @@ def by_trace(grade: Graded, traced: TraceCheck) -> Graded:
     if grade.value in ("like", "equal"):
         return grade
     gaps: dict[str, Gap] = {"algebra": traced.agreement.algebra, "model": traced.agreement.model}
-    for one in traced.verdict.causes:
-        gap = gaps.get(one.gap)
-        small = gap is not None and gap.sigma <= LIKE_SIGMA and gap.covariance <= LIKE_VARIANCE
-        if one.gap in FILTER_FAULTS and not small:
-            return replace(grade, value="wrong")
-    return grade
-
-
-def _small(one: Cause) -> str:
-    """A fault that the estimate does not show."""
-    return f"{one.gap}, though the grade suffices: {one.evidence}"
+    like = Allowed(LIKE_SIGMA, LIKE_VARIANCE)
+    small = {name for name, gap in gaps.items() if gap.explained_by(like)}
+    faults = {one.gap for one in traced.verdict.causes} & FILTER_FAULTS
+    return replace(grade, value="wrong") if faults - small else grade
 
 
 def outcome_of(grade: Graded, *, verified: bool, association_known: bool = True) -> Outcome:
@@ -783,7 +754,7 @@ def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Ca
     """
     kept = tuple(one for one in traced if one.gap in (*FILTER_FAULTS, "linearisation"))
     explained = ("estimate", "covariance", "optimum") if kept else ()
-    first = found[:1] if found and found[0].gap in MOTIONS else ()
+    first = tuple(one for one in found[:1] if one.gap in MOTIONS)
     rest = tuple(one for one in found[len(first) :] if one.gap not in explained)
     return first + kept + rest
 
@@ -812,8 +783,7 @@ def _beside(
 def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
     """How the verdict is narrowed by what was not handed in."""
     remarks = []
-    if given.absent:
-        absent = given.absent
+    if absent := given.absent:
         if "landmarks" in absent:
             absent = [one for one in absent if one in ("landmarks", "pose covariances")]
         judged = ["the last pose"] if found.last is not None else []
@@ -835,10 +805,10 @@ def _remarks(given: ExternalEstimate, found: ExternalAgreement) -> list[str]:
         remarks.append("the estimate ends before the log, so its last pose was not compared")
     if given.trace is not None:
         remarks += given.trace.remarks
-    if given.trace is not None and given.joint_covariance is None:
-        remarks.append(
-            "the trace has no last_pose_and_landmarks beside it, so the algebra is not checked"
-        )
+        if given.joint_covariance is None:
+            remarks.append(
+                "the trace has no last_pose_and_landmarks beside it, so the algebra is not checked"
+            )
     if found.unmatched:
         remarks.append(f"{found.unmatched} landmarks of the estimate are not in the smoother's map")
     return remarks

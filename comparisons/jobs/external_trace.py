@@ -10,25 +10,16 @@ import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.motion import CLOCK_S
-from comparisons.adapters.smoother_input import (
-    recorded_system_of,
-)
+from comparisons.adapters.smoother_input import recorded_system_of
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.audit.consistency import event_innovations
 from comparisons.audit.own_filter import run_events
-from comparisons.checks.agreement import (
-    Agreement,
-    Allowed,
-    Gap,
-    GapFigures,
-    Gaussian,
-    gap_figures,
-)
+from comparisons.checks.agreement import Agreement, Allowed, Gap, GapFigures, Gaussian, gap_figures
 from comparisons.checks.algebra import HINT
 from comparisons.checks.causes import FILTER_FAULTS
 from comparisons.checks.check import Answers
-from comparisons.checks.diagnosis.data_usage import DataFault
+from comparisons.checks.diagnosis.data_usage import DataFault, untimely
 from comparisons.checks.diagnosis.departure import Departure, departure_from, model_departure
 from comparisons.checks.diagnosis.known_model_errors import explain
 from comparisons.checks.diagnosis.model_differences import ModelDifference, model_differences
@@ -115,13 +106,17 @@ def trace_run(given: ExternalEstimate, prepared: Prepared[SolveConfig]) -> tuple
 
     Raises InputError for a trace that does not fit the log.
     """
-    file, log = given.trace, prepared.log
-    if file is None:
-        raise ValueError("an estimate without a trace")
+    file, log = _file(given), prepared.log
     if log.known_landmarks is not None:
         raise InputError(f"{log.name}: traces are not checked on logs with known landmarks")
     own, theirs = _timelines(file, float(given.time_s[-1]), prepared.timeline)
     return _as_run(given, file, theirs, prepared.positions), own
+
+
+def _file(given: ExternalEstimate) -> TraceFile:
+    if given.trace is None:
+        raise ValueError("an estimate without a trace")
+    return given.trace
 
 
 def check_trace(
@@ -138,9 +133,7 @@ def check_trace(
     singular.
     """
     run, own = followed
-    file, log, positions = given.trace, prepared.log, prepared.positions
-    if file is None:
-        raise ValueError("an estimate without a trace")
+    file, log, positions = _file(given), prepared.log, prepared.positions
     known = given.joint_covariance is not None
     clock = Clock()
     again = optimum_of(run, options, clock, no_progress)
@@ -464,32 +457,17 @@ def _covariances(given: ExternalEstimate, time_s: Array) -> Array:
 def _untimely(log: Log, run: EkfRun, positions: Positions | None) -> list[DataFault]:
     """Observations fused at another instant than their own, where no step ends there."""
     stands_s = np.concatenate((run.timeline.step_begin_s, run.timeline.epoch_time_s[-1:]))
-    trace, found = run.trace, []
-    kinds = [
-        (
-            "measurements",
-            np.concatenate((trace.measurements[POINT].step, trace.initialisations[POINT].step)),
-            resolved(log.measurements.time_s)[
-                np.concatenate(
-                    (trace.measurements[POINT].number, trace.initialisations[POINT].number)
-                )
-            ],
-        )
-    ]
+    trace = run.trace
+    points = trace.measurements[POINT], trace.initialisations[POINT]
+    step, number = (
+        np.concatenate([getattr(r, name) for r in points]) for name in ("step", "number")
+    )
+    kinds = [("measurements", step, resolved(log.measurements.time_s)[number])]
     if positions is not None:
         fixes = trace.positions
         kinds.append(("positions", fixes.step, resolved(positions.time_s)[fixes.number]))
-    for kind, step, due_s in kinds:
-        late_s = stands_s[step] - due_s
-        off = np.abs(late_s) > 1e-6
-        if off.any():
-            middle = float(np.median(late_s[off]))
-            found.append(
-                DataFault(
-                    f"{np.count_nonzero(off)} of {len(off)} {kind} are used too "
-                    f"{'late' if middle > 0 else 'early'}, by {abs(middle):.4g} s (median)",
-                    "check the order of events: predict up to the time of a measurement, then "
-                    "update with it",
-                )
-            )
-    return found
+    return [
+        fault
+        for kind, step, due_s in kinds
+        for fault in untimely(kind, stands_s[step] - due_s, 1e-6, "{:.4g} s")
+    ]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -43,7 +43,6 @@ from graphslam.smoother import SmootherOptions, SmootherResult
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from comparisons.pipeline.beside import Beside
     from comparisons.trace.events import Event
 
 F = TypeVar("F", bound=Finding)
@@ -211,7 +210,12 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     second, unchecked = _second_association(prepared, run)
     extensions = _extensions(prepared)
     asked = extensions if second is None else (*extensions, second)
-    with _started(asked, prepared, run) as started:
+    with ExitStack() as stack:  # what extensions start beside the smoother ends with the block
+        started = {
+            one.name: stack.enter_context(work)
+            for one in asked
+            if (work := one.start(prepared, run)) is not None
+        }
         optimum = optimum_of(run, options, clock, progress)
         gaps = compute_gaps(log, run, optimum, clock, progress)
         own = Known(
@@ -227,8 +231,11 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         )
         for one in extensions:
             one.ask(own)
-        if second is not None:
-            unchecked = _ask(second, own)
+        if second is not None:  # which nobody named
+            try:
+                second.ask(own)
+            except InputError as error:
+                unchecked = f"the association is unchecked: {error}"
     progress("checks", 0, 0)
     known = Answers(own, (*CHECKS, *EXPLAINING)).known
     with clock.stage("checks"):
@@ -249,20 +256,6 @@ def _judged(known: Known, unchecked: str) -> Comparison:
             fail_on=prepared.config.fail_on,
         ),
     )
-
-
-@contextmanager
-def _started(
-    extensions: Sequence[Extension], prepared: Prepared[Any], run: EkfRun
-) -> Iterator[dict[str, Beside[Any]]]:
-    """What extensions start beside the smoother, by name; ended at the latest with the block."""
-    with ExitStack() as stack:
-        started = {}
-        for one in extensions:
-            work = one.start(prepared, run)
-            if work is not None:
-                started[one.name] = stack.enter_context(work)
-        yield started
 
 
 def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Extension | None, str]:
@@ -289,15 +282,6 @@ def _second_association(prepared: Prepared[RunConfig], run: EkfRun) -> tuple[Ext
             "ask for it with --smoother-association own"
         )
     return config_class(name).of().build(prepared.config), ""
-
-
-def _ask(second: Extension, known: Known) -> str:
-    """Ask for an association that nobody named; return why it finds nothing."""
-    try:
-        second.ask(known)
-    except InputError as error:
-        return f"the association is unchecked: {error}"
-    return ""
 
 
 def _extensions(prepared: Prepared[Any]) -> tuple[Extension, ...]:

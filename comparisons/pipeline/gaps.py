@@ -241,10 +241,7 @@ class Gaps(Brief):
 
 
 def optimum_of(
-    run: EkfRun,
-    options: SmootherOptions,
-    clock: Clock,
-    progress: Callable[[str, int, int], None],
+    run: EkfRun, options: SmootherOptions, clock: Clock, progress: Callable[[str, int, int], None]
 ) -> Solver:
     """Return what solves for S from where a filter was, among other starts."""
 
@@ -278,7 +275,11 @@ def compute_gaps(
     """
     own = run.timeline if timeline is None else timeline
     problem = build_problem(log, replace(run, timeline=own))
-    with _start_frozen(problem, run, clock, progress) as work:
+    size = problem.pose_count, len(problem.z), problem.landmark_count
+    with clock.stage("frozen"):  # beside S where they take long, for none needs another
+        progress("fixed-linearisation smoothers", 0, 0)
+        work = Beside(solve_frozen, problem, run, size=size, pays_from=PAYS_FROM)
+    with work:
         frozen = None if work.elsewhere else _finished(work, clock)
         try:
             result, smoothed = optimum(problem, own.epoch_time_s)
@@ -309,19 +310,6 @@ def solve_frozen(problem: SlamProblem, run: EkfRun) -> Frozen:
     """Return F1 and F2. Raises as compute_gaps does."""
     recorded, model = recorded_system_of(run), model_system_of(problem, run)
     return recorded, model, solve_recorded(recorded, run), solve_model(model, run)
-
-
-def _start_frozen(
-    problem: SlamProblem,
-    run: EkfRun,
-    clock: Clock,
-    progress: Callable[[str, int, int], None],
-) -> Beside[Frozen]:
-    """Start F1 and F2 beside S, none of which needs another, where they take long."""
-    size = problem.pose_count, len(problem.z), problem.landmark_count
-    with clock.stage("frozen"):
-        progress("fixed-linearisation smoothers", 0, 0)
-        return Beside(solve_frozen, problem, run, size=size, pays_from=PAYS_FROM)
 
 
 def _finished(work: Beside[Frozen], clock: Clock) -> Frozen:

@@ -274,11 +274,7 @@ def _check(
     given = Optimum.of(own, result)
     size = problem.pose_count, len(associator.time_s), problem.landmark_count
     second = Beside(
-        associator.alternatives,
-        ways[1::2],
-        given,
-        size=size,
-        pays_from=ASSOCIATION_PAYS_FROM,
+        associator.alternatives, ways[1::2], given, size=size, pays_from=ASSOCIATION_PAYS_FROM
     )
     with second:
         found = [*associator.alternatives(ways[::2], given), *second.result()]

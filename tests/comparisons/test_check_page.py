@@ -23,6 +23,7 @@ from comparisons.config import CheckConfig
 from comparisons.estimates.external import ExternalEstimate, read_external
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
+from comparisons.figures import stored
 from comparisons.jobs.check import ExternalCheck, check
 from comparisons.jobs.run import Comparison
 from comparisons.pipeline.known import Known
@@ -131,7 +132,7 @@ def test_a_wrong_estimate_fails_where_it_is_wrong() -> None:
 def test_consistency_is_judged_as_the_run_judges_its_own_filter() -> None:
     found, own = sound(), consistency_result(run().consistency)
     given = external_consistency_result(found.consistency)
-    assert present(given.truth).model_dump() == present(own.ekf).model_dump()
+    assert stored(present(given.truth)) == stored(present(own.ekf))
     theirs, ours = (one.filter_against_smoother for one in (given, own))
     assert theirs is not None
     assert ours is not None

@@ -13,11 +13,11 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.consistency.consistency import Consistency, check_innovations
 from comparisons.checks.consistency.finding import (
-    TruthConsistencyResult,
     consistency_lines,
     consistency_result,
     nees_rows,
 )
+from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.config import EkfConfig
 from comparisons.faults.fault import with_state
 from comparisons.jobs.run import Comparison, Modified
@@ -131,8 +131,7 @@ def test_a_nees_has_its_band_and_what_has_none(unusable: dict[str, int], mean: f
         row=np.arange(23),
         squared=np.full(23, mean),
     )
-    others = dict.fromkeys(set(TruthConsistencyResult.model_fields) - {"pose", "too_short"})
-    *rest, found, share = nees_rows("My", TruthConsistencyResult(pose=pose, too_short=0, **others))
+    *rest, found, share = nees_rows("My", TruthConsistency(pose=pose))
     assert found[:2] == ("My NEES (95 % bands)", "pose, mean (expected 3)")
     assert found[2:] == (f"{mean:.3g}", "0.22 to 9.35", mean == 2.0)
     assert share[1:3] == ("pose: epochs in the band", "50 % of 23")

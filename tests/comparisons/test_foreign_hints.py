@@ -92,23 +92,23 @@ def test_the_noise_of_another_speed_is_no_second_fault() -> None:
 
 
 def quantity(have: Array, meant: Array) -> Quantity:
-    return Quantity(have=have, meant=meant, tolerance=np.asarray(1e-9), records="records")
+    return Quantity(have=have, meant=meant, tolerance=1e-9, records="records")
 
 
 def test_a_hypothesis_must_leave_nothing_over() -> None:
     meant = np.linspace(1.0, 2.0, 20)
     factor = scaled("it", meant)
-    assert named(quantity(1.5 * meant, meant), [factor]) == (
+    assert named(quantity(1.5 * meant, meant), [factor]) == [
         "it is 1.5 times the correct value, in 20 of 20 records"
-    )
+    ]
     off = 1.5 * meant
     off[7] += 1e-6
-    assert named(quantity(off, meant), [factor]) is None
-    assert named(quantity(meant, meant), [factor, instead("never", meant)]) is None
+    assert not named(quantity(off, meant), [factor])
+    assert not named(quantity(meant, meant), [factor, instead("never", meant)])
 
 
 def test_too_few_records_are_no_evidence_for_a_figure() -> None:
     meant = np.linspace(1.0, 2.0, 20)
     off = meant.copy()
     off[:2] *= 1.5
-    assert named(quantity(off, meant), [scaled("it", meant)]) is None
+    assert not named(quantity(off, meant), [scaled("it", meant)])

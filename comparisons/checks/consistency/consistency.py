@@ -18,9 +18,9 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.figures import rounded
 from comparisons.innovations import InnovationLog, SensorInnovations, whiten_alone
 from comparisons.logs.log import Log
+from comparisons.plane import pose_difference
 from comparisons.shown import Brief
 from comparisons.statistics import WORDS, Band, BlockDeparture, Nis
-from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 
 if TYPE_CHECKING:
@@ -179,16 +179,17 @@ def external_consistency(known: Known, judged: Given) -> ExternalConsistency:
         estimate = replace(
             estimate, landmark_id=estimate.landmark_id[:0], landmark=estimate.landmark[:0]
         )
-    difference = given.pose - optimum.pose
-    difference[:, 2] = wrap_angle(difference[:, 2])
+    truth = against_truth(estimate, log, labelled=labelled)
+    if truth is not None and truth.pose is not None and not truth.pose.count:
+        truth = replace(truth, pose=None, position=None, heading=None, departure=None)
     return ExternalConsistency(
-        against_truth(estimate, log, labelled=labelled),
+        truth,
         against_truth(known.smoothed, log, labelled=labelled),
         judged.sensors,
         compared,
         not labelled,
         time_s=given.time_s,
-        difference=difference,
+        difference=pose_difference(given.pose, optimum.pose),
         unjudged=reason,
     )
 
@@ -220,19 +221,8 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
     against, smoothed = consistency.ekf, consistency.smoothed
     if against is None and smoothed is None and not consistency.sensors:
         return None
-    far, found = [], []
-    if against is not None and against.poses is not None:
-        far.append(("poses", against.poses.pose, against.poses.departure))
-    if against is not None and against.landmarks is not None:
-        far.append(("landmarks", against.landmarks, None))
-    for what, errors, departure in far:
-        if errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2:
-            found.append(
-                f"NEES of the {what} {rounded(errors.mean / errors.dof)} per degree of freedom, "
-                f"limit {limit(errors.dof) ** 2:.2g}{_where(departure)}"
-            )
-    if smoothed is not None:
-        found += _against_smoother(smoothed)
+    found = [] if against is None else _against_truth(against)
+    found += [] if smoothed is None else _against_smoother(smoothed)
     for nis in (nis for sensor in consistency.sensors for nis in sensor.nis):
         reading, (low, high) = nis.worded(consistency.outside)
         if reading == "too high" or (reading == "too low" and not consistency.gated):
@@ -241,6 +231,21 @@ def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
                 f"{low / nis.dof:.3g} to {high / nis.dof:.3g}"
             )
     return tuple(found)
+
+
+def _against_truth(truth: TruthConsistency) -> list[str]:
+    found = []
+    for what, errors, departure in (
+        ("poses", truth.pose, truth.departure), ("landmarks", truth.places, None),
+    ):  # fmt: skip
+        if errors is not None and errors.mean is not None:
+            mean, most = errors.mean / errors.dof, limit(errors.dof) ** 2
+            if mean > most:
+                found.append(
+                    f"NEES of the {what} {rounded(mean)} per degree of freedom, limit "
+                    f"{most:.2g}{_where(departure)}"
+                )
+    return found
 
 
 def _where(departure: BlockDeparture | None) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from comparisons.arrays import Array, Index
 from comparisons.figures import Aside, LeftOut, Less, Nominal, Share95
+from comparisons.plane import pose_difference
 from comparisons.statistics import (
     Averaged,
     Band,
@@ -27,7 +28,6 @@ from comparisons.statistics import (
     faults,
     normalised_difference,
 )
-from ekf_reference.core.geometry import wrap_angle
 
 LEAST_RATIO = 0.95**2
 """Of the filter's variance to the smoother's, 5 % in sigma. Relinearising alone moves variances: of
@@ -96,8 +96,7 @@ def filter_against_smoother(
     other = faults(smoothed_covariance)
     fault = np.where(fault == "", np.where(other == "", "", "smoother's " + other), fault)
     row = np.flatnonzero(fault == "")
-    e = filtered[row] - smoothed[row]
-    e[:, 2] = wrap_angle(e[:, 2])
+    e = pose_difference(filtered[row], smoothed[row])
     gap = filtered_covariance[row] - smoothed_covariance[row]
     squared, dof, ratio = normalised_difference(
         e, filtered_covariance[row], smoothed_covariance[row]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from comparisons.checks.check import Check
@@ -17,9 +16,9 @@ from comparisons.checks.consistency.consistency import (
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency, against_truth
 from comparisons.checks.finding import Absent, Of
-from comparisons.figures import LeftOut, Model, band
+from comparisons.figures import Model, band
 from comparisons.innovations import InnovationFigures
-from comparisons.statistics import BlockDeparture, Normalised
+from comparisons.statistics import BlockDeparture
 from comparisons.words import Row
 
 if TYPE_CHECKING:
@@ -28,35 +27,6 @@ if TYPE_CHECKING:
 _NEES_BANDS = "95 % bands; the verdict: pose and landmarks at 99.9 %"
 _NIS_BANDS = "95 % bands; the verdict: NIS alone, at 99.9 %"
 """A consistent filter leaves one of twenty bands of 95 %; see checks.qualifiers.inconsistencies."""
-
-
-class TruthConsistencyResult(Model):
-    """NEES against truth, of errors in the log's frame, additive in x, y and wrapped heading.
-
-    Attributes:
-        pose: poses over time.
-        position: positions over time.
-        heading: headings over time.
-        landmarks: each landmark alone.
-        map: all landmarks jointly.
-        whole: all landmarks and the last pose jointly.
-        distance: lengths of a spanning tree over landmarks and last pose, which no frame affects,
-            each alone.
-        distances: the same lengths jointly.
-        too_short: lengths that were left out since they are too short.
-        departure: block and stretch that are off, where the poses pass the limit of a verdict.
-    """
-
-    pose: Normalised | None
-    position: Normalised | None
-    heading: Normalised | None
-    landmarks: Normalised | None
-    map: Normalised | None
-    whole: Normalised | None
-    distance: Normalised | None
-    distances: Normalised | None
-    too_short: int
-    departure: LeftOut[BlockDeparture | None] = None
 
 
 class ConsistencyResult(Model):
@@ -69,8 +39,8 @@ class ConsistencyResult(Model):
         filter_against_smoother: the filter by the smoother.
     """
 
-    ekf: TruthConsistencyResult | None
-    smoother: TruthConsistencyResult | None
+    ekf: TruthConsistency | None
+    smoother: TruthConsistency | None
     innovations: list[InnovationFigures]
     filter_against_smoother: FilterAgainstSmoother | None
 
@@ -84,7 +54,7 @@ class ExternalConsistencyResult(Model):
         unjudged: why there is no comparison with the smoother.
     """
 
-    truth: TruthConsistencyResult | None
+    truth: TruthConsistency | None
     filter_against_smoother: FilterAgainstSmoother | None
     unjudged: str
 
@@ -94,9 +64,8 @@ class ConsistencyFinding(Of[Consistency]):
 
     def __init__(self, found: Consistency, name: str = "EKF") -> None:
         """found: by truth, innovations and smoother. name: of what is judged, in rows."""
-        self.value, self.name, self.remarks = found, name, found.remarks
-        self.result = consistency_result(found)
-        self.entries = {"consistency": self.result}
+        self.name, self.result = name, consistency_result(found)
+        super().__init__(found, remarks=found.remarks, entries={"consistency": self.result})
         if isinstance(found, ExternalConsistency):
             self.entries = {"consistency": external_consistency_result(found)}
         self.lines = consistency_lines(inconsistencies(found), self.result)
@@ -124,9 +93,12 @@ class CheckConsistency(Check):
         """Return the statistics that the log allows; they have no say in the verdict."""
         if known.given is not None:
             return ConsistencyFinding(external_consistency(known, known.given), "estimate")
-        if known.run is None:
-            return _of_smoother(known)
         log, labelled = known.prepared.log, known.prepared.labelled
+        if known.run is None:
+            truth = against_truth(known.smoothed, log, labelled=labelled)
+            if truth is None:
+                return Absent(f"the log has no truth, and {known.without}")
+            return ConsistencyFinding(Consistency(None, truth, (), None, gated=not labelled))
         smoothed, robust = None, "none"
         if known.solved is not None:
             smoothed, robust = known.smoothed, known.result.options.robust
@@ -135,59 +107,21 @@ class CheckConsistency(Check):
         )
 
 
-def _of_smoother(known: Known) -> ConsistencyFinding | Absent:
-    labelled = known.prepared.labelled
-    truth = against_truth(known.smoothed, known.prepared.log, labelled=labelled)
-    if truth is None:
-        return Absent(f"the log has no truth, and {known.without}")
-    return ConsistencyFinding(Consistency(None, truth, (), None, gated=not labelled))
-
-
 def consistency_result(c: Consistency) -> ConsistencyResult:
-    """The check's figures."""
+    """The check's figures, without errors of which no covariance was handed in."""
+    judged = c.ekf is not None and (c.ekf.pose is not None or c.ekf.map is not None)
     return ConsistencyResult(
-        ekf=_truth(_with_covariances(c.ekf) if isinstance(c, ExternalConsistency) else c.ekf),
-        smoother=_truth(c.smoother),
+        ekf=c.ekf if judged else None,
+        smoother=c.smoother,
         innovations=list(c.sensors),
         filter_against_smoother=c.smoothed,
     )
 
 
-def _with_covariances(t: TruthConsistency | None) -> TruthConsistency | None:
-    """Return what is left without poses of which no covariance was handed in."""
-    if t is not None and t.poses is not None and not len(t.poses.pose.squared):
-        t = replace(t, poses=None)
-    return None if t is None or (t.poses is None and t.map is None) else t
-
-
-def _truth(t: TruthConsistency | None) -> TruthConsistencyResult | None:
-    if t is None:
-        return None
-    poses, mapped = t.poses, t.map
-    return TruthConsistencyResult(
-        pose=None if poses is None else _nees(poses.pose),
-        position=None if poses is None else _nees(poses.position),
-        heading=None if poses is None else _nees(poses.heading),
-        landmarks=None if mapped is None else _nees(mapped.landmarks),
-        map=None if mapped is None else _nees(mapped.map),
-        whole=None if mapped is None or mapped.whole is None else _nees(mapped.whole),
-        distance=None if mapped is None else _nees(mapped.distance),
-        distances=None if mapped is None else _nees(mapped.distances),
-        too_short=0 if mapped is None else mapped.skipped,
-        departure=None if poses is None else poses.departure,
-    )
-
-
-def _nees(n: Normalised) -> Normalised | None:
-    return n if n.dof else None
-
-
 def external_consistency_result(c: ExternalConsistency) -> ExternalConsistencyResult:
     """An external estimate's."""
     return ExternalConsistencyResult(
-        truth=consistency_result(c).ekf,
-        filter_against_smoother=c.smoothed,
-        unjudged=c.unjudged,
+        truth=consistency_result(c).ekf, filter_against_smoother=c.smoothed, unjudged=c.unjudged
     )
 
 
@@ -210,40 +144,35 @@ def innovation_rows(innovations: Sequence[InnovationFigures]) -> list[Row]:
     return rows
 
 
-def nees_rows(name: str, t: TruthConsistencyResult | None, bands: str = "95 % bands") -> list[Row]:
+def nees_rows(name: str, t: TruthConsistency | None, bands: str = "95 % bands") -> list[Row]:
     """Return the NEES of an estimate by truth, none without. name: whose. bands: in words."""
     if t is None:
         return []
     rows, group = [], f"{name} NEES ({bands})"
-    for what, single, n in (
-        ("pose", "pose: epochs", t.pose),
-        ("heading", "heading: epochs", t.heading),
-        ("landmarks", "landmarks", t.landmarks),
-        ("landmark distance", "landmark distances", t.distance),
+    for what, single, n, digits in (
+        ("pose", "pose: epochs", t.pose, 2),
+        ("heading", "heading: epochs", t.heading, 2),
+        ("landmarks", "landmarks", t.landmarks, 2),
+        ("landmark distance", "landmark distances", t.distance, 2),
+        ("all landmarks jointly", "", t.map, 3),
+        ("all distances jointly", "", t.distances, 3),
     ):
         if n is None:
             continue
-        rows += [
-            Row(group, f"{what}: NEES not computed, {why}", f"{k}") for why, k in n.unusable.items()
-        ]
+        if single:
+            rows += [
+                Row(group, f"{what}: NEES not computed, {why}", f"{count}")
+                for why, count in n.unusable.items()
+            ]
         if n.mean is None or n.inside is None:
             continue
-        low, high = n.single_band
-        shown_band = band(f"{low:.2g}", f"{high:.3g}")
-        inside = low <= n.mean <= high
-        rows.append(_expected(group, f"{what}, mean", n, shown_band, inside=inside))
-        share = f"{single} in the band"
-        rows.append(Row(group, share, f"{100.0 * n.inside:.0f} % of {n.count}"))
-    for what, n in (("all landmarks jointly", t.map), ("all distances jointly", t.distances)):
-        if n is not None and n.mean is not None:
-            low, high = n.single_band
-            shown_band = band(f"{low:.3g}", f"{high:.3g}")
-            rows.append(_expected(group, what, n, shown_band, inside=low <= n.mean <= high))
+        (low, high), of = n.single_band, what if not single else f"{what}, mean"
+        limits, inside = band(f"{low:.{digits}g}", f"{high:.3g}"), low <= n.mean <= high
+        rows.append(Row(group, f"{of} (expected {n.dof})", f"{n.mean:.3g}", limits, inside))
+        if single:
+            share = f"{100.0 * n.inside:.0f} % of {n.count}"
+            rows.append(Row(group, f"{single} in the band", share))
     return rows
-
-
-def _expected(group: str, what: str, n: Normalised, limits: str, *, inside: bool) -> Row:
-    return Row(group, f"{what} (expected {n.dof})", f"{n.mean:.3g}", limits, inside)
 
 
 def smoothed_rows(name: str, f: FilterAgainstSmoother | None) -> list[Row]:
@@ -277,14 +206,16 @@ def consistency_lines(
     if inconsistent:
         return [("consistency", f"outside, per dof: {'; '.join(map(_brief, inconsistent))}")]
     truth, smoothed = c.ekf, c.filter_against_smoother
-    found, nees = [], []
+    found = []
     if truth is not None:
-        for name, n in (("pose", truth.pose), ("map", truth.landmarks)):
-            if n is not None and n.mean is not None:
-                where = truth.departure if name == "pose" else None
-                nees.append(f"{name} {n.mean / n.dof:.2g}{_brackets(where)}")
-    if nees:
-        found.append(f"NEES {', '.join(nees)}")
+        nees = [
+            f"{name} {n.mean / n.dof:.2g}{_brackets(where)}"
+            for name, n, where in (
+                ("pose", truth.pose, truth.departure), ("map", truth.landmarks, None),
+            )
+            if n is not None and n.mean is not None
+        ]  # fmt: skip
+        found += [f"NEES {', '.join(nees)}"] if nees else []
     for sensor in c.innovations[:1]:
         found += [f"NIS {n.mean / n.dof:.2g}" for n in sensor.nis[:1]]
     if smoothed is not None and smoothed.squared_per_dof is not None:

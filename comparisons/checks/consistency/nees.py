@@ -7,15 +7,17 @@ and from the last pose to landmarks, do not depend on the frame, and are judged 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.checks.accuracy import match_landmarks
+from comparisons.checks.accuracy import match_truth
 from comparisons.estimates.estimate import Estimate, landmark_blocks
+from comparisons.figures import Aside, LeftOut
 from comparisons.logs.log import Log
+from comparisons.plane import pose_difference
 from comparisons.statistics import (
     BlockDeparture,
     Normalised,
@@ -56,50 +58,54 @@ class PoseErrors:
         mean, dof = self.pose.mean, self.pose.dof
         if mean is None or mean / dof <= limit(dof) ** 2:
             return None
-        blocks = {"position": self.position, "heading": self.heading}
-        return block_departure(
-            self._errors(self.pose), {name: self._errors(one) for name, one in blocks.items()}
-        )
+        blocks = {"position": self._errors(self.position), "heading": self._errors(self.heading)}
+        return block_departure(self._errors(self.pose), blocks)
 
     def _errors(self, one: Normalised) -> SquaredErrors:
         return SquaredErrors(self.time_s[one.row], one.squared, np.full(len(one.row), one.dof))
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapErrors:
-    """The landmarks at the end that the truth knows too.
+class TruthConsistency:
+    """NEES against truth, of errors in the log's frame, additive in x, y and wrapped heading.
 
-    landmarks: each alone, 2 dof; they share the vehicle's error. map: all jointly. whole: with
-    the last pose, where its truth is known. distance, distances: along a spanning tree over the
-    landmarks and, where known, the last pose, each alone and all jointly; as many distances as a
-    tree has are free of each other. skipped: those too short for their sigmas to be judged.
+    None where the log has no such truth, or nothing matches.
+
+    Attributes:
+        pose: poses over time.
+        position: positions over time.
+        heading: headings over time.
+        landmarks: each landmark alone.
+        map: all landmarks jointly.
+        whole: all landmarks and the last pose jointly.
+        distance: lengths of a spanning tree over landmarks and last pose, which no frame affects,
+            each alone.
+        distances: the same lengths jointly.
+        too_short: lengths that were left out since they are too short.
+        departure: block and stretch that are off, where the poses pass the limit of a verdict.
+        poses: the errors over time; no part of a result file.
     """
 
-    landmarks: Normalised
-    map: Normalised
-    whole: Normalised | None
-    distance: Normalised
-    distances: Normalised
-    skipped: int
-
-
-@dataclass(frozen=True)
-class TruthConsistency:
-    """One estimate against truth; None where the log has no such truth, or nothing matches."""
-
-    poses: PoseErrors | None
-    map: MapErrors | None
+    pose: Normalised | None = None
+    position: Normalised | None = None
+    heading: Normalised | None = None
+    landmarks: Normalised | None = None
+    map: Normalised | None = None
+    whole: Normalised | None = None
+    distance: Normalised | None = None
+    distances: Normalised | None = None
+    too_short: int = 0
+    departure: LeftOut[BlockDeparture | None] = None
+    poses: Aside[PoseErrors | None] = None
 
     @property
-    def landmarks(self) -> Normalised | None:
+    def places(self) -> Normalised | None:
         """What tells whether the map is right: each landmark in the log's frame.
 
         Distances between landmarks where only landmarks are true, since then nothing tells where
         the log starts in their frame.
         """
-        if self.map is None:
-            return None
-        return self.map.distance if self.poses is None else self.map.landmarks
+        return self.distance if self.poses is None else self.landmarks
 
 
 def limit(dof: int) -> float:
@@ -110,13 +116,21 @@ def limit(dof: int) -> float:
 def against_truth(estimate: Estimate, log: Log, *, labelled: bool) -> TruthConsistency | None:
     """NEES of an estimate, None when the log knows no truth. labelled: see accuracy.assess."""
     poses, mapped = _pose_errors(estimate, log), _map_errors(estimate, log, labelled)
-    return None if poses is None and mapped is None else TruthConsistency(poses, mapped)
+    if poses is None:
+        return mapped
+    return replace(
+        mapped or TruthConsistency(),
+        pose=poses.pose,
+        position=poses.position,
+        heading=poses.heading,
+        departure=poses.departure,
+        poses=poses,
+    )
 
 
 def pose_errors(time_s: Array, pose: Array, covariance: Array, true: Array) -> PoseErrors:
     """Poses (n, 3) with covariances (n, 3, 3) against true poses (n, 3)."""
-    error = pose - true
-    error[:, 2] = wrap_angle(error[:, 2])
+    error = pose_difference(pose, true)
     variance = np.einsum("nii->ni", covariance)
     sigma = np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     parts = (slice(0, 3), slice(0, 2), slice(2, 3))
@@ -128,7 +142,7 @@ def pose_errors(time_s: Array, pose: Array, covariance: Array, true: Array) -> P
 
 def map_errors(
     mean: Array, covariance: Array, true: Array, doubt: Array, *, with_pose: bool
-) -> MapErrors:
+) -> TruthConsistency:
     """The last pose and L landmarks (3 + 2 L,) with their covariance against the truth's.
 
     doubt: (3 + 2 L, 3 + 2 L) covariance of the truth. with_pose: whether its pose is known.
@@ -142,13 +156,13 @@ def map_errors(
     kept = np.flatnonzero(~(at**2 < _LEAST_SIGMAS**2 * np.diag(spread)))
     apart = (at - distances(true, ends)[0])[kept]
     spread = spread[np.ix_(kept, kept)]
-    return MapErrors(
+    return TruthConsistency(
         landmarks=normalise(error[3:].reshape(-1, 2), landmark_blocks(total)),
         map=normalise(error[None, 3:], total[None, 3:, 3:]),
         whole=normalise(error[None], total[None]) if with_pose else None,
         distance=normalise(apart[:, None], np.diag(spread)[:, None, None]),
-        distances=normalise(apart[None], spread[None]),
-        skipped=len(at) - len(kept),
+        distances=normalise(apart[None], spread[None]) if len(kept) else None,
+        too_short=len(at) - len(kept),
     )
 
 
@@ -189,13 +203,11 @@ def _pose_errors(estimate: Estimate, log: Log) -> PoseErrors | None:
     return pose_errors(t[known], estimate.pose[known], covariance, at)
 
 
-def _map_errors(estimate: Estimate, log: Log, labelled: bool) -> MapErrors | None:
+def _map_errors(estimate: Estimate, log: Log, labelled: bool) -> TruthConsistency | None:
     table, poses, end_s = log.truth.landmarks, log.truth.poses, estimate.time_s[-1]
     if table is None:
         return None
-    ours, theirs = match_landmarks(
-        (estimate.landmark_id, estimate.landmark), (table.id, table.position_m), labelled=labelled
-    )
+    ours, theirs = match_truth(estimate, table, labelled=labelled)
     if not len(ours):
         return None
     with_pose = poses is not None and bool(poses.time_s[0] <= end_s <= poses.time_s[-1])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.checks.grade import LIKE_VARIANCE, eigenvalues
+from graphslam.graph_builder import to_tangent
 
 _FITS = 1.0 + LIKE_VARIANCE
 _MOST_EXCEPTIONS = 0.02
@@ -101,12 +102,10 @@ def of_landmarks(
     """Say how landmark covariances (L, 2, 2) differ. heading: of the last pose. labels: (L,)."""
     if wrong := invalid(given):
         return f"your landmark covariances are invalid: {wrong}"
+    framed = "in the frame of the last pose instead of the log's frame"
     for words, other in (
         ("", expected),
-        (
-            "in the frame of the last pose instead of the log's frame",
-            _turned(expected, np.array([heading])),
-        ),
+        (framed, _turned(expected, np.array([heading]))),
         *_common(expected),
     ):
         found = fit(given, other)
@@ -191,10 +190,8 @@ def _common(expected: Array) -> Sequence[tuple[str, Array]]:
 def _turned(covariance: Array, heading: Array) -> Array:
     """R^T P R of the position's entries (N, n, n), n at least 2, by headings (N,) or (1,)."""
     n = covariance.shape[1]
-    turn = np.tile(np.eye(n), (len(heading), 1, 1))
-    cos, sin = np.cos(heading), np.sin(heading)
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = cos, -sin, sin, cos
-    turned: Array = turn.transpose(0, 2, 1) @ covariance @ turn
+    back = to_tangent(heading)[:, :n, :n]
+    turned: Array = back @ covariance @ back.transpose(0, 2, 1)
     return turned
 
 
@@ -225,12 +222,10 @@ def _varying(
 
 
 def _are(words: str, factor: float, name: str) -> str:
-    if not words and factor == 1.0:
-        return f"are those of {name}"
+    if factor == 1.0:
+        return f"are {words or f'those of {name}'}"
     if not words:
         return f"are {times(factor)} times those of {name}, in all directions"
-    if factor == 1.0:
-        return f"are {words}"
     return f"are {words}, and {times(factor)} times those of {name}"
 
 
@@ -239,11 +234,10 @@ def _but(found: Fit) -> str:
     count = int(found.exceptions.sum())
     if not count:
         return ""
-    if count == 1 and found.exceptions[-1]:
-        return ", all but the last"
-    if count == 1 and found.exceptions[0]:
-        return ", all but the first"
-    return f", all but {count} of {len(found.exceptions)}"
+    which = f"{count} of {len(found.exceptions)}"
+    if count == 1 and (found.exceptions[-1] or found.exceptions[0]):
+        which = "the last" if found.exceptions[-1] else "the first"
+    return f", all but {which}"
 
 
 def _of(bad: NDArray[np.bool_], what: str) -> str:

@@ -85,16 +85,20 @@ def data_faults(
 
 
 def _late(kind: str, step: Index, due: Index) -> list[DataFault]:
-    late = step - due
-    off = late != 0
+    return untimely(kind, step - due, 0.0, "{} odometry steps")
+
+
+def untimely(kind: str, late: Array | Index, most: float, form: str) -> list[DataFault]:
+    """What was used too late, or too early. late: (N,) of each. most: that is none. form: of it."""
+    off = np.abs(late) > most
     if not off.any():
         return []
-    often = int(np.median(late[off]))
-    side = "late" if often > 0 else "early"
+    middle = np.median(late[off]).astype(late.dtype)
+    side = "late" if middle > 0 else "early"
     return [
         DataFault(
-            f"{np.count_nonzero(off)} of {len(step)} {kind} are used too {side}, by {abs(often)} "
-            "odometry steps (median)",
+            f"{np.count_nonzero(off)} of {len(late)} {kind} are used too {side}, by "
+            f"{form.format(abs(middle))} (median)",
             "check the order of events: predict up to the time of a measurement, then update "
             "with it",
         )

@@ -51,18 +51,19 @@ def departure_from(
 
     Poses are compared at the times that both have.
     """
-    found: tuple[float, str] | None = None
+    left = []
     for reference in sound:
         time_s = _left_s(given, reference)
         if time_s is None:
             return None
-        if found is None or time_s > found[0]:
-            found = time_s, reference.name
-    if found is None:
+        left.append((time_s, reference.name))
+    if not left:
         return None
-    time_s, name = found
+    time_s, name = max(left, key=lambda one: one[0])  # the first of several
     rows = np.flatnonzero(timeline.epoch_time_s[timeline.measurement_epoch] == time_s)
-    event = _after(rows.tolist(), log)
+    event = "without a measurement: check the prediction and the prior"
+    if len(rows):
+        event = f"after {_measured(rows.tolist(), log)}"
     return _departure(given, time_s, f"the poses leave {name}", event, rows.tolist(), log)
 
 
@@ -112,17 +113,10 @@ def _left_s(given: ExternalEstimate, reference: Reference) -> float | None:
     return float(reference.time_s[reference.known][np.argmax(left)]) if left.any() else None
 
 
-def _after(rows: list[int], log: Log) -> str:
-    if not rows:
-        return "without a measurement: check the prediction and the prior"
-    return f"after {_measured(rows, log)}"
-
-
 def _measured(rows: list[int], log: Log) -> str:
     names = np.unique(log.measurements.landmark[rows])
-    labels = log.labels
-    known = [labels.get(name, str(name)) for name in names[:_NAMED].tolist() if name >= 0]
-    named = ", ".join(known)
+    known = (one for one in names[:_NAMED].tolist() if one >= 0)
+    named = ", ".join(log.labels.get(one, str(one)) for one in known)
     more = ", ..." if len(names) > _NAMED else ""
     many = f"measurements {rows[0]} to {rows[-1]}" if len(rows) > 1 else f"measurement {rows[0]}"
     of = f", of landmark{'s' if len(names) > 1 else ''} {named}{more}" if named else ""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
+from comparisons.plane import rms
 from comparisons.statistics import f_quantile
 from comparisons.words import Cause
 
@@ -113,6 +114,21 @@ class Paths:
         each = np.einsum("ki,kij,kj->k", left[at], self._information[at], left[at])
         return float(each.mean()) / 2.0
 
+    def motion(
+        self, gap: str, free: int, left: Complex, said: str, hint: str, moved: Moved | None = None
+    ) -> Motion:
+        """Return a motion that leaves so much (K,), NaN beyond the ends. said: where it leads."""
+        error = np.column_stack((left.real, left.imag))
+        return Motion(
+            gap=gap,
+            free=free,
+            square=self.square(error),
+            left_m=rms(error[np.isfinite(error).all(axis=1)]),
+            place=said,
+            hint=hint,
+            moved=moved or Moved(),
+        )
+
 
 class Moved(NamedTuple):
     """How a path u = a (v + arm exp(i h)) + b came about, delay_s late, h the headings of v.
@@ -132,9 +148,6 @@ class Moved(NamedTuple):
         return float(np.angle(self.a)) + self.yaw_rad
 
 
-_STILL = Moved()
-
-
 @dataclass(frozen=True, kw_only=True)
 class Motion:
     """A motion fitted to a path. free: its parameters. square, left_m: what is left of it.
@@ -148,7 +161,7 @@ class Motion:
     left_m: float
     place: str
     hint: str
-    moved: Moved = _STILL
+    moved: Moved
 
     @property
     def said(self) -> str:
@@ -224,29 +237,14 @@ def frame_at_start(paths: Paths, found: Motion) -> Motion:
 def _of_frame(paths: Paths, moved: Moved) -> Motion:
     """A motion into another frame of the map, and of the vehicle where there is a yaw."""
     left = paths.u - moved.a * (paths.v + moved.arm * np.exp(1j * paths.reference[:, 2])) - moved.b
-    error = np.column_stack((left.real, left.imag))
-    place = (
-        f"rotated by {_degrees(moved.a)} about the log's origin and shifted by {_place(moved.b)} m"
+    said = _rotated_and_shifted(moved.a, moved.b)
+    if not moved.yaw_rad:
+        return paths.motion("frame", 3, left, said, _FRAME_HINT, moved)
+    said = (
+        f"that of a frame {moved.arm.real:.2f} m forward, {moved.arm.imag:.2f} m left of the "
+        f"reference point and turned by {np.degrees(moved.yaw_rad):.1f} degrees, {said}"
     )
-    if moved.yaw_rad:
-        place = (
-            f"that of a frame {moved.arm.real:.2f} m forward, {moved.arm.imag:.2f} m left of the "
-            f"reference point and turned by {np.degrees(moved.yaw_rad):.1f} degrees, {place}"
-        )
-    return Motion(
-        gap="lever" if moved.yaw_rad else "frame",
-        free=6 if moved.yaw_rad else 3,
-        square=paths.square(error),
-        left_m=rms(error),
-        place=place,
-        hint=_LEVER_HINT if moved.yaw_rad else _FRAME_HINT,
-        moved=moved,
-    )
-
-
-def rms(error: Array) -> float:
-    """Root mean square length of vectors (K, 2)."""
-    return float(np.sqrt(np.square(error).sum(axis=1).mean()))
+    return paths.motion("lever", 6, left, said, _LEVER_HINT, moved)
 
 
 def _complex(points: Array) -> Complex:
@@ -292,29 +290,13 @@ def _within(motions: Sequence[Motion], found: Motion) -> Motion:
 
 def _motions(paths: Paths) -> Iterator[Motion]:
     """All that are known, fitted, each in least squares."""
-
-    def motion(
-        gap: str, free: int, left: Complex, place: str, hint: str, moved: Moved = _STILL
-    ) -> Motion:
-        error = np.column_stack((left.real, left.imag))
-        left_m = rms(error[np.isfinite(error).all(axis=1)])
-        return Motion(
-            gap=gap,
-            free=free,
-            square=paths.square(error),
-            left_m=left_m,
-            place=place,
-            hint=hint,
-            moved=moved,
-        )
-
-    u, v = paths.u, paths.v
+    u, v, motion = paths.u, paths.v, paths.motion
     yield motion("", 0, u - v, "", "")
     for free, fit in _FRAMES:
         a, b, said = fit(u, v)
         if not a:
             continue  # a path without extent has no scale
-        gap, hint = ("frame", _FRAME_HINT)
+        gap, hint = "frame", _FRAME_HINT
         if abs(abs(a) - 1.0) > _LEAST_SCALE:
             gap, hint = "scale", _SCALE_HINT
         elif "times" in said:
@@ -390,24 +372,16 @@ def _shifted(u: Complex, v: Complex) -> tuple[complex, complex, str]:
 def _turned(about: str) -> Fit:
     def fit(u: Complex, v: Complex) -> tuple[complex, complex, str]:
         c = complex(v[0]) if about else 0.0j
-        a = np.exp(1j * np.angle(np.vdot(v - c, u - c)))
-        return (
-            complex(a),
-            c - a * c,
-            f"rotated by {_degrees(a)} about the log's {about or 'origin'}",
-        )
+        a = complex(np.exp(1j * np.angle(np.vdot(v - c, u - c))))
+        return a, c - a * c, f"rotated by {_degrees(a)} about the log's {about or 'origin'}"
 
     return fit
 
 
 def _rigid(u: Complex, v: Complex) -> tuple[complex, complex, str]:
-    a = np.exp(1j * np.angle(np.vdot(v - v.mean(), u - u.mean())))
+    a = complex(np.exp(1j * np.angle(np.vdot(v - v.mean(), u - u.mean()))))
     b = complex(u.mean() - a * v.mean())
-    return (
-        complex(a),
-        b,
-        f"rotated by {_degrees(a)} about the log's origin and shifted by " + (f"{_place(b)} m"),
-    )
+    return a, b, _rotated_and_shifted(a, b)
 
 
 def _grown(about: str) -> Fit:
@@ -415,11 +389,8 @@ def _grown(about: str) -> Fit:
         c = complex(v[0]) if about else 0.0j
         size = max(float(np.vdot(v - c, v - c).real), 1e-12)
         a = float(np.vdot(v - c, u - c).real) / size
-        return (
-            complex(a),
-            c - a * c,
-            f"{a:.4f} times as large, scaled about the log's {about or 'origin'}",
-        )
+        said = f"{a:.4f} times as large, scaled about the log's {about or 'origin'}"
+        return complex(a), c - a * c, said
 
     return fit
 
@@ -428,14 +399,7 @@ def _similar(u: Complex, v: Complex) -> tuple[complex, complex, str]:
     w = v - v.mean()
     a = complex(np.vdot(w, u - u.mean()) / max(float(np.vdot(w, w).real), 1e-12))
     b = complex(u.mean() - a * v.mean())
-    return (
-        a,
-        b,
-        (
-            f"{abs(a):.4f} times as large, rotated by {_degrees(a)} about the log's origin and "
-            f"shifted by {_place(b)} m"
-        ),
-    )
+    return a, b, f"{abs(a):.4f} times as large, {_rotated_and_shifted(a, b)}"
 
 
 _FRAMES: tuple[tuple[int, Fit], ...] = (
@@ -497,7 +461,7 @@ def _headings(paths: Paths, motion: Motion) -> Iterator[tuple[bool, Cause]]:
     if motion.gap == "mirrored":
         return
     if alone and (reported := _no_heading(paths)):
-        yield True, Cause("heading", *reported)
+        yield True, Cause("heading", reported, _WRITTEN_HINT)
         return
     both = np.exp(1j * (paths.pose[:, 2] + paths.reference[:, 2])).mean()
     each = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2]))
@@ -522,17 +486,14 @@ def _headings(paths: Paths, motion: Motion) -> Iterator[tuple[bool, Cause]]:
     yield explained, Cause("heading", said, _HEADING_HINT.format("zero and sign"))
 
 
-def _no_heading(paths: Paths) -> tuple[str, str] | None:
-    """Evidence and hint where what is written is none: one value, degrees, or not halved."""
+def _no_heading(paths: Paths) -> str:
+    """Evidence where what is written is none: one value, degrees, or not halved."""
     own, right = paths.pose[:, 2], paths.reference[:, 2]
     if _spread(right) <= _NO_HEADINGS_RAD:
-        return None
+        return ""
     if _spread(own) < _LEAST_ALONE_RAD:
         angle = np.degrees(float(np.angle(np.exp(1j * own).mean())))
-        return (
-            f"all headings are {angle:.0f} degrees, but those of {paths.name} vary",
-            _WRITTEN_HINT,
-        )
+        return f"all headings are {angle:.0f} degrees, but those of {paths.name} vary"
     wrapped = np.angle(np.exp(1j * right))
     for factor, said in (
         (180.0 / np.pi, "the headings are in degrees instead of radians"),
@@ -540,8 +501,12 @@ def _no_heading(paths: Paths) -> tuple[str, str] | None:
     ):
         for of in (right, wrapped, wrapped % (2.0 * np.pi)):
             if np.exp(1j * (own - factor * of)).mean().real >= _SAME_HEADINGS:
-                return said, _WRITTEN_HINT
-    return None
+                return said
+    return ""
+
+
+def _rotated_and_shifted(a: complex, b: complex) -> str:
+    return f"rotated by {_degrees(a)} about the log's origin and shifted by {_place(b)} m"
 
 
 def _place(b: complex) -> str:

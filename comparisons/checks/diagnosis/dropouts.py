@@ -61,8 +61,7 @@ def find_dropouts(run: EkfRun, smoothed: Estimate) -> Dropouts:
     time_s, until = run.estimate.time_s, run.timeline.steps_until()
     trace = run.trace
     records = *trace.measurements.values(), *trace.initialisations.values(), trace.positions
-    used = [r.step for r in records]
-    seen = np.searchsorted(until, np.concatenate(used))
+    seen = np.searchsorted(until, np.concatenate([r.step for r in records]))
     marks = np.unique(np.concatenate(([0], seen, [len(time_s) - 1])))
     interval = np.diff(time_s[marks])
     limit = max(_TIMES_USUAL * float(np.median(interval)) if len(interval) else 0.0, _LEAST_S)

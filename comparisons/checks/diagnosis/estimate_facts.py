@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import at_others
 from comparisons.checks.diagnosis import covariance_signatures as signatures
-from comparisons.checks.diagnosis.diagnosis import Diagnosis, Moved, Paths, diagnose, rms
+from comparisons.checks.diagnosis.diagnosis import Diagnosis, Moved, Paths, diagnose
 from comparisons.checks.grade import (
     LIKE_SIGMA,
     LIKE_VARIANCE,
     SMOOTHER,
     Likeness,
-    Part,
     in_sigma,
     joint_pair,
-    pose_difference,
 )
 from comparisons.estimates.external import ExternalEstimate
 from comparisons.estimates.reference import Reference
 from comparisons.logs.stamps import at_instants
+from comparisons.plane import pose_difference, rms
 from comparisons.words import Cause
 
 _MAP_HINT = "supply the whole map, with the ids of the log's measurements"
@@ -85,22 +84,15 @@ def _map_hint(given: ExternalEstimate, found: Likeness) -> str:
 
 
 def _means(given: ExternalEstimate, found: Likeness, clues: Clues) -> Diagnosis:
-    poses, landmarks = found.parts[0], _part(found, "landmarks")
-    far_poses = poses.sigma > LIKE_SIGMA + poses.rounding[0]
-    far = np.zeros(0, dtype=bool)
-    if landmarks is not None:
-        far = landmarks.sigma > LIKE_SIGMA + landmarks.rounding[0]
+    off = {one.name: one.sigma > LIKE_SIGMA + one.rounding[0] for one in found.parts}
+    far_poses, far = off["poses"], off.get("landmarks", np.zeros(0, dtype=bool))
     if not far_poses.any() and not far.any():
         return Diagnosis([], [])
     known = _known_path(given, found, clues) if far_poses.any() else None
-    causes: list[Cause] = []
-    evidence: list[Cause] = []
-    if known is not None:
-        causes.append(known)
-    elif far_poses.any():
+    causes, evidence, partly = [] if known is None else [known], list[Cause](), list[Cause]()
+    if known is None and far_poses.any():
         causes, evidence = diagnose(paths_beside(given, found.reference, clues.smoothed[0]))
     swapped = _swapped(given, found)
-    partly: list[Cause] = []
     if swapped is not None and not causes:  # another frame exchanges landmarks, too
         (partly if far_poses.any() else causes).append(swapped)
     if not causes or far.any():
@@ -223,8 +215,7 @@ def _apart(
         place = given.landmark[found.ours[worst]], reference.landmark[found.theirs[worst]]
         parts.append(
             f"{landmarks.sum()} of {len(landmarks)} landmarks differ by more than {limit}, "
-            "landmark "
-            f"{reference.landmark_name(int(found.theirs[worst]))} most, by "
+            f"landmark {reference.landmark_name(int(found.theirs[worst]))} most, by "
             f"{np.linalg.norm(place[0] - place[1]):.3f} m ({sigma[worst]:.2g} sigma)"
         )
     return Cause(
@@ -240,7 +231,7 @@ def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list
     off = {p.name for p in found.parts if not p.within(np.inf, LIKE_VARIANCE)}
     if not off:
         return []
-    at, pairs = reference.known, _pairs(given, found)
+    at, pairs, said = reference.known, _pairs(given, found), []
     hint = (
         "check the noise: a sigma instead of a variance, a factor on R or Q, a dropped "
         "cross-covariance, a measurement used twice; check the export: frame, units, order, time"
@@ -248,10 +239,8 @@ def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list
     fits = [signatures.fit(*pair) for pair in pairs.values()]
     factors = [one.factor for one in fits if one is not None and not one.exceptions.any()]
     if len(factors) == len(fits) and max(factors) <= min(factors) * (1.0 + LIKE_VARIANCE):
-        return [
-            Cause("covariance", signatures.of_everything(float(np.median(factors)), name), hint)
-        ]
-    said = []
+        every = signatures.of_everything(float(np.median(factors)), name)
+        return [Cause("covariance", every, hint)]
     if "poses" in off:
         smoothed = clues.smoothed[1][at]
         before = reference.pose_covariance[at] if clues.before is None else clues.before[1][at]
@@ -271,8 +260,7 @@ def _covariances(given: ExternalEstimate, found: Likeness, clues: Clues) -> list
 
 def _pairs(given: ExternalEstimate, found: Likeness) -> dict[str, tuple[Array, Array]]:
     """Covariances (N, n, n) of the parts that were handed in, and the reference's."""
-    reference, pairs = found.reference, {}
-    at = reference.known
+    reference, at, pairs = found.reference, found.reference.known, {}
     if given.pose_covariance is not None:
         pairs["poses"] = given.pose_covariance[at], reference.pose_covariance[at]
     if given.landmark_covariance is not None:
@@ -282,10 +270,6 @@ def _pairs(given: ExternalEstimate, found: Likeness) -> dict[str, tuple[Array, A
     if joint is not None:
         pairs["last pose and landmarks"] = joint[0][None], joint[1][None]
     return pairs
-
-
-def _part(found: Likeness, name: str) -> Part | None:
-    return next((part for part in found.parts if part.name == name), None)
 
 
 def _swapped(given: ExternalEstimate, found: Likeness) -> Cause | None:

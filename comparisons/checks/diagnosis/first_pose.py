@@ -7,8 +7,8 @@ import numpy as np
 from comparisons.arrays import Array
 from comparisons.faults.catalogue import EXCHANGED_ROWS
 from comparisons.logs.log import Poses, Prior
+from comparisons.plane import pose_difference
 from comparisons.statistics import likelier_orders
-from ekf_reference.core.geometry import wrap_angle
 
 
 def rows_by_truth(prior: Prior, true: Poses | None) -> str:
@@ -19,18 +19,12 @@ def rows_by_truth(prior: Prior, true: Poses | None) -> str:
 
 
 def exchanged_rows(prior: Prior, pose: Array, left: Array) -> str:
-    """Return which rows of the prior's covariance a first pose exchanges, in words.
+    """Return which rows of the prior's covariance a first pose (3,) exchanges, in words.
 
-    Args:
-        prior: The log's.
-        pose: (3,) the first pose, as truth or smoother have it.
-        left: (3, 3) its covariance; zero of the truth.
-
-    Returns:
-        The exchanges; empty where the pose is probable, or no exchange makes it so.
+    Empty where the pose is probable, or no exchange makes it so. left: (3, 3) covariance of the
+    pose; zero of the truth.
     """
-    error = prior.pose - pose
-    error[2:] = wrap_angle(error[2:])
+    (error,) = pose_difference(prior.pose[None], pose)
     orders = {names: np.array(order) for names, order in EXCHANGED_ROWS.items()}
     found = likelier_orders(error, prior.covariance, left, orders.values())
     if not found:

@@ -8,8 +8,9 @@ are then reproduced to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array, Index
 from ekf_reference.core.geometry import wrap_angle
 
+EQUAL = 1e-7
+"""Figures that differ by less, relative to their size, are the same."""
 _FITTED = 300
 """So many records are fitted, spread over those that deviate; all of them are then compared."""
 _ITERATIONS = 8
@@ -27,17 +30,24 @@ _LEAST_SPLIT = 3
 _DETERMINED = 1e-6
 """Smallest singular value, relative to the largest, of figures that can be separated."""
 
+Text = str | Callable[..., str]
+"""What to say of a mistake, as a format of its figures, or made of them."""
 Predict = Callable[..., Array]
 """Of rows (R,) and a mistake's figures: what would have been recorded, (R, ...)."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One mistake. text: from its figures, what to say. start: figures to begin the fit with."""
+    """One mistake. start: figures to begin the fit with."""
 
-    text: Callable[..., str]
+    text: Text
     predict: Predict
     start: tuple[float, ...] = ()
+
+    def counted(self, figures: tuple[float, ...], quantity: Quantity) -> str:
+        """Return what to say with figures, and of how many records."""
+        said = self.text.format if isinstance(self.text, str) else self.text
+        return f"{said(*figures)}, {counted(quantity)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +62,7 @@ class Quantity:
 
     have: Array
     meant: Array
-    tolerance: Array
+    tolerance: Array | float
     records: str
     angle: bool | NDArray[np.bool_] = False
     features: Mapping[str, Array | Index] = field(default_factory=dict)
@@ -62,8 +72,23 @@ class Quantity:
         difference = self.have[rows] - expected
         if np.any(self.angle):
             difference = np.where(self.angle, wrap_angle(difference), difference)
-        limit = np.broadcast_to(self.tolerance, self.have.shape)[rows]
-        return (difference / limit).reshape(len(rows), -1)
+        return (difference / self.limit(rows)).reshape(len(rows), -1)
+
+    def limit(self, rows: Index) -> Array:
+        """Return the tolerance of records (R, ...)."""
+        return np.broadcast_to(self.tolerance, self.have.shape)[rows]
+
+    def part(self, *at: int) -> Quantity:
+        """Return an entry of each record, or a row of it."""
+        of: Any = (slice(None), *at)
+        limit = np.broadcast_to(self.tolerance, self.have.shape)
+        return replace(
+            self,
+            have=self.have[of],
+            meant=self.meant[of],
+            tolerance=limit[of],
+            angle=np.broadcast_to(self.angle, self.have.shape[1:])[at],
+        )
 
     def off(self) -> NDArray[np.bool_]:
         """Return (M,) which records deviate."""
@@ -73,23 +98,13 @@ class Quantity:
         return result
 
 
-def named(quantity: Quantity, hypotheses: Iterable[Hypothesis]) -> str | None:
+def named(quantity: Quantity, hypotheses: Iterable[Hypothesis]) -> list[str]:
     """Return the first hypothesis that reproduces all that deviates, with its figures and counts.
 
-    None where nothing deviates, or nothing explains it.
+    Empty where nothing deviates, or nothing explains it.
     """
     found = best(quantity, hypotheses)
-    if found is None:
-        return None
-    hypothesis, figures = found
-    return f"{hypothesis.text(*figures)}, {counted(quantity)}"
-
-
-def naming(quantity: Quantity, hypotheses: Iterable[Hypothesis]) -> Iterator[str]:
-    """Yield what `named` returns, if anything."""
-    found = named(quantity, hypotheses)
-    if found is not None:
-        yield found
+    return [] if found is None else [found[0].counted(found[1], quantity)]
 
 
 def best(
@@ -130,8 +145,7 @@ def counted(quantity: Quantity) -> str:
 def _holds(
     quantity: Quantity, hypothesis: Hypothesis, figures: tuple[float, ...], rows: Index
 ) -> bool:
-    apart = quantity.apart(rows, hypothesis.predict(rows, *figures))
-    return bool(np.abs(apart).max() <= 1.0)
+    return bool(np.abs(quantity.apart(rows, hypothesis.predict(rows, *figures))).max() <= 1.0)
 
 
 def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float, ...] | None:
@@ -147,8 +161,7 @@ def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float
             other = figures.copy()
             other[i] += step
             change = hypothesis.predict(rows, *other) - base
-            limit = np.broadcast_to(quantity.tolerance, quantity.have.shape)[rows]
-            columns.append((change / limit / step).ravel())
+            columns.append((change / quantity.limit(rows) / step).ravel())
         by_figures = np.column_stack(columns)
         size = np.linalg.norm(by_figures, axis=0)
         if not (np.isfinite(by_figures).all() and np.isfinite(apart).all() and (size > 0.0).all()):
@@ -164,11 +177,6 @@ def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float
         return reported
     with np.errstate(invalid="ignore"):
         return reported if _holds(quantity, hypothesis, reported, rows) else None
-
-
-def says(text: str) -> Callable[..., str]:
-    """Return a text's maker that puts figures into it."""
-    return lambda *figures: text.format(*figures)
 
 
 def times(what: str, of: str = "the correct value") -> Callable[[float], str]:
@@ -201,4 +209,4 @@ def scaled(what: str, array: Array, mask: Array | float = 1.0) -> Hypothesis:
 
 def instead(text: str, array: Array) -> Hypothesis:
     """Return the hypothesis that other figures (M, ...) stand where the right ones belong."""
-    return Hypothesis(says(text), lambda rows: array[rows])
+    return Hypothesis(text, lambda rows: array[rows])

@@ -6,40 +6,34 @@ Each is fitted to the records: it is named only when it explains all that deviat
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.arrays import Array, Index
+from comparisons.arrays import Array
 from comparisons.checks.diagnosis.hypotheses import (
+    EQUAL,
     Hypothesis,
     Quantity,
     instead,
-    naming,
-    says,
+    named,
     times,
 )
 from comparisons.checks.diagnosis.measurement_hypotheses import measurement_hints
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
 from comparisons.logs.log import Log
-from ekf_reference.core.geometry import wrap_angle
-from ekf_reference.core.trace import MeasurementRecords
-
-_EQUAL = 1e-7
+from comparisons.plane import pose_difference, turned
 
 
 def explain(
     log: Log, run: EkfRun, rounding: float = 0.0, *, same_steps: bool = True
 ) -> tuple[str, ...]:
-    """Return what the filter seems to have done.
+    """Return what the filter of a run seems to have done to a log.
 
-    Nothing is said of filters of another state or observation.
-
-    Args:
-        log: what the filter was given.
-        run: what it recorded.
-        rounding: by how much, relative to their size, storing has rounded the records.
-        same_steps: whether its steps are the log's own, so that they can be compared.
+    Nothing is said of filters of another state or observation. rounding: by how much, relative to
+    their size, storing has rounded the records. same_steps: its steps are the log's own, so that
+    they can be compared.
     """
     if run.trace.prior_pose.shape != (3,) or run.own_axes:
         return ()
@@ -52,20 +46,19 @@ def explain(
 
 
 def _prior(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
-    off = run.trace.prior_pose - log.prior.pose
-    off[2] = wrap_angle(off[2])
+    (off,) = pose_difference(run.trace.prior_pose[None], log.prior.pose)
     sigma = np.sqrt(np.diag(log.prior.covariance))
     for name, unit, apart, size in zip(
         ("x", "y", "heading"), ("m", "m", "rad"), off.tolist(), log.prior.pose.tolist(),
         strict=True,
     ):  # fmt: skip
-        if abs(apart) > _EQUAL + 4.0 * rounding * max(abs(size), np.pi):
+        if abs(apart) > EQUAL + 4.0 * rounding * max(abs(size), np.pi):
             yield f"the prior's {name} differs from the log's by {apart:+.4g} {unit}"
     scale = np.outer(sigma, sigma)
     quantity = Quantity(
         have=(run.trace.prior_covariance / scale)[None],
         meant=(log.prior.covariance / scale)[None],
-        tolerance=np.asarray(_EQUAL + 4.0 * rounding),
+        tolerance=EQUAL + 4.0 * rounding,
         records="priors",
     )
     if not quantity.off().any():
@@ -89,44 +82,35 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
     r, positions = run.trace.positions, run.positions
     if positions is None or not len(r.step):
         return
-    place, pose = positions.position_m[r.number], r.pose
-    forward, left = positions.antenna_m
+    place, pose, stated = positions.position_m[r.number], r.pose, np.array(positions.antenna_m)
     apart = place - pose[:, :2]
+    meant = apart - turned(stated, pose[:, 2])
     slack = 4.0 * rounding * float(max(np.abs(pose).max(), np.abs(place).max()))
-    stated = np.array((forward, left))
-
-    def lever(rows: Index, ahead: float, side: float) -> Array:
-        result: Array = apart[rows] - _arms(pose[rows, 2], ahead, side)
-        return result
-
-    meant = lever(np.arange(len(pose)), forward, left)
-    features = {"time [s]": positions.time_s[r.number]}
     quantity = Quantity(
         have=r.innovation,
         meant=meant,
-        tolerance=np.asarray(_EQUAL + slack),
+        tolerance=EQUAL + slack,
         records="positions",
-        features=features,
+        features={"time [s]": positions.time_s[r.number]},
     )
     departed = run.trace.departed[np.maximum(r.step - 1, 0)]
-    older = place - departed[:, :2] - _arms(departed[:, 2], forward, left)
-    yield from naming(
+    older = place - departed[:, :2] - turned(stated, departed[:, 2])
+    yield from named(
         quantity,
         (
             instead("the lever arm of the antenna is ignored", apart),
             instead("the lever arm of the antenna is not rotated by the heading", apart - stated),
             instead("the innovation of positions has the opposite sign", -meant),
             instead("the expected position is that before the last prediction", older),
-            instead("the position's east and north are exchanged",
-                    place[:, ::-1] - place + meant),
+            instead("the position's east and north are exchanged", place[:, ::-1] - place + meant),
             Hypothesis(
-                says("the lever arm of the antenna is ({0:.3f}, {1:.3f}) m, in the log "
-                     f"({forward:.3f}, {left:.3f}) m"),
-                lever,
-                (forward, left),
+                "the lever arm of the antenna is ({0:.3f}, {1:.3f}) m, in the log "
+                f"({stated[0]:.3f}, {stated[1]:.3f}) m",
+                lambda rows, *arm: apart[rows] - turned(np.array(arm), pose[rows, 2]),
+                positions.antenna_m,
             ),
             Hypothesis(
-                says("positions have a bias of ({0:+.4g}, {1:+.4g}) m"),
+                "positions have a bias of ({0:+.4g}, {1:+.4g}) m",
                 lambda rows, east, north: meant[rows] + (east, north),
                 (0.0, 0.0),
             ),
@@ -136,41 +120,30 @@ def _positions(run: EkfRun, rounding: float) -> Iterator[str]:
                 (1.0,),
             ),
         ),
-    )  # fmt: skip
-    yield from _position_noise(r, positions.covariance[r.number], features)
+    )
+    noise = r.noise * r.weight[:, None, None]
+    yield from _position_noise(noise, positions.covariance[r.number], quantity)
 
 
-def _arms(heading: Array, forward: float, left: float) -> Array:
-    cos, sin = np.cos(heading), np.sin(heading)
-    return np.column_stack((cos * forward - sin * left, sin * forward + cos * left))
-
-
-def _position_noise(
-    r: MeasurementRecords, stated: Array, features: dict[str, Array]
-) -> Iterator[str]:
-    """Of positions with covariances (G, 2, 2) in the log."""
+def _position_noise(have: Array, stated: Array, of: Quantity) -> list[str]:
+    """R (G, 2, 2) of positions with covariances (G, 2, 2) in the log."""
     sigma = np.sqrt(stated[:, (0, 1), (0, 1)])
     size = sigma[:, :, None] * sigma[:, None, :]
-    quantity = Quantity(
-        have=r.noise * r.weight[:, None, None] / size,
-        meant=stated / size,
-        tolerance=np.asarray(_EQUAL),
-        records="positions",
-        features=features,
-    )
-    yield from naming(
-        quantity,
+    diagonal = stated * np.eye(2)
+    return named(
+        replace(of, have=have / size, meant=stated / size, tolerance=EQUAL),
         (
-            instead("R of positions contains sigma instead of sigma squared",
-                    np.sqrt(stated * np.eye(2)) / size),
-            instead("R of positions contains the square of the variances",
-                    (stated * np.eye(2)) ** 2 / size),
-            Hypothesis(times("R of positions"), lambda rows, k: k * stated[rows] / size[rows],
-                       (1.0,)),
+            instead(
+                "R of positions contains sigma instead of sigma squared", np.sqrt(diagonal) / size
+            ),
+            instead("R of positions contains the square of the variances", diagonal**2 / size),
             Hypothesis(
-                says("R of positions has a constant of {0:.4g} added"),
+                times("R of positions"), lambda rows, k: k * stated[rows] / size[rows], (1.0,)
+            ),
+            Hypothesis(
+                "R of positions has a constant of {0:.4g} added",
                 lambda rows, c: (stated[rows] + c * np.eye(2)) / size[rows],
                 (0.0,),
             ),
         ),
-    )  # fmt: skip
+    )

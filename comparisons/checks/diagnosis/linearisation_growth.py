@@ -68,9 +68,8 @@ def linearisation_growth(
     """
     poses = smoothed.pose
     steps = _relations("a prediction", frozen.motion, optimum.motion, poses, poses)
-    every = [
-        replace(steps, epoch=frozen.motion.second, landmark_index=np.full(len(steps.epoch), -1))
-    ]
+    none = np.full(len(steps.epoch), -1)
+    every = [replace(steps, epoch=frozen.motion.second, landmark_index=none)]
     for kind, name, landmarks in (
         (POINT, "a measurement", smoothed.landmark),
         (POSE_LANDMARK, "a template alignment", smoothed.pose_landmarks),
@@ -86,13 +85,8 @@ def linearisation_growth(
     if not len(worst.sigma):
         return LinearisationGrowth(squared, "nothing", 0, -1, 0.0)
     row = int(np.argmax(worst.sigma))
-    return LinearisationGrowth(
-        squared,
-        worst.kind,
-        int(worst.epoch[row]),
-        int(worst.landmark_index[row]),
-        float(worst.sigma[row]),
-    )
+    at = int(worst.epoch[row]), int(worst.landmark_index[row])
+    return LinearisationGrowth(squared, worst.kind, *at, float(worst.sigma[row]))
 
 
 def _relations(
@@ -101,13 +95,14 @@ def _relations(
     """Of relations between states (n, p) and (m, w)."""
     said = f.b - times(f.a, _from(f.first_point, first[f.first]))
     said -= times(f.c, _from(f.second_point, second[f.second]))
-    return _error(kind, f.first, f.second, said - at.b)
+    return LinearisationError(kind, f.first, f.second, np.linalg.norm(said - at.b, axis=1))
 
 
 def _positions(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> LinearisationError:
     f = frozen.positions
     said = f.b - times(f.a, _from(f.pose, poses[f.node]))
-    return _error("a position", f.node, np.full(len(f.node), -1), said - optimum.positions.b)
+    sigma = np.linalg.norm(said - optimum.positions.b, axis=1)
+    return LinearisationError("a position", f.node, np.full(len(f.node), -1), sigma)
 
 
 def _from(point: Array, place: Array) -> Array:
@@ -115,7 +110,3 @@ def _from(point: Array, place: Array) -> Array:
     apart = place - point
     apart[:, 2:] = wrap_angle(apart[:, 2:])
     return apart
-
-
-def _error(kind: str, epoch: Index, landmark_index: Index, whitened: Array) -> LinearisationError:
-    return LinearisationError(kind, epoch, landmark_index, np.linalg.norm(whitened, axis=1))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,14 @@ from comparisons.adapters.smoother_input import assemble, position_rows
 from comparisons.adapters.time_window import cut_log
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.checks.diagnosis.log_fit import chi2_by_run, explains, fitted_numbers
+from comparisons.checks.diagnosis.log_fit import (
+    AS_WELL,
+    LogFit,
+    alike,
+    chi2_by_run,
+    explains,
+    fitted_numbers,
+)
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
@@ -37,31 +44,15 @@ _FEWEST = 20
 """Degrees of freedom; fewer tell nothing."""
 _HALF = 0.5
 """A change of signs or columns that leaves less of chi-square is named where the log fits, too."""
-_AS_WELL = 1.5
-"""Times the least chi-square: a change that leaves no more may be the one."""
 _TOLERANCE = 1e-5
 _DEGREE = np.pi / 180.0
-
-
-class Finding(NamedTuple):
-    """What a log looks like.
-
-    mend: what corrects it. chi2: with the change, which makes the log as it should be. unit: it is
-    about a unit.
-    """
-
-    what: str
-    mend: str
-    chi2: float
-    change: Callable[[Log], Log]
-    unit: bool = False
 
 
 class Examination(NamedTuple):
     """test: of the log as it is. findings: alike, the likeliest first. lacks: why none is tried."""
 
     test: ChiSquareTest
-    findings: list[Finding]
+    findings: list[LogFit]
     lacks: str = ""
 
     @property
@@ -87,60 +78,48 @@ class _Suspicion(NamedTuple):
 
 
 def examine(log: Log) -> Examination:
-    """Return what is wrong with a log's units, signs, columns, clocks or sigmas.
+    """Return what is wrong with units, signs, columns, clocks or sigmas of a log with labels.
 
-    Args:
-        log: With labelled measurements.
-
-    Returns:
-        Nothing for a log that fits, or that no single change makes fit.
+    Nothing for a log that fits, or that no single change makes fit.
     """
-    part, test, lacks = _tested(log)
-    if lacks:
-        return Examination(test, [], lacks)
-    found = _named(part, test, _suspicions(part))
-    if _unexplained(test, found):
-        fits = fitted_numbers(part, lambda changed, _: _solved(changed)[0], test)
-        found += [
-            Finding(one.what, "correct the calibration or the clock", one.chi2, one.change)
-            for one in fits
-        ]
-    if _unexplained(test, found):
-        found += _named(part, test, _as_variances(part))
-    return Examination(test, _alike(found))
+    return _examined(log, numbers=True)
 
 
 def examine_run(log: Log, run: EkfRun, result: SmootherResult) -> Examination:
     """Return what makes not only a part of a log fit, but all that a run used of it.
 
-    Args:
-        log: As the estimators read it.
-        run: With the association.
-        result: The smoother's, whose chi-square is too high, and which no number explains.
+    log: as the estimators read it. result: the smoother's, whose chi-square is too high, and which
+    no number explains.
     """
-    part, test, lacks = _tested(log)
-    if lacks:
-        return Examination(test, [], lacks)
-    found = _named(part, test, _suspicions(part))
-    if _unexplained(test, found):
-        found += _named(part, test, _as_variances(part))
-    found = _alike(found)
-    chi2_of = chi2_by_run(run, result)
+    of_part, chi2_of = _examined(log, numbers=False), chi2_by_run(run, result)
 
-    def fits(one: Finding) -> bool:
+    def fits(one: LogFit) -> bool:
         try:
             chi2 = chi2_of(one.change(log), True)
         except (InputError, RuntimeError):
             return False
-        return explains(result.optimality.chi_square, chi2, len(found))
+        return explains(result.optimality.chi_square, chi2, len(of_part.findings))
 
-    return Examination(test, [one for one in found if fits(one)])
+    return of_part._replace(findings=[one for one in of_part.findings if fits(one)])
 
 
-def _unexplained(test: ChiSquareTest, found: list[Finding]) -> bool:
+def _examined(log: Log, *, numbers: bool) -> Examination:
+    """Return what makes a part of a log fit. numbers: fit those of the sensors as well."""
+    part, test, lacks = _tested(log)
+    if lacks:
+        return Examination(test, [], lacks)
+    found = _named(part, test, _suspicions(part))
+    if numbers and _unexplained(test, found):
+        found += fitted_numbers(part, lambda changed, _: _solved(changed)[0], test)
+    if _unexplained(test, found):
+        found += _named(part, test, _as_variances(part))
+    return Examination(test, alike(found))
+
+
+def _unexplained(test: ChiSquareTest, found: list[LogFit]) -> bool:
     """Whether chi-square is too high and stays so with every change that was found."""
     least = min((one.chi2 for one in found), default=np.inf)
-    return test.reading == "too high" and least > _AS_WELL * test.upper
+    return test.reading == "too high" and least > AS_WELL * test.upper
 
 
 def _tested(log: Log) -> tuple[Log, ChiSquareTest, str]:
@@ -155,16 +134,10 @@ def _tested(log: Log) -> tuple[Log, ChiSquareTest, str]:
     return part, chi_square_test(0.5 * chi2, dof), ""
 
 
-def _alike(found: list[Finding]) -> list[Finding]:
-    """The likeliest first, and those that leave no more than it by far."""
-    least = min((one.chi2 for one in found), default=0.0)
-    return sorted((one for one in found if one.chi2 <= _AS_WELL * least), key=lambda one: one.chi2)
-
-
-def _named(part: Log, test: ChiSquareTest, suspicions: Iterator[_Suspicion]) -> list[Finding]:
-    tried = [(one, _solved(_changed(part, one))[0]) for one in suspicions]
+def _named(part: Log, test: ChiSquareTest, suspicions: Iterator[_Suspicion]) -> list[LogFit]:
+    tried = [(one, _solved(part, one.change)[0]) for one in suspicions]
     return [
-        Finding(one.what, one.mend, chi2, one.change, one.unit)
+        LogFit(one.what, chi2, one.change, one.mend, one.unit)
         for one, chi2 in tried
         if (test.reading == "too high" and explains(test, chi2, len(tried)))
         or (one.keeps_size and chi2 < _HALF * test.chi2)
@@ -179,27 +152,17 @@ def _part(log: Log) -> Log:
     return cut_log(log, None, float(time_s[_MOST_MEASUREMENTS]) - log.prior.time_s)
 
 
-def _changed(log: Log, suspicion: _Suspicion) -> Log | None:
-    try:
-        return suspicion.change(log)
-    except InputError:
-        return None
-
-
-def _solved(log: Log | None) -> tuple[float, int]:
+def _solved(log: Log, change: Callable[[Log], Log] | None = None) -> tuple[float, int]:
     """Chi-square and degrees of freedom of the smoother, infinite where it cannot be solved."""
-    if log is None:
-        return np.inf, 0
     try:
+        log = log if change is None else change(log)
         timeline = build_timeline(log, log.positions)
         index, ids = indices_by_label(log)
         problem = assemble(log, timeline, index, len(ids), position_rows(timeline, log.positions))
         graph = build_graph(problem)
-        start = relaxed_values(problem)
-        values = levenberg_marquardt(graph, start, _TOLERANCE)[0]
-        return 2.0 * float(graph.error(values)), (
-            problem.residual_dimension - problem.state_dimension
-        )
+        values = levenberg_marquardt(graph, relaxed_values(problem), _TOLERANCE)[0]
+        dof = problem.residual_dimension - problem.state_dimension
+        return 2.0 * float(graph.error(values)), dof
     except (InputError, RuntimeError, ValueError):
         return np.inf, 0
 
@@ -290,16 +253,10 @@ def _frames() -> Iterator[_Suspicion]:
 
 
 def other_frame(log: Log, x: str, y: str, turned: float) -> Log:
-    """Return a log of motions whose poses, from the origin on, have other axes.
+    """Return a log of motions whose poses, from the origin on, have other axes; its noise stays.
 
-    Args:
-        log: With motions between poses.
-        x: Which of `x`, `y` and `-y` of the poses is x.
-        y: Which is y.
-        turned: 1, or -1 for headings that grow the other way.
-
-    Returns:
-        The log, its noise unchanged.
+    x, y: which of `x`, `y` and `-y` of the poses these are. turned: 1, or -1 for headings that grow
+    the other way.
     """
     moved = log.odometry
     if not isinstance(moved, RelativePoses):
@@ -334,31 +291,26 @@ def _exchanged_controls(log: Log) -> Log:
 def _as_variances(log: Log) -> Iterator[_Suspicion]:
     """Stated sigmas that are variances, below 1, or of another unit; of two sensors, too."""
     seen = log.measurements
-
+    below_one = []
     for name, what in (("sigma_range_m", "range"), ("sigma_bearing_rad", "bearing")):
         if (getattr(seen, name) < 1.0).all():
+            below_one.append(name)
             sigma = float(np.median(getattr(seen, name)))
             yield _Suspicion(
                 f"the sigma of {what}s, {sigma:.4g}, is a variance",
                 f"give --sigma-{what} {np.sqrt(sigma):.4g}",
                 partial(_rooted, names=(name,)),
             )
-    both = "sigma_range_m", "sigma_bearing_rad"
-    if all((getattr(seen, name) < 1.0).all() for name in both):
+    if len(below_one) == 2:
         yield _Suspicion(
             "the sigmas of ranges and bearings are variances", "give their square roots",
-            partial(_rooted, names=both),
+            partial(_rooted, names=tuple(below_one)),
         )  # fmt: skip
     sigma = float(np.median(seen.sigma_bearing_rad)) / _DEGREE
     yield _Suspicion(
         "the sigma of bearings is in radians and was taken for degrees",
         f"give --sigma-bearing {sigma:.4g}rad",
-        lambda g: replace(
-            g,
-            measurements=replace(
-                g.measurements, sigma_bearing_rad=g.measurements.sigma_bearing_rad / _DEGREE
-            ),
-        ),
+        lambda g: _with_sigmas(g, sigma_bearing_rad=g.measurements.sigma_bearing_rad / _DEGREE),
     )
     moved = log.odometry
     if not isinstance(moved, RelativePoses):
@@ -375,5 +327,8 @@ def _as_variances(log: Log) -> Iterator[_Suspicion]:
 def _rooted(log: Log, names: tuple[str, ...]) -> Log:
     """The log with the square roots of some sigmas."""
     seen = log.measurements
-    roots = {name: np.sqrt(getattr(seen, name)) for name in names}
-    return replace(log, measurements=replace(seen, **roots))
+    return _with_sigmas(log, **{name: np.sqrt(getattr(seen, name)) for name in names})
+
+
+def _with_sigmas(log: Log, **sigmas: Any) -> Log:
+    return replace(log, measurements=replace(log.measurements, **sigmas))

@@ -7,7 +7,7 @@ of the measurements.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Poses
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
-from comparisons.logs.transforms.calibration import delayed, driven, sensed
+from comparisons.logs.transforms.calibration import Line, delayed, driven, sensed
 from graphslam.graph_builder import build_graph, to_values
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.optimum import ChiSquareTest
@@ -34,8 +34,8 @@ LEVEL = 1e-6
 """Of the F test of all numbers together."""
 _ROUNDS = 4
 _MOST_REFINED = 3
-_AS_WELL = 1.5
-"""Times the least chi-square: a number that leaves no more may be the one."""
+AS_WELL = 1.5
+"""Times the least chi-square: what leaves no more may be the one."""
 _DELAYS_S = (-2.0, -1.0, -0.5, -0.25, -0.1, 0.0, 0.1, 0.25, 0.5, 1.0, 2.0)
 _TOLERANCE = 1e-6
 """Of the smoother's error, relative."""
@@ -48,11 +48,17 @@ _WORDS: dict[type, tuple[str, str]] = {
 
 
 class LogFit(NamedTuple):
-    """A number with which the log fits. what: in words. chi2: with it. change: puts it in."""
+    """A change with which the log fits.
+
+    what: in words. chi2: with it. change: makes the log as it should be. mend: what corrects it.
+    unit: it is about a unit.
+    """
 
     what: str
     chi2: float
     change: Callable[[Log], Log]
+    mend: str = "correct the calibration or the clock"
+    unit: bool = False
 
 
 class _Number(NamedTuple):
@@ -72,35 +78,26 @@ class _Number(NamedTuple):
 def _numbers(log: Log) -> Iterator[_Number]:
     """Of what the log has."""
     way, turn = _WORDS[type(log.odometry)]
-    yield _Number(f"{way} {{:.3g}} times the log's", lambda g, k: driven(g, (k, 0.0)), 1.0, 0.01)
-    yield _Number(
-        f"{turn} {{:.3g}} times the log's", lambda g, k: driven(g, turn=(k, 0.0)), 1.0, 0.01
-    )
-    yield _Number(
-        f"an offset of {{:+.3g}} rad on the {turn}",
-        lambda g, b: driven(g, turn=(1.0, b)),
-        0.0,
-        1e-3,
-    )
+    yield from _of_sensor(way, "", 0.0, driven)
+    yield from _of_sensor(turn, "rad", 1e-3, lambda g, line: driven(g, turn=line))
     if not len(log.measurements.time_s):
         return
-    yield _Number("ranges {:.3g} times the log's", lambda g, k: sensed(g, (k, 0.0)), 1.0, 0.01)
-    yield _Number(
-        "an offset of {:+.3g} m on the ranges", lambda g, b: sensed(g, (1.0, b)), 0.0, 0.01
-    )
-    yield _Number(
-        "bearings {:.3g} times the log's", lambda g, k: sensed(g, bearing=(k, 0.0)), 1.0, 0.01
-    )
-    yield _Number(
-        "an offset of {:+.3g} rad on the bearings",
-        lambda g, b: sensed(g, bearing=(1.0, b)),
-        0.0,
-        1e-3,
-    )
+    yield from _of_sensor("ranges", "m", 0.01, sensed)
+    yield from _of_sensor("bearings", "rad", 1e-3, lambda g, line: sensed(g, bearing=line))
     if not isinstance(log.odometry, RelativePoses):
         yield _Number(
             "measurements {:+.3g} s later than the log says", delayed, 0.0, 0.05, _DELAYS_S
         )
+
+
+def _of_sensor(
+    name: str, unit: str, step: float, change: Callable[[Log, Line], Log]
+) -> Iterator[_Number]:
+    """A scale, and an offset where it has a unit."""
+    yield _Number(f"{name} {{:.3g}} times the log's", lambda g, k: change(g, (k, 0.0)), 1.0, 0.01)
+    if unit:
+        offset = f"an offset of {{:+.3g}} {unit} on the {name}"
+        yield _Number(offset, lambda g, b: change(g, (1.0, b)), 0.0, step)
 
 
 def chi2_by_run(run: EkfRun, result: SmootherResult) -> Callable[[Log, bool], float]:
@@ -126,26 +123,19 @@ def chi2_by_run(run: EkfRun, result: SmootherResult) -> Callable[[Log, bool], fl
 
 
 def log_fits(log: Log, run: EkfRun, result: SmootherResult) -> list[LogFit]:
-    """Return the numbers that make the log fit, the best first.
+    """Return the numbers that make a log fit as the estimators read it, the best first.
 
-    Args:
-        log: As the estimators read it.
-        run: With the association.
-        result: The smoother's, whose chi-square is too high.
+    run: with the association. result: the smoother's, whose chi-square is too high.
     """
-    chi2_of = chi2_by_run(run, result)
-    return fitted_numbers(log, chi2_of, result.optimality.chi_square)
+    return fitted_numbers(log, chi2_by_run(run, result), result.optimality.chi_square)
 
 
 def fitted_numbers(
     log: Log, chi2_of: Callable[[Log, bool], float], test: ChiSquareTest
 ) -> list[LogFit]:
-    """Return the numbers that make a log fit, the best first.
+    """Return the numbers that make a log fit whose chi-square is too high, the best first.
 
-    Args:
-        log: Whose chi-square is too high.
-        chi2_of: The smoother's chi-square of a changed log; afresh where it may lie elsewhere.
-        test: Of the log as it is.
+    chi2_of: as of `chi2_by_run`. test: of the log as it is.
     """
     rough = []
     for one in _numbers(log):
@@ -156,21 +146,21 @@ def fitted_numbers(
     for _, fit in rough[:_MOST_REFINED]:
         chi2 = fit.refined()
         if explains(test, chi2, len(rough)):
-            found.append(LogFit(fit.words, chi2, fit.change))
+            found.append(fit.log_fit)
+    return alike(found)
+
+
+def alike(found: Sequence[LogFit]) -> list[LogFit]:
+    """Return the likeliest first, and those that leave not much more than it."""
     least = min((one.chi2 for one in found), default=0.0)
-    alike = [one for one in found if one.chi2 <= _AS_WELL * least]
-    return sorted(alike, key=lambda one: one.chi2)
+    return sorted((one for one in found if one.chi2 <= AS_WELL * least), key=lambda one: one.chi2)
 
 
 def explains(test: ChiSquareTest, chi2: float, numbers: int) -> bool:
     """Whether a fitted number explains a chi-square that is too high.
 
     What makes chi-square too low instead, as a scale that shrinks all residuals, explains nothing.
-
-    Args:
-        test: Without the number.
-        chi2: With it.
-        numbers: How many were tried.
+    test: without the number. chi2: with it. numbers: how many were tried.
     """
     removed = test.chi2 - chi2
     if chi2 < test.lower or removed < LEAST_SHARE * (test.chi2 - test.dof):
@@ -189,23 +179,17 @@ class _Fit:
         self._at, self._step = number.neutral, number.step
         self._chi2, self._afresh = chi2, True
         opposite = self._of(-number.neutral) if number.neutral else np.inf
-        if opposite < self._chi2:
+        self._afresh = opposite < chi2
+        if self._afresh:
             self._at, self._chi2 = -number.neutral, opposite
-        else:
-            self._afresh = False
         if number.grid:
             self._scan(number.grid)
 
     @property
-    def words(self) -> str:
-        """With the number."""
-        return self._number.words.format(self._at)
-
-    @property
-    def change(self) -> Callable[[Log], Log]:
-        """Makes the log right if the number is."""
+    def log_fit(self) -> LogFit:
+        """The number as it is."""
         number, at = self._number, self._at
-        return lambda log: number.change(log, at)
+        return LogFit(number.words.format(at), self._chi2, lambda log: number.change(log, at))
 
     def refined(self) -> float:
         """Chi-square at the number that fits best."""

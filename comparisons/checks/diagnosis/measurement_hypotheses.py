@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,24 +11,21 @@ from numpy.typing import NDArray
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.diagnosis.hypotheses import (
+    EQUAL,
     Hypothesis,
     Quantity,
-    best,
-    counted,
     instead,
     named,
-    naming,
-    says,
     scaled,
     times,
 )
 from comparisons.logs.log import Log
+from comparisons.plane import turned
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import MeasurementRecords
+from ekf_reference.models.range_bearing import RangeBearing
 
-EQUAL = 1e-7
-"""Figures that differ by less, relative to their size, are the same."""
 _COLUMNS = ("range", "bearing")
 _TWO = np.eye(2)
 _BEARING: NDArray[np.bool_] = np.array([False, True])
@@ -39,17 +35,17 @@ _BEARING: NDArray[np.bool_] = np.array([False, True])
 class _Seen:
     """Uses of measurements, (M,) each.
 
-    z, sigma: (M, 2) as the log has them. z_hat, by_pose, by_landmark: what is to be expected.
-    slack: (M, 2) what storing explains, in range and bearing. poses, points: by where, other
-    places to linearise at, (M, 3) and (M, 2).
+    z, sigma: (M, 2) as the log has them. z_hat: (M, 2) what is to be expected, h: (M, 2, 5) its
+    Jacobian by pose and landmark. slack: (M, 2) what storing explains, in range and bearing.
+    others: by which, other measurements. poses, points: by where, other places to linearise at,
+    (M, 3) and (M, 2).
     """
 
     r: MeasurementRecords
     z: Array
     sigma: Array
     z_hat: Array
-    by_pose: Array
-    by_landmark: Array
+    h: Array
     slack: Array
     others: Mapping[str, Array]
     poses: Mapping[str, Array]
@@ -65,7 +61,7 @@ def measurement_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
     if len(updates.step):
         seen = _seen(log, run, updates, rounding)
         yield from _innovations(seen)
-        reported = list(noise_hints("R", *_noise(seen), "measurements", seen.features))
+        reported = list(_noise_hints("R", seen, "measurements"))
         yield from reported
         yield from _jacobians(seen)
     starts = starts.rows(np.flatnonzero((starts.number >= 0) & (starts.weight > 0.0)))
@@ -74,7 +70,7 @@ def measurement_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
         yield from _places(new)
         yield from _jacobians_of_new(new)
         alike = [text.partition(",")[0] for text in reported]
-        for text in noise_hints("R of new landmarks", *_noise(new), "new landmarks", new.features):
+        for text in _noise_hints("R of new landmarks", new, "new landmarks"):
             if text.partition(",")[0].replace(" of new landmarks", "") not in alike:
                 yield text
 
@@ -83,27 +79,24 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
     measurements, trace = log.measurements, run.trace
     every = np.column_stack((measurements.range_m, measurements.bearing_rad))
     sigma = np.column_stack((measurements.sigma_range_m, measurements.sigma_bearing_rad))
-    z_hat, by_pose, by_landmark = rays(r.pose, r.landmark)
+    z = every[r.number]
+    z_hat, h = _rays(r.pose, r.landmark)
     last = np.maximum(r.step - 1, 0)
     scans, which = np.unique(r.step, return_inverse=True)
     before = r.pose[np.searchsorted(r.step, scans)][np.maximum(which - 1, 0)]
     updates, starts = trace.measurements[POINT], trace.initialisations[POINT]
     first = np.zeros((int(starts.landmark_index.max(initial=0)) + 1, 2))
     first[starts.landmark_index] = starts.landmark
-    towards = r.pose[:, 2] + every[r.number, 1]
-    ray = every[r.number, :1] * np.column_stack((np.cos(towards), np.sin(towards)))
-    updated = {int(step): pose for step, pose in zip(updates.step[::-1], updates.pose[::-1],
-                                                     strict=True)}  # fmt: skip
+    updated = dict(zip(updates.step[::-1].tolist(), updates.pose[::-1], strict=True))
     place = rounding * 4.0 * max(np.abs(r.pose[:, :2]).max(), np.abs(r.landmark).max())
     angle = rounding * 4.0 * max(np.pi, float(np.abs(r.pose[:, 2]).max()))
     velocity = trace.arrived[last] - trace.departed[last]
     return _Seen(
         r=r,
-        z=every[r.number],
+        z=z,
         sigma=sigma[r.number],
         z_hat=z_hat,
-        by_pose=by_pose,
-        by_landmark=by_landmark,
+        h=h,
         slack=np.column_stack((np.full(len(z_hat), place), place / z_hat[:, 0] + angle)),
         others={
             "of the previous measurement": every[np.maximum(r.number - 1, 0)],
@@ -113,44 +106,39 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
             "at the pose of the previous scan": before,
             "at the pose before the last prediction": trace.departed[last],
             "at the pose before the update": np.array(
-                [updated.get(int(s), own) for s, own in zip(r.step, r.pose, strict=True)]
+                [updated.get(s, own) for s, own in zip(r.step.tolist(), r.pose, strict=True)]
             ),
         },
         points={
             "at the landmark's initial position": first[r.landmark_index],
-            "at the landmark position that the measurement gives": r.pose[:, :2] + ray,
+            "at the landmark position that the measurement gives": _points(r.pose, z)[0],
         },
         velocity=velocity / run.timeline.step_duration_s[last, None],
         features={
             "time [s]": measurements.time_s[r.number],
-            "range [m]": every[r.number, 0],
-            "bearing [rad]": every[r.number, 1],
+            "range [m]": z[:, 0],
+            "bearing [rad]": z[:, 1],
             "landmark": run.estimate.landmark_id[r.landmark_index].astype(np.int64),
         },
     )
 
 
-def rays(pose: Array, landmark: Array) -> tuple[Array, Array, Array]:
-    """Return expected measurements (N, 2), H_v (N, 2, 3) and H_l (N, 2, 2)."""
-    dx, dy = (landmark - pose[:, :2]).T
-    q = dx * dx + dy * dy
-    root = np.sqrt(q)
-    z = np.column_stack((root, np.arctan2(dy, dx) - pose[:, 2]))
-    by_landmark = np.stack(
-        (np.column_stack((dx / root, dy / root)), np.column_stack((-dy / q, dx / q))), axis=1
-    )
-    by_pose = np.concatenate((-by_landmark, np.zeros((len(q), 2, 1))), axis=2)
-    by_pose[:, 1, 2] = -1.0
-    return z, by_pose, by_landmark
+def _rays(pose: Array, landmark: Array) -> tuple[Array, Array]:
+    """Return measurements (N, 2) expected from poses (N, 3), and (H_v, H_l) (N, 2, 5)."""
+    z, *jacobians = RangeBearing().predict(pose.T, landmark)
+    return z, np.concatenate(jacobians, axis=2)
 
 
-def moved(pose: Array, forward: float, left: float) -> Array:
+def _points(pose: Array, z: Array) -> tuple[Array, Array]:
+    """Return points (N, 2) measured from poses (N, 3), and (G_x, G_z) (N, 2, 5)."""
+    point, *jacobians = RangeBearing().invert(pose.T, z)
+    return point, np.concatenate(jacobians, axis=2)
+
+
+def _moved(pose: Array, forward: float, left: float) -> Array:
     """Return poses (N, 3) so far ahead and to the left."""
-    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    result: Array = pose + np.column_stack(
-        (cos * forward - sin * left, sin * forward + cos * left, np.zeros(len(pose)))
-    )
-    return result
+    arm = turned(np.array((forward, left)), pose[:, 2])
+    return pose + np.column_stack((arm, np.zeros(len(pose))))
 
 
 def _innovations(seen: _Seen) -> Iterator[str]:
@@ -177,47 +165,36 @@ def _innovations(seen: _Seen) -> Iterator[str]:
         angle=_BEARING,
         features=seen.features,
     )
-    found = named(both, _of_both(seen, nu))
-    if found is not None:
-        yield found
-        return
     # What was taken for the measurement, if the expected one is right; the bearing up to whole
     # turns.
-    yield from _by_column(replace(both, have=r.innovation + seen.z_hat, meant=seen.z), seen, "the")
+    taken = replace(both, have=r.innovation + seen.z_hat, meant=seen.z)
+    yield from named(both, _of_both(seen, nu)) or _by_column(taken, seen, "the")
 
 
 def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
     """Mistakes that show in range and bearing together."""
     yield instead("the innovation has the opposite sign (expected minus measured)", -nu)
     r = seen.r
-    for where, pose in seen.poses.items():
-        yield instead(
-            f"the expected measurement is computed {where}", seen.z - rays(pose, r.landmark)[0]
-        )
-    for where, point in seen.points.items():
-        yield instead(
-            f"the expected measurement is computed {where}", seen.z - rays(r.pose, point)[0]
-        )
+    for where, expected in (
+        *((where, _rays(pose, r.landmark)[0]) for where, pose in seen.poses.items()),
+        *((where, _rays(r.pose, point)[0]) for where, point in seen.points.items()),
+    ):
+        yield instead(f"the expected measurement is computed {where}", seen.z - expected)
     for which, other in seen.others.items():
         yield instead(f"range and bearing are those {which}", other - seen.z_hat)
     yield instead("range and bearing are exchanged", seen.z[:, ::-1] - seen.z_hat)
 
-    def from_place(rows: Index, forward: float, left: float) -> Array:
-        pose = moved(r.pose[rows], forward, left)
-        z: Array = seen.z[rows] - rays(pose, r.landmark[rows])[0]
-        return z
-
-    def late(rows: Index, seconds: float) -> Array:
-        pose = r.pose[rows] + seconds * seen.velocity[rows]
-        z: Array = seen.z[rows] - rays(pose, r.landmark[rows])[0]
-        return z
+    def expected_from(pose: Array, rows: Index) -> Array:
+        return seen.z[rows] - _rays(pose, r.landmark[rows])[0]
 
     yield Hypothesis(
-        says("the expected measurement is computed {0:.4g} s after its time"), late, (0.0,)
+        "the expected measurement is computed {0:.4g} s after its time",
+        lambda rows, s: expected_from(r.pose[rows] + s * seen.velocity[rows], rows),
+        (0.0,),
     )
     yield Hypothesis(
-        says("the sensor is assumed ({0:.4g}, {1:.4g}) m forward and left of the pose"),
-        from_place,
+        "the sensor is assumed ({0:.4g}, {1:.4g}) m forward and left of the pose",
+        lambda rows, forward, left: expected_from(_moved(r.pose[rows], forward, left), rows),
         (0.0, 0.0),
     )
 
@@ -225,14 +202,8 @@ def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
 def _by_column(both: Quantity, seen: _Seen, article: str) -> Iterator[str]:
     """Of range and bearing (M, 2) that were used, each by itself."""
     for column, name in enumerate(_COLUMNS):
-        one = replace(
-            both,
-            have=both.have[:, column],
-            meant=both.meant[:, column],
-            tolerance=both.tolerance[:, column],
-            angle=bool(column),
-        )
-        yield from naming(one, _of_column(one, seen, column, f"{article} {name}"))
+        one = both.part(column)
+        yield from named(one, _of_column(one, seen, column, f"{article} {name}"))
 
 
 def _of_column(one: Quantity, seen: _Seen, column: int, name: str) -> Iterator[Hypothesis]:
@@ -246,9 +217,7 @@ def _of_column(one: Quantity, seen: _Seen, column: int, name: str) -> Iterator[H
         )
     for which, other in seen.others.items():
         yield instead(f"{name} is that {which}", other[:, column])
-    yield Hypothesis(
-        says(f"{name} has a bias of {{0:+.4g}} {unit}"), lambda rows, b: z[rows] + b, (0.0,)
-    )
+    yield Hypothesis(f"{name} has a bias of {{0:+.4g}} {unit}", lambda rows, b: z[rows] + b, (0.0,))
     yield Hypothesis(times(name, log), lambda rows, k: k * z[rows], (1.0,))
     yield Hypothesis(
         times(f"the expected {_COLUMNS[column]}"),
@@ -256,15 +225,13 @@ def _of_column(one: Quantity, seen: _Seen, column: int, name: str) -> Iterator[H
         (1.0,),
     )
     yield Hypothesis(
-        says(f"{name} is {{0:.6g}} times {log} {{1:+.4g}} {unit}"),
+        f"{name} is {{0:.6g}} times {log} {{1:+.4g}} {unit}",
         lambda rows, k, b: k * z[rows] + b,
         (1.0, 0.0),
     )
     if not column:
         yield Hypothesis(
-            says(
-                "the squared range differs from the log's by {0:+.4g} m^2, as from a height offset"
-            ),
+            "the squared range differs from the log's by {0:+.4g} m^2, as from a height offset",
             lambda rows, h: np.sqrt(np.maximum(z[rows] ** 2 + h, 1e-12)),
             (0.0,),
         )
@@ -285,7 +252,11 @@ def _rounded(one: Quantity, name: str, unit: str) -> Iterator[Hypothesis]:
     if not len(gaps) or len(levels) > 0.7 * len(used):
         return
     step = float(gaps.min())
-    step = _refined(used, step)
+    for _ in range(3):  # a smallest unit, by all its multiples
+        count = np.round(used / step)
+        if not count.any():
+            break
+        step = float(count @ used / (count @ count))
     whole = np.round(used / step) * step
     near = np.abs(whole - one.meant) <= (0.5 + 1e-6) * step  # halves go either way
     nearest = np.where(near, whole, np.round(one.meant / step) * step)
@@ -297,73 +268,47 @@ def _rounded(one: Quantity, name: str, unit: str) -> Iterator[Hypothesis]:
         yield instead(f"{name} is {how} multiples of {step:.4g} {unit}", levels)
 
 
-def _refined(used: Array, step: float) -> float:
-    """A smallest unit, by all its multiples."""
-    for _ in range(3):
-        count = np.round(used / step)
-        if not count.any():
-            return step
-        step = float(count @ used / (count @ count))
-    return step
-
-
-def _noise(seen: _Seen) -> tuple[Array, Array, Array]:
-    """R (M, 2, 2) of the whole information, sigmas (M, 2), and ranges (M,)."""
-    return seen.r.noise * seen.r.weight[:, None, None], seen.sigma, seen.z[:, 0]
-
-
-def noise_hints(
-    name: str,
-    have: Array,
-    sigma: Array,
-    range_m: Array,
-    records: str,
-    features: Mapping[str, Array | Index],
-) -> Iterator[str]:
-    """Yield what a measurement's R (M, 2, 2) was made of, by sigmas (M, 2)."""
+def _noise_hints(name: str, seen: _Seen, records: str) -> Iterator[str]:
+    """Yield what a measurement's R was made of, that of its whole information."""
+    sigma = seen.sigma
     size = sigma[:, :, None] * sigma[:, None, :]
+    have = seen.r.noise * seen.r.weight[:, None, None] / size
     quantity = Quantity(
-        have=have / size,
+        have=have,
         meant=np.broadcast_to(_TWO, have.shape),
-        tolerance=np.asarray(EQUAL),
+        tolerance=EQUAL,
         records=records,
-        features=features,
+        features=seen.features,
     )
     degrees = np.degrees(1.0)
 
     def diagonal(text: str, variance: Array) -> Hypothesis:
-        return instead(text.format(name), variance[:, :, None] * _TWO / size)
+        return instead(f"{name} {text}", variance[:, :, None] * _TWO / size)
 
     whole = (
-        diagonal("{} contains sigma instead of sigma squared", sigma),
-        diagonal("{} contains the square of the variances", sigma**4),
+        diagonal("contains sigma instead of sigma squared", sigma),
+        diagonal("contains the square of the variances", sigma**4),
         scaled(name, quantity.meant),
         diagonal(
-            "{} has a bearing sigma in degrees instead of radians", (sigma * (1.0, degrees)) ** 2
+            "has a bearing sigma in degrees instead of radians", (sigma * (1.0, degrees)) ** 2
         ),
         diagonal(
-            "{} has a bearing sigma converted to radians twice", (sigma * (1.0, 1.0 / degrees)) ** 2
+            "has a bearing sigma converted to radians twice", (sigma * (1.0, 1.0 / degrees)) ** 2
         ),
-        diagonal("{} has the variances of range and bearing exchanged", sigma[:, ::-1] ** 2),
+        diagonal("has the variances of range and bearing exchanged", sigma[:, ::-1] ** 2),
     )
-    found = named(quantity, whole)
-    if found is not None:
-        yield found
+    if found := named(quantity, whole):
+        yield from found
         return
     for k, column in enumerate(_COLUMNS):
-        one = replace(quantity, have=quantity.have[:, k, k], meant=quantity.meant[:, k, k])
-        yield from naming(one, _variances(f"{name} of the {column}", sigma[:, k], range_m))
-    side = replace(quantity, have=quantity.have[:, 0, 1], meant=quantity.meant[:, 0, 1])
-    yield from naming(
-        side,
-        (
-            Hypothesis(
-                says(f"{name} has a correlation of {{0:.4g}} between range and bearing"),
-                lambda rows, c: np.full(len(rows), c),
-                (0.0,),
-            ),
-        ),
+        variances = _variances(f"{name} of the {column}", sigma[:, k], seen.z[:, 0])
+        yield from named(quantity.part(k, k), variances)
+    correlated = Hypothesis(
+        f"{name} has a correlation of {{0:.4g}} between range and bearing",
+        lambda rows, c: np.full(len(rows), c),
+        (0.0,),
     )
+    yield from named(quantity.part(0, 1), [correlated])
 
 
 def _variances(name: str, sigma: Array, range_m: Array) -> Iterator[Hypothesis]:
@@ -372,70 +317,49 @@ def _variances(name: str, sigma: Array, range_m: Array) -> Iterator[Hypothesis]:
     yield instead(f"{name} contains the square of the variance", sigma**2)
     yield scaled(name, np.ones(len(sigma)))
     yield Hypothesis(
-        says(f"{name} is constant at {{0:.4g}}"), lambda rows, c: c / sigma[rows] ** 2, (0.0,)
+        f"{name} is constant at {{0:.4g}}", lambda rows, c: c / sigma[rows] ** 2, (0.0,)
     )
     yield Hypothesis(
-        says(f"{name} has a constant of {{0:.4g}} added"),
+        f"{name} has a constant of {{0:.4g}} added",
         lambda rows, c: 1.0 + c / sigma[rows] ** 2,
         (0.0,),
     )
     for power, grows in ((2, "the range squared"), (1, "the range"), (-2, "1 / range squared")):
         shape = range_m**power / sigma**2
         yield Hypothesis(
-            says(f"{name} is {{0:.4g}} times {grows}"),
-            partial(_proportional, shape),
-            (0.0,),
+            f"{name} is {{0:.4g}} times {grows}", lambda rows, c, one=shape: c * one[rows], (0.0,)
         )
         yield Hypothesis(
-            says(f"{name} has {{0:.4g}} times {grows} added"),
-            partial(_added, shape),
+            f"{name} has {{0:.4g}} times {grows} added",
+            lambda rows, c, one=shape: 1.0 + c * one[rows],
             (0.0,),
         )
-
-
-def _proportional(shape: Array, rows: Index, factor: float) -> Array:
-    result: Array = factor * shape[rows]
-    return result
-
-
-def _added(shape: Array, rows: Index, factor: float) -> Array:
-    result: Array = 1.0 + factor * shape[rows]
-    return result
 
 
 def _jacobians(seen: _Seen) -> Iterator[str]:
-    r = seen.r
-    have = np.concatenate((r.jacobian_pose, r.jacobian_other), axis=2)
-    want = np.concatenate((seen.by_pose, seen.by_landmark), axis=2)
+    want = seen.h
     quantity = Quantity(
-        have=have,
+        have=np.concatenate((seen.r.jacobian_pose, seen.r.jacobian_other), axis=2),
         meant=want,
         tolerance=EQUAL * np.maximum(1e-6, np.abs(want).max(axis=(0, 2), keepdims=True))
         + 4.0 * seen.slack[:, :, None] / seen.z_hat[:, :1, None],
         records="measurements",
         features=seen.features,
     )
-    found = named(quantity, _of_jacobians(seen, want))
-    if found is not None:
-        yield found
+    if found := named(quantity, _of_jacobians(seen, want)):
+        yield from found
         return
-    rows_off = []
-    for k, name in enumerate(_COLUMNS):
-        row = replace(quantity, have=have[:, k], meant=want[:, k],
-                      tolerance=quantity.tolerance[:, k])  # fmt: skip
-        if row.off().any():
-            rows_off.append(name)
+    rows_off = [name for k, name in enumerate(_COLUMNS) if quantity.part(k).off().any()]
     if len(rows_off) == 1:
         yield f"the {rows_off[0]} row of H is wrong, the other row is right"
 
 
-_POSITION, _HEADING, _LANDMARK = (0, 1), (2,), (3, 4)
+_POSITION, _HEADING, _LANDMARK, _ALL = (0, 1), (2,), (3, 4), (0, 1, 2, 3, 4)
 _PARTS = (
-    ("the bearing row of H is zero, so bearings have no effect", (1,), (0, 1, 2, 3, 4), 0.0),
+    ("the bearing row of H is zero, so bearings have no effect", (1,), _ALL, 0.0),
     ("the heading column of H is zero", (0, 1), _HEADING, 0.0),
     ("the position terms in the bearing row of H have the opposite sign", (1,), (0, 1, 3, 4), -1.0),
 )
-_ALL = (0, 1, 2, 3, 4)
 _BLOCKS: tuple[tuple[str, tuple[int, ...], tuple[int, ...]], ...] = (
     ("H", (0, 1), _ALL),
     ("the range row of H", (0,), _ALL),
@@ -458,16 +382,21 @@ def _mask(rows: tuple[int, ...], columns: tuple[int, ...]) -> Array:
     return mask
 
 
+def _landmark_transposed(jacobian: Array) -> Array:
+    """Return Jacobians (M, 2, 5), the last two columns transposed."""
+    result = jacobian.copy()
+    result[:, :, 3:] = jacobian[:, :, 3:].transpose(0, 2, 1)
+    return result
+
+
 def _of_jacobians(seen: _Seen, want: Array) -> Iterator[Hypothesis]:
     for text, rows, columns, factor in _PARTS:
         yield instead(text, want * np.where(_mask(rows, columns) > 0.0, factor, 1.0))
     r = seen.r
     for where, pose in seen.poses.items():
-        yield instead(
-            f"H is linearised {where}", np.concatenate(rays(pose, r.landmark)[1:], axis=2)
-        )
+        yield instead(f"H is linearised {where}", _rays(pose, r.landmark)[1])
     for where, point in seen.points.items():
-        yield instead(f"H is linearised {where}", np.concatenate(rays(r.pose, point)[1:], axis=2))
+        yield instead(f"H is linearised {where}", _rays(r.pose, point)[1])
     place = _mask((1,), (0, 1, 3, 4)) > 0.0
     for text, ranges in (
         ("not divided by the range", seen.z_hat[:, 0]),
@@ -475,21 +404,18 @@ def _of_jacobians(seen: _Seen, want: Array) -> Iterator[Hypothesis]:
     ):
         changed = np.where(place, want * ranges[:, None, None], want)
         yield instead(f"the position terms in the bearing row of H are {text}", changed)
-    turned = want.copy()
-    turned[:, :, 3:] = want[:, :, 3:].transpose(0, 2, 1)
-    yield instead("the landmark block of H is transposed", turned)
+    yield instead("the landmark block of H is transposed", _landmark_transposed(want))
     for name, which, parts in _BLOCKS:
         yield scaled(name, want, _mask(which, parts))
 
     def from_place(rows: Index, forward: float, left: float) -> Array:
-        pose = moved(r.pose[rows], forward, left)
-        _, by_pose, by_landmark = rays(pose, r.landmark[rows])
-        arm = pose - r.pose[rows]
-        by_pose[:, :, 2] += by_pose[:, :, 1] * arm[:, :1] - by_pose[:, :, 0] * arm[:, 1:2]
-        return np.concatenate((by_pose, by_landmark), axis=2)
+        pose = _moved(r.pose[rows], forward, left)
+        h, arm = _rays(pose, r.landmark[rows])[1], pose - r.pose[rows]
+        h[:, :, 2] += h[:, :, 1] * arm[:, :1] - h[:, :, 0] * arm[:, 1:2]
+        return h
 
     yield Hypothesis(
-        says("H is that of a sensor ({0:.4g}, {1:.4g}) m forward and left of the pose"),
+        "H is that of a sensor ({0:.4g}, {1:.4g}) m forward and left of the pose",
         from_place,
         (0.0, 0.0),
     )
@@ -498,13 +424,6 @@ def _of_jacobians(seen: _Seen, want: Array) -> Iterator[Hypothesis]:
 def _places(new: _Seen) -> Iterator[str]:
     """Where landmarks began, as range and bearing from the recorded pose."""
     r, z = new.r, new.z
-
-    def from_pose(pose: Array, seen: Array) -> Array:
-        towards = pose[:, 2] + seen[:, 1]
-        point = pose[:, :2] + seen[:, :1] * np.column_stack((np.cos(towards), np.sin(towards)))
-        polar: Array = rays(r.pose, point)[0]
-        return polar
-
     quantity = Quantity(
         have=new.z_hat,
         meant=z,
@@ -513,56 +432,31 @@ def _places(new: _Seen) -> Iterator[str]:
         angle=_BEARING,
         features=new.features,
     )
-    others = [
-        instead(f"new landmarks are initialised {where}", from_pose(pose, z))
-        for where, pose in reversed(list(new.poses.items()))
-    ]  # fmt: skip
-    found = named(
-        quantity,
-        (
-            *others,
-            Hypothesis(
-                says(
-                    "new landmarks are initialised ({0:.4g}, {1:.4g}) m forward and left of "
-                    "their place"
-                ),
-                lambda rows, a, b: rays(
-                    r.pose[rows],
-                    moved(r.pose, a, b)[rows, :2] + _ray(r.pose[rows], z[rows]),
-                )[0],
-                (0.0, 0.0),
-            ),
+    others = (
+        *(
+            instead(f"new landmarks are initialised {where}", _rays(r.pose, _points(pose, z)[0])[0])
+            for where, pose in reversed(list(new.poses.items()))
+        ),
+        Hypothesis(
+            "new landmarks are initialised ({0:.4g}, {1:.4g}) m forward and left of their place",
+            lambda rows, a, b: _rays(r.pose[rows], _points(_moved(r.pose[rows], a, b), z[rows])[0])[
+                0
+            ],
+            (0.0, 0.0),
+        ),
+        instead(
+            "new landmarks are initialised behind the vehicle: the quadrant is lost",
+            z + (0.0, np.pi),
         ),
     )
-    if found is None:
-        behind = _behind(quantity)
-        found = None if behind is None else behind
-    if found is not None:
-        yield found
-        return
-    yield from _by_column(quantity, new, "new landmarks'")
+    yield from named(quantity, others) or _by_column(quantity, new, "new landmarks'")
 
 
-def _ray(pose: Array, z: Array) -> Array:
-    towards = pose[:, 2] + z[:, 1]
-    ray: Array = z[:, :1] * np.column_stack((np.cos(towards), np.sin(towards)))
-    return ray
-
-
-def _behind(quantity: Quantity) -> str | None:
-    other = instead(
-        "new landmarks are initialised behind the vehicle: the quadrant is lost",
-        quantity.meant + (0.0, np.pi),
-    )
-    return named(quantity, (other,))
-
-
-def _jacobians_of_new(new: _Seen) -> Iterator[str]:
-    r = new.r
-    have = np.concatenate((r.jacobian_pose, r.jacobian_other), axis=2)
+def _jacobians_of_new(new: _Seen) -> list[str]:
+    have = np.concatenate((new.r.jacobian_pose, new.r.jacobian_other), axis=2)
     quantities = []
     for z in (new.z, new.z_hat):  # of what was seen, or of what was made of it
-        want = _by_new(r.pose, z)
+        want = _points(new.r.pose, z)[1]
         quantities.append(
             Quantity(
                 have=have,
@@ -574,32 +468,16 @@ def _jacobians_of_new(new: _Seen) -> Iterator[str]:
             )
         )
     quantity = min(quantities, key=lambda one: np.count_nonzero(one.off()))
-    want = quantity.meant
-    found = best(quantity, _of_new(new, want))
-    if found is not None:
-        yield f"{found[0].text(*found[1])}, {counted(quantity)}"
-
-
-def _by_new(pose: Array, z: Array) -> Array:
-    """G_x and G_z (N, 2, 5)."""
-    cos, sin = np.cos(pose[:, 2] + z[:, 1]), np.sin(pose[:, 2] + z[:, 1])
-    full = np.zeros((len(z), 2, 5))
-    full[:, 0, 0] = full[:, 1, 1] = 1.0
-    full[:, 0, 3], full[:, 1, 3] = cos, sin
-    full[:, 0, 4], full[:, 1, 4] = -z[:, 0] * sin, z[:, 0] * cos
-    full[:, :, 2] = full[:, :, 4]
-    return full
+    return named(quantity, _of_new(new, quantity.meant))
 
 
 def _of_new(new: _Seen, want: Array) -> Iterator[Hypothesis]:
     plain = want.copy()
     plain[:, :, 3:] = _TWO
     yield instead("G_z is the identity: R is not rotated when a landmark is initialised", plain)
-    turned = want.copy()
-    turned[:, :, 3:] = want[:, :, 3:].transpose(0, 2, 1)
-    yield instead("G_z is transposed", turned)
+    yield instead("G_z is transposed", _landmark_transposed(want))
     for where, pose in new.poses.items():
-        yield instead(f"G_x and G_z are linearised {where}", _by_new(pose, new.z))
+        yield instead(f"G_x and G_z are linearised {where}", _points(pose, new.z)[1])
     for text, column in (("the bearing column of G_z", 4), ("the heading column of G_x", 2)):
         changed = want.copy()
         changed[:, :, column] /= new.z_hat[:, :1]

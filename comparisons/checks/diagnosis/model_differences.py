@@ -10,8 +10,8 @@ columns, places to their sigma, covariances as generalised eigenvalues.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,7 @@ class ModelDifference:
     total: int
     largest: float
     unit: str
-    absent: bool
+    absent: bool = False
     first_s: float | None = None
     number: int | None = None
 
@@ -110,10 +110,7 @@ def model_differences(
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
-        kind: (
-            _of_relations(_first(recorded.measurements[kind], len(seen.b))),
-            _of_relations(seen),
-        )
+        kind: (_of_relations(_first(recorded.measurements[kind], len(seen.b))), _of_relations(seen))
         for kind, seen in own.measurements.items()
     }
     positions = _of_positions(recorded.positions), _of_positions(own.positions)
@@ -134,23 +131,23 @@ def model_differences(
     found = _priors(recorded.prior, own.prior, tolerance)
     for kind, place, said, meant in kinds:
         for quantity, unit, difference, absent in _compare(place, said, meant):
-            limit = tolerance + stored.get((kind, quantity), 0.0)
-            off = ~(difference <= limit)
-            if off.any():
-                first = _first_event(off, events.get(kind))
-                found.append(
-                    ModelDifference(
-                        relation=kind,
-                        quantity=quantity,
-                        count=int(np.count_nonzero(off)),
-                        total=len(off),
-                        largest=float(difference.max()),
-                        unit=unit,
-                        absent=bool(absent[off].all()),
-                        first_s=first[0],
-                        number=first[1],
-                    )
+            off = ~(difference <= tolerance + stored.get((kind, quantity), 0.0))
+            if not off.any():
+                continue
+            first_s, number = _first_event(off, events.get(kind))
+            found.append(
+                ModelDifference(
+                    relation=kind,
+                    quantity=quantity,
+                    count=int(np.count_nonzero(off)),
+                    total=len(off),
+                    largest=float(difference.max()),
+                    unit=unit,
+                    absent=bool(absent[off].all()),
+                    first_s=first_s,
+                    number=number,
                 )
+            )
     return tuple(sorted(found, key=lambda d: (not d.absent, -d.weight)))
 
 
@@ -174,13 +171,7 @@ def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[Mod
     spread = float(np.abs(np.linalg.eigvalsh(within @ within.T) - 1.0).max())
     return [
         ModelDifference(
-            relation="priors",
-            quantity=quantity,
-            count=1,
-            total=1,
-            largest=size,
-            unit=unit,
-            absent=False,
+            relation="priors", quantity=quantity, count=1, total=1, largest=size, unit=unit
         )
         for quantity, size, unit in (
             ("the pose", apart, "sigma"),
@@ -249,15 +240,12 @@ def _of_positions(p: LinearPositions) -> _Places:
 def _inverse(a: Array) -> Array:
     """Of matrices (N, d, d); the pseudo-inverse where a filter's row is empty."""
     try:
-        inverse: Array = np.linalg.inv(a).astype(np.float64, copy=False)
+        return np.linalg.inv(a).astype(np.float64, copy=False)
     except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(a).astype(np.float64, copy=False)
-    return inverse
+        return np.linalg.pinv(a).astype(np.float64, copy=False)
 
 
 def _first(r: LinearRelations, count: int) -> LinearRelations:
     """Only what comes from a measurement: behind that are priors of landmarks."""
-    columns: dict[str, Any] = {
-        name: None if column is None else column[:count] for name, column in vars(r).items()
-    }
-    return LinearRelations(**columns)
+    columns = {name: column[:count] for name, column in vars(r).items() if column is not None}
+    return replace(r, **columns)

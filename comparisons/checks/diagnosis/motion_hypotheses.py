@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,34 +14,25 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
 from comparisons.checks.diagnosis.hypotheses import (
+    EQUAL,
     Hypothesis,
     Quantity,
+    Text,
     best,
-    counted,
     instead,
     named,
-    naming,
-    says,
     scaled,
     times,
 )
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import (
-    Odometry,
-    RelativePoses,
-    SteeringOdometry,
-    VelocityOdometry,
-)
+from comparisons.logs.odometry import Odometry, RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.stamps import resolved
+from comparisons.plane import in_own_axes, turned
 from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
+from graphslam.graph_builder import to_tangent
 
-EQUAL = 1e-7
-"""Figures that differ by less, relative to their size, are the same."""
 _LAGS = (1, -1, *(sign * k for k in range(2, 11) for sign in (1, -1)))
 _SHIFTS_S = tuple(sign * 0.01 * k for k in range(1, 101) for sign in (1, -1))
-
-
-Words = str | Callable[..., str]
 
 
 @dataclass(frozen=True)
@@ -65,47 +56,35 @@ class _Drive:
         arrived = np.array([one.pose for one in each])
         return in_own_axes(self.departed[rows], arrived), by_control
 
-    def by_control(self, text: Words, change: Callable[..., Array], *start: float) -> _Mistake:
+    def by_control(self, text: Text, change: Callable[..., Array], *start: float) -> _Mistake:
         """Return the mistake of other controls (N, m), made of its figures."""
-        return _Mistake(_words(text), lambda *fit: replace(self, control=change(*fit)), start)
+        return _Mistake(text, lambda *fit: replace(self, control=change(*fit)), start)
 
-    def by_interval(self, text: Words, change: Callable[..., Array], *start: float) -> _Mistake:
+    def by_interval(self, text: Text, change: Callable[..., Array], *start: float) -> _Mistake:
         """Return the mistake of other intervals (N,)."""
-        return _Mistake(_words(text), lambda *fit: replace(self, duration_s=change(*fit)), start)
+        return _Mistake(text, lambda *fit: replace(self, duration_s=change(*fit)), start)
 
-    def by_vehicle(
-        self, text: Words, change: Callable[..., MotionModel], *start: float
-    ) -> _Mistake:
+    def by_vehicle(self, text: Text, change: Callable[..., MotionModel], *start: float) -> _Mistake:
         """Return the mistake of another vehicle."""
-        return _Mistake(_words(text), lambda *fit: replace(self, model=change(*fit)), start)
-
-
-def _words(text: Words) -> Callable[..., str]:
-    return says(text) if isinstance(text, str) else text
+        return _Mistake(text, lambda *fit: replace(self, model=change(*fit)), start)
 
 
 class _Mistake(NamedTuple):
     """altered: of its figures, the drive as it then goes. text, start: as of a hypothesis."""
 
-    text: Callable[..., str]
+    text: Text
     altered: Callable[..., _Drive]
     start: tuple[float, ...]
 
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The moves are those of the drive as it then goes."""
+        return Hypothesis(
+            self.text, lambda rows, *figures: self.altered(*figures).steps(rows)[0], self.start
+        )
+
 
 Wheels = SteeringOdometry | VelocityOdometry
-
-
-def in_own_axes(departed: Array, arrived: Array) -> Array:
-    """Return moves (N, 3) ahead, left and turned."""
-    apart = arrived - departed
-    return np.column_stack((_turned(apart[:, :2], -departed[:, 2]), apart[:, 2]))
-
-
-def _turned(place: Array, by: Array) -> Array:
-    cos, sin = np.cos(by), np.sin(by)
-    return np.column_stack(
-        (cos * place[:, 0] - sin * place[:, 1], sin * place[:, 0] + cos * place[:, 1])
-    )
 
 
 def motion_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
@@ -126,12 +105,15 @@ def motion_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
         tolerance=EQUAL * np.maximum(1e-6, np.abs(meant).max())
         + rounding * 8.0 * max(float(np.abs(trace.departed).max()), np.pi),
         records="predictions",
-        features=_features(run),
+        features={
+            "time [s]": timeline.step_begin_s,
+            "interval [s]": timeline.step_duration_s,
+            **{f"control {k + 1}": u for k, u in enumerate(timeline.control.T)},
+        },
     )
     odometry = log.odometry
     found, used = _moved(odometry, moves, drive, timeline)
-    if found is not None:
-        yield found
+    yield from found
     yield from _jacobian(run, moves)
     if not isinstance(odometry, RelativePoses):
         others = [] if used is None else [used, _faster(used, timeline.step_duration_s)]
@@ -148,31 +130,17 @@ def _faster(drive: _Drive, duration_s: Array) -> _Drive:
     return replace(drive, control=control, duration_s=duration_s)
 
 
-def _features(run: EkfRun) -> Mapping[str, Array | Index]:
-    timeline = run.timeline
-    named_controls = {f"control {k + 1}": u for k, u in enumerate(timeline.control.T)}
-    return {
-        "time [s]": timeline.step_begin_s,
-        "interval [s]": timeline.step_duration_s,
-        **named_controls,
-    }
-
-
 def _moved(
     odometry: Odometry, moves: Quantity, drive: _Drive, timeline: Timeline
-) -> tuple[str | None, _Drive | None]:
+) -> tuple[list[str], _Drive | None]:
     """What leads elsewhere, and the drive that goes there, if it is one."""
     if not moves.off().any():
-        return None, None
+        return [], None
     for mistake in _altered(odometry, moves, drive, timeline):
-
-        def predict(rows: Index, *figures: float, one: _Mistake = mistake) -> Array:
-            return one.altered(*figures).steps(rows)[0]
-
-        found = best(moves, (Hypothesis(mistake.text, predict, mistake.start),))
+        found = best(moves, [mistake.hypothesis])
         if found is not None:
             used = _where(moves.off(), mistake.altered(*found[1]), drive)
-            return f"{mistake.text(*found[1])}, {counted(moves)}", used
+            return [found[0].counted(found[1], moves)], used
     return named(moves, _bent(moves, drive)), None
 
 
@@ -240,9 +208,9 @@ def _always(moves: Quantity, drive: _Drive) -> float:
     """The interval [s] by which the moves would be as long as they are, if it is one."""
     far, meant = (np.linalg.norm(m[:, :2], axis=1) for m in (moves.have, moves.meant))
     driven = meant > 1e-6
-    return float(np.median((far[driven] / meant[driven]) * drive.duration_s[driven])) if (
-        driven.any()
-    ) else 0.0  # fmt: skip
+    if not driven.any():
+        return 0.0
+    return float(np.median((far[driven] / meant[driven]) * drive.duration_s[driven]))
 
 
 def _vehicles(drive: _Drive) -> Iterator[_Mistake]:
@@ -323,28 +291,24 @@ def _other_displacements(drive: _Drive) -> Iterator[_Mistake]:
         yield control(
             f"the displacement is the {which} one", lambda lag=lag: np.roll(u, lag, axis=0)
         )
-    for name, part in (
-        ("the translation of the displacement", (1.0, 1.0, 0.0)),
-        ("the rotation of the displacement", (0.0, 0.0, 1.0)),
-        ("the forward displacement", (1.0, 0.0, 0.0)),
-        ("the leftward displacement", (0.0, 1.0, 0.0)),
-        ("the whole displacement", (1.0, 1.0, 1.0)),
-    ):
+    parts = {
+        "the translation of the displacement": np.array((1.0, 1.0, 0.0)),
+        "the rotation of the displacement": np.array((0.0, 0.0, 1.0)),
+        "the forward displacement": np.array((1.0, 0.0, 0.0)),
+        "the leftward displacement": np.array((0.0, 1.0, 0.0)),
+        "the whole displacement": np.array((1.0, 1.0, 1.0)),
+    }
+    for name, part in parts.items():
         yield control(
-            times(name, "the log's"),
-            lambda k, part=part: u * (1.0 + (k - 1.0) * np.array(part)),
-            1.0,
+            times(name, "the log's"), lambda k, part=part: u * (1.0 + (k - 1.0) * part), 1.0
         )
-    for name, column, unit in (
-        ("the forward displacement", 0, "m"),
-        ("the leftward displacement", 1, "m"),
-        ("the rotation of the displacement", 2, "rad"),
+    for name, unit in (
+        ("the forward displacement", "m"),
+        ("the leftward displacement", "m"),
+        ("the rotation of the displacement", "rad"),
     ):
-        yield control(
-            f"{name} has a bias of {{0:+.4g}} {unit}",
-            lambda b, column=column: u + b * np.eye(3)[column],
-            0.0,
-        )
+        said = f"{name} has a bias of {{0:+.4g}} {unit}"
+        yield control(said, lambda b, part=parts[name]: u + b * part, 0.0)
 
 
 def _bent(moves: Quantity, drive: _Drive) -> Iterator[Hypothesis]:
@@ -352,21 +316,21 @@ def _bent(moves: Quantity, drive: _Drive) -> Iterator[Hypothesis]:
     meant, s = moves.meant, drive.duration_s
     turn = meant[:, 2]
 
-    def added(column: int) -> Callable[..., Array]:
+    def added(text: str, column: int) -> Hypothesis:
         def predict(rows: Index, rate: float) -> Array:
             result = meant[rows].copy()
             result[:, column] += rate * s[rows]
             return result
 
-        return predict
+        return Hypothesis(text, predict, (0.0,))
 
     def along(part: float, *, arc: bool = False) -> Array:
         shrunk = np.sinc(0.5 * turn / np.pi) if arc else np.ones(len(turn))
-        ways = _turned(meant[:, :2], part * turn) * shrunk[:, None]
+        ways = turned(meant[:, :2], part * turn) * shrunk[:, None]
         return np.column_stack((ways, turn))
 
     car = isinstance(drive.model, AckermannModel)
-    yield Hypothesis(says("the yaw rate has a bias of {0:.3g} rad/s"), added(2), (0.0,))
+    yield added("the yaw rate has a bias of {0:.3g} rad/s", 2)
     yield scaled("the rotation of a step", meant, np.array((0.0, 0.0, 1.0)))
     if car:  # the model leads along the departing heading
         yield instead("the step follows the arc, not the heading at its start",
@@ -378,15 +342,15 @@ def _bent(moves: Quantity, drive: _Drive) -> Iterator[Hypothesis]:
         yield instead("the step follows the heading at its end", along(0.5))
         yield instead("the step has the length of the arc, not of the chord",
                       along(0.0, arc=True))  # fmt: skip
-    yield Hypothesis(says("the vehicle slips {0:+.4g} m/s to the left"), added(1), (0.0,))
-    yield Hypothesis(says("the vehicle slips {0:+.4g} m/s forward"), added(0), (0.0,))
+    yield added("the vehicle slips {0:+.4g} m/s to the left", 1)
+    yield added("the vehicle slips {0:+.4g} m/s forward", 0)
     yield scaled("the translation of a step", meant, np.array((1.0, 1.0, 0.0)))
 
     def turned_by(rows: Index, angle: float) -> Array:
-        ways = _turned(meant[rows, :2], np.full(len(rows), angle))
+        ways = turned(meant[rows, :2], np.full(len(rows), angle))
         return np.column_stack((ways, meant[rows, 2]))
 
-    yield Hypothesis(says("the direction of a step is rotated by {0:+.4g} rad"), turned_by, (0.0,))
+    yield Hypothesis("the direction of a step is rotated by {0:+.4g} rad", turned_by, (0.0,))
 
 
 class _Twice:
@@ -400,60 +364,63 @@ class _Twice:
         return self._model.step(one.pose, control, duration_s)
 
 
-def _by_pose(trace_move: Array) -> Array:
-    """F (N, 3, 3) of moves (N, 3) in the map."""
-    f = np.broadcast_to(np.eye(3), (len(trace_move), 3, 3)).copy()
-    f[:, 0, 2], f[:, 1, 2] = -trace_move[:, 1], trace_move[:, 0]
-    return f
-
-
-def _jacobian(run: EkfRun, moves: Quantity) -> Iterator[str]:
+def _jacobian(run: EkfRun, moves: Quantity) -> list[str]:
     """F, of the moves that were made."""
     trace = run.trace
-    want = _by_pose(trace.arrived - trace.departed)
-    quantity = replace(moves, have=trace.f, meant=want, tolerance=np.asarray(moves.tolerance))
-    turn = trace.arrived[:, 2] - trace.departed[:, 2]
+    move = trace.arrived - trace.departed
+    turn = move[:, 2]
 
-    def turned(part: float) -> Array:
-        f = want.copy()
-        f[:, :2, 2] = _turned(want[:, :2, 2], part * turn)
+    def by_heading(east: Array, north: Array) -> Array:
+        f = np.broadcast_to(np.eye(3), (len(move), 3, 3)).copy()
+        f[:, 0, 2], f[:, 1, 2] = east, north
         return f
 
+    def at(part: float) -> Array:
+        return by_heading(*turned(np.column_stack((-move[:, 1], move[:, 0])), part * turn).T)
+
+    want = by_heading(-move[:, 1], move[:, 0])
     heading, lower = np.zeros((3, 3)), np.zeros((3, 3))
     heading[:2, 2], lower[2, 2] = 1.0, 1.0
-    yield from naming(
-        quantity,
+    return named(
+        replace(moves, have=trace.f, meant=want),
         (
             instead("F is transposed", want.transpose(0, 2, 1)),
             instead("F is the identity", np.broadcast_to(np.eye(3), want.shape)),
-            instead("F is linearised at the pose after the step", turned(1.0)),
-            instead("F is linearised at the heading at the middle of the step", turned(0.5)),
-            instead("F is linearised at the pose before the step, not at its middle", turned(-0.5)),
+            instead("F is linearised at the pose after the step", at(1.0)),
+            instead("F is linearised at the heading at the middle of the step", at(0.5)),
+            instead("F is linearised at the pose before the step, not at its middle", at(-0.5)),
             instead("F is that of the previous step", np.roll(want, 1, axis=0)),
-            instead("F's position terms are rotated by 90 degrees",
-                    _quarter(want)),
+            instead(
+                "F's position terms are rotated by 90 degrees", by_heading(move[:, 0], move[:, 1])
+            ),
             scaled("F's heading column", want, heading),
             scaled("F's heading term", want, lower),
             scaled("F", want),
         ),
-    )  # fmt: skip
-
-
-def _quarter(want: Array) -> Array:
-    f = want.copy()
-    f[:, 0, 2], f[:, 1, 2] = want[:, 1, 2], -want[:, 0, 2]
-    return f
+    )
 
 
 def _step_noise(
     wheels: Wheels, run: EkfRun, used: list[Array], moves: Quantity, rounding: float
-) -> Iterator[str]:
+) -> list[str]:
     """Q is B S B^T and what every step adds. used: B (N, 3, 2) by any control it may be of."""
-    quantities = [_control_noise(wheels, run, b, moves, rounding) for b in used]
-    quantity, b = min(
-        zip(quantities, used, strict=True), key=lambda pair: np.count_nonzero(pair[0].off())
-    )
-    yield from naming(quantity, _of_step_noise(wheels, run, b))
+    noise, trace, s = wheels.noise, run.trace, run.timeline.step_duration_s[:, None, None]
+    place = s * np.diag((noise.variance_rate_position,) * 2 + (0.0,))
+    heading = s * np.diag((0.0, 0.0, noise.variance_rate_heading))
+    tolerance = EQUAL + 32.0 * rounding * max(1.0, np.abs(trace.departed).max())
+    by_each = []
+    for b in used:
+        full = _spread(b, run.timeline.control_covariance) + place + heading
+        by_each.append((_of_noise(moves, trace.q, full, tolerance), b))
+    quantity, b = min(by_each, key=lambda pair: np.count_nonzero(pair[0].off()))
+    turn = "steering angle" if isinstance(wheels, SteeringOdometry) else "yaw rate"
+    return named(quantity, _of_step_noise(run, b, (place, heading), turn))
+
+
+def _of_noise(moves: Quantity, q: Array, meant: Array, tolerance: Array | float) -> Quantity:
+    """Q (N, 3, 3), recorded and as it should be, over products of sigmas."""
+    size = _sizes(meant)
+    return replace(moves, have=q / size, meant=meant / size, tolerance=tolerance)
 
 
 def _sizes(full: Array) -> Array:
@@ -465,41 +432,20 @@ def _sizes(full: Array) -> Array:
     return size
 
 
-def _rates(wheels: Wheels, run: EkfRun) -> tuple[Array, Array]:
-    """What every step adds (N, 3, 3): to the position, to the heading."""
-    noise, s = wheels.noise, run.timeline.step_duration_s[:, None, None]
-    place: Array = s * np.diag((noise.variance_rate_position,) * 2 + (0.0,))
-    heading: Array = s * np.diag((0.0, 0.0, noise.variance_rate_heading))
-    return place, heading
-
-
 def _spread(b: Array, covariance: Array) -> Array:
     total: Array = b @ covariance @ b.transpose(0, 2, 1)
     return total
 
 
-def _control_noise(
-    wheels: Wheels, run: EkfRun, b: Array, moves: Quantity, rounding: float
-) -> Quantity:
-    place, heading = _rates(wheels, run)
-    full = _spread(b, run.timeline.control_covariance) + place + heading
-    size = _sizes(full)
-    return replace(
-        moves,
-        have=run.trace.q / size,
-        meant=full / size,
-        tolerance=np.asarray(EQUAL + 32.0 * rounding * max(1.0, np.abs(run.trace.departed).max())),
-    )
-
-
-def _of_step_noise(wheels: Wheels, run: EkfRun, b: Array) -> Iterator[Hypothesis]:
-    trace, stated = run.trace, run.timeline.control_covariance
-    place, heading = _rates(wheels, run)
+def _of_step_noise(
+    run: EkfRun, b: Array, rates: tuple[Array, Array], turn: str
+) -> Iterator[Hypothesis]:
+    """rates: what every step adds (N, 3, 3), to the position and to the heading."""
+    stated, (place, heading) = run.timeline.control_covariance, rates
     added, s = place + heading, run.timeline.step_duration_s[:, None, None]
     own = _spread(b, stated)
     full = own + added
     size = _sizes(full)
-    turn = "steering angle" if isinstance(wheels, SteeringOdometry) else "yaw rate"
 
     def other(text: str, control: Array, rates: Array = added) -> Hypothesis:
         return instead(text, (control + rates) / size)
@@ -525,26 +471,23 @@ def _of_step_noise(wheels: Wheels, run: EkfRun, b: Array) -> Iterator[Hypothesis
         "the stabilisation noise of the heading": (heading, full - heading),
     }  # fmt: skip
     for name, (varied, kept) in whole.items():
-        yield Hypothesis(times(name), _varied(varied / size, kept / size), (1.0,))
+        yield _varied(name, varied / size, kept / size)
     rest = added / size
     yield Hypothesis(
-        says(f"the speed part of Q is {{0:.4g}} times and the {turn} part {{1:.4g}} times the "
-             "correct value"),
+        f"the speed part of Q is {{0:.4g}} times and the {turn} part {{1:.4g}} times the correct "
+        "value",
         lambda rows, k, j: k * split[0][rows] + j * split[1][rows] + rest[rows],
         (1.0, 1.0),
-    )  # fmt: skip
-    middle = np.median(trace.q, axis=0)
+    )
+    middle = np.median(run.trace.q, axis=0)
     yield instead("Q is constant", np.broadcast_to(middle, full.shape) / size)
     at_rate = middle / float(np.median(s))
     yield instead("Q depends on the interval alone", at_rate * s / size)
 
 
-def _varied(varied: Array, kept: Array) -> Callable[..., Array]:
-    def predict(rows: Index, factor: float) -> Array:
-        result: Array = factor * varied[rows] + kept[rows]
-        return result
-
-    return predict
+def _varied(name: str, varied: Array, kept: Array) -> Hypothesis:
+    """Part of a covariance (N, 3, 3) has a factor, and the rest has none."""
+    return Hypothesis(times(name), lambda rows, k: k * varied[rows] + kept[rows], (1.0,))
 
 
 def _sigmas(
@@ -577,57 +520,51 @@ def _frames(
         ("Q is rotated by the heading at the middle of the step", 0.5 * (arrived - departed)),
         ("Q is rotated by the negative heading", -2.0 * departed),
     ):
-        turned = _rotations(by)
-        yield other(text, turned @ own @ turned.transpose(0, 2, 1))
+        yield other(text, _spread(_rotations(by), own))
 
 
 def _rotations(by: Array) -> Array:
     """(N, 3, 3) in the plane."""
-    full = np.zeros((len(by), 3, 3))
-    full[:, 0, 0] = full[:, 1, 1] = np.cos(by)
-    full[:, 1, 0], full[:, 0, 1] = np.sin(by), -np.sin(by)
-    full[:, 2, 2] = 1.0
-    return full
+    return np.ascontiguousarray(to_tangent(by).transpose(0, 2, 1))
 
 
-def _displacement_noise(run: EkfRun, moves: Quantity) -> Iterator[str]:
+def _displacement_noise(run: EkfRun, moves: Quantity) -> list[str]:
     """Q of measured displacements: their covariance, turned from the frame of arrival."""
     trace, stated = run.trace, run.timeline.control_covariance
     departed, arrived = trace.departed[:, 2], trace.arrived[:, 2]
 
-    def turned(by: Array, covariance: Array = stated) -> Array:
-        r = _rotations(by)
-        result: Array = r @ covariance @ r.transpose(0, 2, 1)
-        return result
+    def seen_from(by: Array, covariance: Array = stated) -> Array:
+        return _spread(_rotations(by), covariance)
 
-    meant = turned(arrived)
+    meant = seen_from(arrived)
     size = _sizes(meant)
-    quantity = replace(
-        moves, have=trace.q / size, meant=meant / size,
-        tolerance=EQUAL + np.asarray(moves.tolerance),
-    )  # fmt: skip
+    quantity = _of_noise(moves, trace.q, meant, EQUAL + moves.tolerance)
     diagonal = stated * np.eye(3)
-    yield from naming(
+    parts = {
+        name: stated * np.diag(mask)
+        for name, mask in (("position", (1.0, 1.0, 0.0)), ("heading", (0.0, 0.0, 1.0)))
+    }
+    return named(
         quantity,
         (
             instead("Q is not rotated: it stays in the frame after the step", stated / size),
-            instead("Q is rotated by the heading before the step", turned(departed) / size),
-            instead("Q is rotated by the negative heading", turned(-arrived) / size),
-            instead("Q contains sigma instead of sigma squared",
-                    turned(arrived, np.sqrt(diagonal)) / size),
-            instead("Q contains the square of the variances",
-                    turned(arrived, diagonal**2) / size),
+            instead("Q is rotated by the heading before the step", seen_from(departed) / size),
+            instead("Q is rotated by the negative heading", seen_from(-arrived) / size),
+            instead(
+                "Q contains sigma instead of sigma squared",
+                seen_from(arrived, np.sqrt(diagonal)) / size,
+            ),
+            instead(
+                "Q contains the square of the variances", seen_from(arrived, diagonal**2) / size
+            ),
             scaled("Q", quantity.meant),
             *(
-                Hypothesis(
-                    times(f"the {name} part of Q"),
-                    _varied(
-                        turned(arrived, stated * np.diag(mask)) / size,
-                        turned(arrived, stated - stated * np.diag(mask)) / size,
-                    ),
-                    (1.0,),
+                _varied(
+                    f"the {name} part of Q",
+                    seen_from(arrived, part) / size,
+                    seen_from(arrived, stated - part) / size,
                 )
-                for name, mask in (("position", (1.0, 1.0, 0.0)), ("heading", (0.0, 0.0, 1.0)))
+                for name, part in parts.items()
             ),
         ),
-    )  # fmt: skip
+    )

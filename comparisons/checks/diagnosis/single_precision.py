@@ -18,7 +18,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array, Index
 from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
 from comparisons.estimates.stored_precision import SINGLE, restored
-from ekf_reference.core.geometry import wrap_angle
+from comparisons.plane import pose_difference
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
@@ -72,10 +72,7 @@ def allowed_gap(
 ) -> Allowed:
     """Return what storing a trace in single precision explains of a gap to a solution of it.
 
-    Args:
-        solve: F1 or F2 of a trace.
-        trace: as it was stored.
-        sigma: (n,) units of the means, S's.
+    solve: F1 or F2 of a trace. sigma: (n,) units of the means, S's.
     """
     stored = solve(trace)
     return _widest([gap(solve(other), stored, sigma) for other in restored_traces(trace)])
@@ -91,14 +88,9 @@ def rounding_gap(
     """Return what computing in double precision explains of a gap to a solution of a trace.
 
     Its numbers are moved within their last places, and solved again. Where this has no solution,
-    any gap is explained.
-
-    Args:
-        solve: F1 or F2 of a trace.
-        stored: the solution of this one.
-        trace: as it was recorded, in double precision.
-        sigma: (n,) units of the means, S's.
-        least: a gap; where one draw shows that rounding is far from it, no other is made.
+    any gap is explained. solve: F1 or F2 of a trace. stored: the solution of this one. sigma: (n,)
+    units of the means, S's. least: a gap; where one draw shows that rounding is far from it, no
+    other is made.
     """
     gaps = list[Gap]()
     for other in restored_traces(trace, np.float64):
@@ -210,18 +202,15 @@ def _augmented(
 def computed_in_single(run: EkfRun, algebra: Gap, sigma: Array) -> str:
     """Return how a gap grows that a computation in single precision explains, "" where it is none.
 
-    Args:
-        run: the filter's, its records all of single precision.
-        algebra: its gap to the solution of its own equations.
-        sigma: (n,) units of the means, S's.
+    run: its records are all of single precision. algebra: its gap to the solution of its own
+    equations. sigma: (n,) units of the means, S's.
     """
     trace, until, count = run.trace, run.timeline.steps_until(), len(run.estimate.landmark)
     exact, single = (replay(trace, until, count, dtype) for dtype in (np.float64, np.float32))
     like = gap(single.last, exact.last, sigma)
-    near = algebra.sigma <= _ALIKE * like.sigma and algebra.covariance <= _ALIKE * like.covariance
-    first, last = _grown(run, exact)
-    if not near:
+    if not algebra.explained_by(Allowed(_ALIKE * like.sigma, _ALIKE * like.covariance)):
         return ""
+    first, last = _grown(run, exact)
     how = f"grows from {first:.2g} in the first tenth of the run to {last:.2g} in the last"
     if last <= first:
         how = f"stays near {max(first, last):.2g}"
@@ -235,9 +224,7 @@ def computed_in_single(run: EkfRun, algebra: Gap, sigma: Array) -> str:
 def _grown(run: EkfRun, exact: Replay) -> tuple[float, float]:
     """The pose's gap, of mean in sigma or covariance, early and late."""
     sigma = np.sqrt(exact.covariance[:, (0, 1, 2), (0, 1, 2)])
-    apart = run.departed - exact.pose
-    apart[:, 2] = wrap_angle(apart[:, 2])
-    size = np.abs(apart / sigma).max(axis=1)
+    size = np.abs(pose_difference(run.departed, exact.pose) / sigma).max(axis=1)
     have = run.estimate.pose_covariance
     spread = np.abs(have - exact.covariance) / (sigma[:, :, None] * sigma[:, None, :])
     size = np.fmax(size, spread.max(axis=(1, 2)))
